@@ -1,0 +1,8 @@
+//! wad-cosim: a co-simulation bridge to SUMO traffic.
+
+pub mod geometry;
+pub mod network;
+pub mod traci;
+pub mod traffic;
+pub mod vehicle;
+pub mod world;

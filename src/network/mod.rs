@@ -1,0 +1,297 @@
+//! The road network as SUMO's `.net.xml` describes it: edges, lanes, junctions, links,
+//! crossings, walkingareas and signals, with nearest-lane queries and routes.
+//!
+//! Everything is stored in flat vectors and referred to by small ids, in file order,
+//! so that iteration is deterministic.
+
+mod route;
+
+pub use route::{RoadOption, Route, RouteError, RouteLink, RoutePoint, RouteSection};
+
+use crate::geometry::{Point, Polyline};
+use std::path::Path;
+
+macro_rules! index_type {
+    ($(#[$doc:meta])* $name:ident) => {
+        $(#[$doc])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+        pub struct $name(pub u32);
+        impl $name {
+            /// The position in the network's vector of these.
+            pub fn index(self) -> usize {
+                self.0 as usize
+            }
+        }
+    };
+}
+index_type!(/// An edge of [`Network::edges`].
+    EdgeId);
+index_type!(/// A lane of [`Network::lanes`].
+    LaneId);
+index_type!(/// A junction of [`Network::junctions`].
+    JunctionId);
+index_type!(/// A link of [`Network::links`].
+    LinkId);
+index_type!(/// A crossing of [`Network::crossings`].
+    CrossingId);
+index_type!(/// A signal program of [`Network::traffic_lights`].
+    TrafficLightId);
+
+/// What an edge is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum EdgeKind {
+    /// A road (or path) between two junctions.
+    Normal,
+    /// Lanes inside a junction.
+    Internal,
+    /// A pedestrian crossing over a junction's arm.
+    Crossing,
+    /// Where pedestrians walk between sidewalks and crossings.
+    WalkingArea,
+    /// A macroscopic connector or anything else that is not driven in detail.
+    Other,
+}
+
+/// A one-way road: a bundle of parallel lanes.
+#[derive(Clone, Debug)]
+pub struct Edge {
+    /// SUMO's id; may begin with `-` or `:`.
+    pub id: String,
+    pub kind: EdgeKind,
+    /// None for internal edges, crossings and walkingareas.
+    pub from: Option<JunctionId>,
+    pub to: Option<JunctionId>,
+    /// The junction that an internal edge, crossing or walkingarea lies in.
+    pub junction: Option<JunctionId>,
+    pub priority: i32,
+    /// SUMO edge type, empty where none was given.
+    pub edge_type: String,
+    /// Street name, empty where none was given.
+    pub name: String,
+    /// Lanes by lane_index: 0 is the outermost (rightmost in right-hand networks).
+    pub lanes: Vec<LaneId>,
+}
+
+/// Vehicle classes as a bit set (SUMO's SVCPermissions, our own bit order).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Permissions(pub u64);
+
+/// One lane. `shape` is its centre line (for a walkingarea: its outline).
+#[derive(Clone, Debug)]
+pub struct Lane {
+    /// SUMO's id, e.g. `A0B0_1`.
+    pub id: String,
+    pub edge: EdgeId,
+    /// 0 is the outermost lane.
+    pub index: usize,
+    /// m/s.
+    pub speed_limit: f64,
+    /// SUMO's lane length (m): lane_position counts in it; may differ from `shape.length()`.
+    pub length: f64,
+    /// m; 3.2 where the file says nothing.
+    pub width: f64,
+    pub permissions: Permissions,
+    pub shape: Polyline,
+    /// Links that leave this lane.
+    pub outgoing: Vec<LinkId>,
+    /// Links that enter this lane (for internal lanes: the link whose `via` holds it).
+    pub incoming: Vec<LinkId>,
+}
+
+/// Which way a link turns (SUMO's `dir`).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LinkDirection {
+    Straight,
+    TurnAround,
+    Left,
+    Right,
+    PartLeft,
+    PartRight,
+    Invalid,
+}
+
+/// A signal head: one character of a traffic light's state.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SignalIndex {
+    pub traffic_light: TrafficLightId,
+    /// Position in the state string.
+    pub index: usize,
+}
+
+/// A way over a junction from one lane to another (SUMO's connection between normal edges).
+#[derive(Clone, Debug)]
+pub struct Link {
+    pub from: LaneId,
+    pub to: LaneId,
+    /// Internal lanes on the way, in order; empty in nets without internal lanes.
+    pub via: Vec<LaneId>,
+    pub direction: LinkDirection,
+    /// SUMO's `state`: `M` major, `m` minor, `=` equal, `s` stop, `o` uncontrolled by a signal that is off, ...
+    pub state: char,
+    pub signal: Option<SignalIndex>,
+    pub junction: JunctionId,
+    /// Index in the junction's request matrix, where it has one.
+    pub request_index: Option<usize>,
+    /// Links that this one must let pass (the request's `response`).
+    pub must_yield_to: Vec<LinkId>,
+    /// Links whose paths cross or join this one's (the request's `foes`).
+    pub foes: Vec<LinkId>,
+    /// Crossings that this link's path cuts across.
+    pub crossings: Vec<CrossingId>,
+    /// Crossings among those whose pedestrians go first.
+    pub yields_to_crossings: Vec<CrossingId>,
+}
+
+/// A pedestrian crossing.
+#[derive(Clone, Debug)]
+pub struct Crossing {
+    /// Its one lane, shape = centre line from kerb to kerb.
+    pub lane: LaneId,
+    pub edge: EdgeId,
+    pub junction: JunctionId,
+    /// The edges it lies over.
+    pub crossed_edges: Vec<EdgeId>,
+    /// Outline polygon (m): the file's `outlineShape`, or made from shape and width.
+    pub outline: Vec<Point>,
+    pub signal: Option<SignalIndex>,
+    /// Pedestrians have priority over vehicles.
+    pub priority: bool,
+}
+
+/// A junction (SUMO's, internal ones left out).
+#[derive(Clone, Debug)]
+pub struct Junction {
+    pub id: String,
+    /// SUMO's type: `priority`, `traffic_light`, `right_before_left`, ...
+    pub kind: String,
+    pub position: Point,
+    /// Outline polygon (m).
+    pub shape: Vec<Point>,
+    pub incoming_edges: Vec<EdgeId>,
+    pub outgoing_edges: Vec<EdgeId>,
+    pub crossings: Vec<CrossingId>,
+    /// Walkingarea lanes (shape = polygon).
+    pub walkingareas: Vec<LaneId>,
+}
+
+/// A traffic light (tlLogic id) and what it controls.
+#[derive(Clone, Debug)]
+pub struct TrafficLight {
+    pub id: String,
+    /// Number of characters in its state.
+    pub signals: usize,
+    /// Links controlled by it.
+    pub links: Vec<LinkId>,
+    /// Crossings controlled by it.
+    pub crossings: Vec<CrossingId>,
+    /// Centre of what it controls (m), and the radius around it that holds all stop lines (m).
+    pub position: Point,
+    pub radius: f64,
+}
+
+/// A place on a lane.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LanePosition {
+    pub lane: LaneId,
+    /// Arc length along the lane's shape (m).
+    pub s: f64,
+}
+
+/// A lane near a point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NearLane {
+    pub lane: LaneId,
+    /// Arc length along the lane's shape (m).
+    pub s: f64,
+    /// Lateral offset (m, left positive).
+    pub d: f64,
+    /// Horizontal distance from the point to the centre line (m).
+    pub distance: f64,
+}
+
+/// The whole network.
+#[derive(Clone, Debug)]
+pub struct Network {
+    pub edges: Vec<Edge>,
+    pub lanes: Vec<Lane>,
+    pub junctions: Vec<Junction>,
+    pub links: Vec<Link>,
+    pub crossings: Vec<Crossing>,
+    pub traffic_lights: Vec<TrafficLight>,
+    /// True where traffic keeps left.
+    pub left_hand: bool,
+    /// Corners of the bounding box (m).
+    pub bounds: (Point, Point),
+}
+
+/// Why a network could not be used.
+#[derive(Debug, thiserror::Error)]
+pub enum NetworkError {
+    #[error("{0}")]
+    Placeholder(String),
+}
+
+impl Network {
+    /// Reads a `.net.xml` or `.net.xml.gz` file.
+    pub fn load(_path: &Path) -> Result<Self, NetworkError> {
+        todo!()
+    }
+    /// The edge with SUMO's id `id`.
+    pub fn edge_by_id(&self, _id: &str) -> Option<EdgeId> {
+        todo!()
+    }
+    /// The lane with SUMO's id `id`.
+    pub fn lane_by_id(&self, _id: &str) -> Option<LaneId> {
+        todo!()
+    }
+    pub fn junction_by_id(&self, _id: &str) -> Option<JunctionId> {
+        todo!()
+    }
+    pub fn traffic_light_by_id(&self, _id: &str) -> Option<TrafficLightId> {
+        todo!()
+    }
+    pub fn edge(&self, id: EdgeId) -> &Edge {
+        &self.edges[id.index()]
+    }
+    pub fn lane(&self, id: LaneId) -> &Lane {
+        &self.lanes[id.index()]
+    }
+    pub fn link(&self, id: LinkId) -> &Link {
+        &self.links[id.index()]
+    }
+    pub fn junction(&self, id: JunctionId) -> &Junction {
+        &self.junctions[id.index()]
+    }
+    pub fn crossing(&self, id: CrossingId) -> &Crossing {
+        &self.crossings[id.index()]
+    }
+    pub fn traffic_light(&self, id: TrafficLightId) -> &TrafficLight {
+        &self.traffic_lights[id.index()]
+    }
+    /// Lanes whose centre line passes within `radius` (m) of `point`, nearest first.
+    /// `z` (m), where given, leaves out lanes more than 3 m above or below.
+    pub fn lanes_near(&self, _point: Point, _z: Option<f64>, _radius: f64) -> Vec<NearLane> {
+        todo!()
+    }
+    /// The cheapest route (by travel time) from one lane position to another for a vehicle class.
+    pub fn route(
+        &self,
+        _from: LanePosition,
+        _to: LanePosition,
+        _class: VehicleClass,
+    ) -> Result<Route, RouteError> {
+        todo!()
+    }
+}
+
+/// SUMO's abstract vehicle classes that the bridge tells apart.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum VehicleClass {
+    Passenger,
+    Delivery,
+    Truck,
+    Bus,
+    Motorcycle,
+    Bicycle,
+    Pedestrian,
+}

@@ -1,0 +1,1 @@
+//! TraCI over TCP: SUMO's control protocol, async on tokio.

@@ -1,0 +1,74 @@
+//! The ego vehicle: a rapier raycast vehicle, its actuators and its contacts.
+
+use crate::geometry::{Pose, Vector};
+use serde::{Deserialize, Serialize};
+
+/// One tick's control, as CARLA has it. Brake wins over throttle.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Control {
+    /// 0..1.
+    pub throttle: f64,
+    /// -1..1, left positive; a fraction of the largest steering angle.
+    pub steer: f64,
+    /// 0..1.
+    pub brake: f64,
+}
+
+/// The ego's motion after a tick.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EgoState {
+    /// Centre of the footprint on the ground, world frame.
+    pub pose: Pose,
+    /// Roll and pitch of the body (rad).
+    pub roll: f64,
+    pub pitch: f64,
+    /// Velocity (m/s), world frame.
+    pub velocity: Vector,
+    /// Longitudinal speed (m/s), chassis frame, negative in reverse.
+    pub speed: f64,
+    /// Lateral speed (m/s), chassis frame, left positive.
+    pub lateral_speed: f64,
+    /// rad/s, counter-clockwise.
+    pub yaw_rate: f64,
+    /// Longitudinal acceleration over the last tick (m/s2).
+    pub acceleration: f64,
+    /// Front wheels' angle (rad, left positive).
+    pub steer_angle: f64,
+}
+
+/// What a contact was with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PartnerKind {
+    Vehicle,
+    Pedestrian,
+    Static,
+}
+
+/// Another road user, moved through the tick at constant velocity.
+#[derive(Clone, Copy, Debug)]
+pub struct MovingBody {
+    /// The caller's own number for it, stable over ticks.
+    pub key: u64,
+    pub kind: PartnerKind,
+    /// Centre of the footprint at the tick's begin.
+    pub pose: Pose,
+    /// m/s along the heading.
+    pub speed: f64,
+    /// Footprint and height (m).
+    pub length: f64,
+    pub width: f64,
+    pub height: f64,
+}
+
+/// A contact of the ego's body over one tick.
+#[derive(Clone, Copy, Debug)]
+pub struct Contact {
+    pub kind: PartnerKind,
+    /// [`MovingBody::key`], or the static body's own number.
+    pub key: u64,
+    /// Sum of the impulses over the tick (N s).
+    pub impulse: f64,
+    /// Where on the ego: x forward, y left of its centre (m).
+    pub point: Vector,
+}
