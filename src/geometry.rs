@@ -34,6 +34,19 @@ pub fn direction(heading: f64) -> Vector {
     Vector::new(heading.cos(), heading.sin())
 }
 
+/// Whether a closed polygon (last point joined to the first) holds `point`.
+pub fn polygon_contains(outline: &[Point], point: Point) -> bool {
+    let mut inside = false;
+    for (i, a) in outline.iter().enumerate() {
+        let b = &outline[(i + 1) % outline.len()];
+        if (a.y > point.y) != (b.y > point.y) {
+            let x = a.x + (point.y - a.y) / (b.y - a.y) * (b.x - a.x);
+            inside ^= point.x < x;
+        }
+    }
+    inside
+}
+
 /// Position and heading of a body in the world frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Pose {

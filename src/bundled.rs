@@ -1,0 +1,141 @@
+//! The towns that travel with the binary, and how a name on the command line becomes a file.
+
+use include_dir::{Dir, DirEntry, include_dir};
+use std::path::{Path, PathBuf};
+
+static TOWNS: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/sumo_nets");
+
+/// Why a CONFIG argument does not name a file.
+#[derive(Debug, thiserror::Error)]
+pub enum ResolveError {
+    #[error(
+        "no such config: `{name}` is neither a file (.sumocfg, .net.xml, .net.xml.gz) nor a bundled town; bundled towns: {}",
+        bundled.join(", ")
+    )]
+    NotFound { name: String, bundled: Vec<String> },
+    #[error("`{}` is a folder with {found} .sumocfg files; name the one to run", path.display())]
+    AmbiguousFolder { path: PathBuf, found: usize },
+    #[error("could not unpack the bundled towns into {}: {source}; check that the folder is writable and the disk has room", path.display())]
+    Unpack { path: PathBuf, source: std::io::Error },
+}
+
+/// Names of the bundled towns, sorted.
+pub fn towns() -> Vec<String> {
+    let mut names: Vec<String> = TOWNS
+        .dirs()
+        .filter_map(|dir| dir.path().file_name()?.to_str().map(String::from))
+        .filter(|name| TOWNS.get_file(format!("{name}/{name}.sumocfg")).is_some())
+        .collect();
+    names.sort();
+    names
+}
+
+/// The user's cache folder of this project: `$XDG_CACHE_HOME/wad-cosim` or `~/.cache/wad-cosim`.
+pub fn cache_dir() -> PathBuf {
+    let base = std::env::var_os("XDG_CACHE_HOME")
+        .filter(|v| !v.is_empty())
+        .map(PathBuf::from)
+        .or_else(|| std::env::var_os("HOME").map(|home| Path::new(&home).join(".cache")))
+        .unwrap_or_else(std::env::temp_dir);
+    base.join("wad-cosim")
+}
+
+/// The file that `name` means: a path that exists wins (a folder means the one .sumocfg in it),
+/// then the bundled town of that file name (`nets/town5.sumocfg`, `town5.sumocfg` and `town5` alike).
+pub fn resolve(name: &str) -> Result<PathBuf, ResolveError> {
+    let path = Path::new(name);
+    if path.is_file() {
+        return Ok(path.to_path_buf());
+    }
+    if path.is_dir() {
+        let mut configs: Vec<PathBuf> = std::fs::read_dir(path)
+            .into_iter()
+            .flatten()
+            .filter_map(|entry| Some(entry.ok()?.path()))
+            .filter(|p| p.extension().is_some_and(|e| e == "sumocfg"))
+            .collect();
+        return match configs.len() {
+            1 => Ok(configs.remove(0)),
+            found => Err(ResolveError::AmbiguousFolder { path: path.to_path_buf(), found }),
+        };
+    }
+    let file = path.file_name().and_then(|f| f.to_str()).unwrap_or(name);
+    let stem = [".sumocfg", ".net.xml.gz", ".net.xml"]
+        .iter()
+        .find_map(|suffix| file.strip_suffix(suffix))
+        .unwrap_or(file);
+    let bundled = towns();
+    if !bundled.iter().any(|town| town == stem) {
+        return Err(ResolveError::NotFound { name: name.to_string(), bundled });
+    }
+    let root = unpack()?;
+    let net_only = file.ends_with(".net.xml") || file.ends_with(".net.xml.gz");
+    let town = root.join(stem);
+    Ok(if net_only { net_file(&town, stem) } else { town.join(format!("{stem}.sumocfg")) })
+}
+
+fn net_file(town: &Path, stem: &str) -> PathBuf {
+    let plain = town.join(format!("{stem}.net.xml"));
+    if plain.is_file() { plain } else { town.join(format!("{stem}.net.xml.gz")) }
+}
+
+/// Writes the bundled towns into the cache once per content and returns the folder.
+fn unpack() -> Result<PathBuf, ResolveError> {
+    let root = cache_dir().join("towns").join(format!("{:016x}", content_hash(&TOWNS)));
+    if root.is_dir() {
+        return Ok(root);
+    }
+    let fail = |source| ResolveError::Unpack { path: root.clone(), source };
+    // Unpacked beside its place and moved there, so that a torn copy is never used and two
+    // processes at once do not see each other's half.
+    let staging = root.with_extension(format!("tmp{}", std::process::id()));
+    std::fs::create_dir_all(&staging).map_err(fail)?;
+    let moved = TOWNS.extract(&staging).and_then(|()| std::fs::rename(&staging, &root));
+    if let Err(error) = moved {
+        let _ = std::fs::remove_dir_all(&staging);
+        if !root.is_dir() {
+            return Err(fail(error));
+        }
+    }
+    Ok(root)
+}
+
+/// FNV-1a over the names and contents, in a fixed order.
+fn content_hash(dir: &Dir<'_>) -> u64 {
+    fn add(hash: u64, bytes: &[u8]) -> u64 {
+        bytes.iter().fold(hash, |h, &b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3))
+    }
+    fn walk(mut hash: u64, dir: &Dir<'_>) -> u64 {
+        let mut entries: Vec<&DirEntry<'_>> = dir.entries().iter().collect();
+        entries.sort_by_key(|entry| entry.path());
+        for entry in entries {
+            hash = add(hash, entry.path().to_string_lossy().as_bytes());
+            hash = match entry {
+                DirEntry::Dir(dir) => walk(hash, dir),
+                DirEntry::File(file) => add(hash, file.contents()),
+            };
+        }
+        hash
+    }
+    walk(0xcbf2_9ce4_8422_2325, dir)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn unknown_name_lists_the_bundled_towns() {
+        let error = resolve("nets/atlantis.sumocfg").unwrap_err().to_string();
+        assert!(error.contains("atlantis") && error.contains("town5"), "{error}");
+    }
+
+    #[test]
+    fn every_spelling_of_a_bundled_town_is_the_same_file() {
+        let path = resolve("town5").unwrap();
+        assert!(path.is_file());
+        assert_eq!(resolve("nets/town5.sumocfg").unwrap(), path);
+        assert_eq!(resolve("town5.sumocfg").unwrap(), path);
+        assert!(resolve("town5.net.xml").unwrap().is_file());
+    }
+}
