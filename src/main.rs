@@ -1,3 +1,7 @@
-fn main() {
-    println!("{}", env!("CARGO_PKG_VERSION"));
+//! The `wad-cosim` command.
+
+mod cli;
+
+fn main() -> std::process::ExitCode {
+    cli::main()
 }

@@ -1,0 +1,79 @@
+//! Exit codes, and how an error carries one from where it is understood to `main`.
+
+use std::fmt;
+use std::process::ExitCode;
+
+/// What the process says to its caller. The numbers are part of the interface.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Exit {
+    /// Done.
+    Done = 0,
+    /// Anything not named below.
+    Other = 1,
+    /// The command line or an input file is wrong.
+    Input = 2,
+    /// SUMO is missing, too old, crashed or hung.
+    Sumo = 3,
+    /// Interrupted; the results so far are kept.
+    Interrupted = 4,
+}
+
+impl Exit {
+    /// The code that `error` carries, or [`Exit::Other`].
+    pub fn of(error: &anyhow::Error) -> Self {
+        error.chain().find_map(|cause| cause.downcast_ref::<Failure>()).map_or(Self::Other, |f| f.exit)
+    }
+
+    /// Make `error` end the process with this code. Its message does not change.
+    pub fn because(self, error: impl Into<anyhow::Error>) -> anyhow::Error {
+        anyhow::Error::new(Failure { exit: self, error: error.into() })
+    }
+}
+
+impl From<Exit> for ExitCode {
+    fn from(exit: Exit) -> Self {
+        Self::from(exit as u8)
+    }
+}
+
+/// An error that knows its exit code; it reads as the error inside.
+///
+/// `load(path).map_err(|e| Exit::Input.because(e))?` is the usual way to make one; context
+/// may be added over it.
+#[derive(Debug)]
+pub struct Failure {
+    exit: Exit,
+    error: anyhow::Error,
+}
+
+impl fmt::Display for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.error.fmt(f)
+    }
+}
+
+impl std::error::Error for Failure {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        self.error.source()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use anyhow::{Context, anyhow};
+
+    #[test]
+    fn code_survives_context_and_message_is_not_doubled() {
+        let cause = anyhow!("no such file").context("cannot read town5.net.xml");
+        let error = Err::<(), _>(Exit::Input.because(cause)).context("cannot start the run").unwrap_err();
+        assert_eq!(Exit::of(&error), Exit::Input);
+        assert_eq!(format!("{error:#}"), "cannot start the run: cannot read town5.net.xml: no such file");
+    }
+
+    #[test]
+    fn error_without_code_ends_with_1() {
+        assert_eq!(Exit::of(&anyhow!("odd")), Exit::Other);
+    }
+}

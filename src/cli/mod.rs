@@ -1,0 +1,80 @@
+//! The command line: one file per command. Here: what all commands share, which is
+//! exit codes, log level and printing.
+
+mod doctor;
+mod exit;
+
+use clap::{ArgAction, Parser, Subcommand};
+use std::io::Write;
+use std::process::ExitCode;
+use tracing_subscriber::EnvFilter;
+
+pub use exit::Exit;
+
+/// Drive an ego vehicle with real physics through SUMO traffic.
+#[derive(Parser)]
+#[command(name = "wad-cosim", version = env!("WAD_COSIM_VERSION"), max_term_width = 100)]
+#[command(after_help = "Exit codes: 0 done; 2 usage or input; 3 SUMO failed; \
+                        4 interrupted, results kept; 1 anything else.")]
+struct Cli {
+    /// Say more on stderr: -v progress, -vv details, -vvv everything.
+    #[arg(short, long, global = true, action = ArgAction::Count)]
+    verbose: u8,
+    /// Say only errors on stderr.
+    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    quiet: bool,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Check what this machine has for wad-cosim, and say what to do about what is missing.
+    Doctor(doctor::Args),
+}
+
+/// Parse the command line, run the command, and turn its result into an exit code.
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    start_log(cli.verbose, cli.quiet);
+    let result = match cli.command {
+        Command::Doctor(args) => doctor::run(args),
+    };
+    match result {
+        Ok(exit) => exit.into(),
+        Err(error) => {
+            eprintln!("wad-cosim: {error:#}");
+            Exit::of(&error).into()
+        }
+    }
+}
+
+/// Log to stderr: stdout belongs to results. `WAD_COSIM_LOG` (a tracing filter such as
+/// `wad_cosim::traci=trace`) wins over `-v` and `-q`.
+fn start_log(verbose: u8, quiet: bool) {
+    let level = match (quiet, verbose) {
+        (true, _) => "error",
+        (_, 0) => "warn",
+        (_, 1) => "info",
+        (_, 2) => "debug",
+        _ => "trace",
+    };
+    let filter = EnvFilter::try_from_env("WAD_COSIM_LOG").unwrap_or_else(|_| EnvFilter::new(level));
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_target(verbose > 1)
+        .without_time()
+        .init();
+}
+
+/// Write `text` to stdout. A reader that went away (`| head`) is no error.
+pub fn print(text: &str) -> anyhow::Result<()> {
+    let mut out = std::io::stdout().lock();
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => {
+            Err(anyhow::Error::new(error).context("cannot write to standard output"))
+        }
+        _ => Ok(()),
+    }
+}
