@@ -200,6 +200,11 @@ impl SumoConfig {
         Ok((seconds >= 0.0).then_some(seconds))
     }
 
+    /// Whether the file gives this option.
+    pub fn has(&self, option: &str) -> bool {
+        self.options.contains_key(option)
+    }
+
     /// SUMO's seed in the file.
     pub fn seed(&self) -> Option<u64> {
         self.options.get("seed")?.parse().ok()

@@ -1,0 +1,221 @@
+//! The ego vehicle: its physics, its route, what it sees, and its shadow in SUMO.
+
+use crate::criteria::EgoOnRoute;
+use crate::geometry::Pose;
+use crate::network::{EdgeKind, LaneId, Network, Route};
+use crate::traci::{Batch, Color, route, vehicle, vehicle_type};
+use crate::vehicle::{Contact, Control, EgoParams, EgoState, EgoVehicle, MovingBody, PartnerKind};
+use crate::world::{Actor, VehicleSignals, WorldState};
+
+/// Blinkers and brake light that others see.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Lamps {
+    pub blinker_left: bool,
+    pub blinker_right: bool,
+    pub brake: bool,
+}
+
+impl Lamps {
+    fn to_sumo(self) -> i32 {
+        let bit = |on: bool, bits: u32| if on { bits } else { 0 };
+        let bits = bit(self.blinker_left, VehicleSignals::BLINKER_LEFT)
+            | bit(self.blinker_right, VehicleSignals::BLINKER_RIGHT)
+            | bit(self.brake, VehicleSignals::BRAKE_LIGHT);
+        bits as i32
+    }
+}
+
+/// An ego vehicle. Several may share one SUMO.
+#[derive(Debug)]
+pub struct Ego {
+    /// Its id in SUMO.
+    pub id: String,
+    pub(super) vehicle: EgoVehicle,
+    pub(super) route: Route,
+    pub(super) world: WorldState,
+    /// Its centre and front bumper on the route.
+    s: f64,
+    d: f64,
+    front_s: f64,
+    lamps: Lamps,
+    shown_lamps: Option<Lamps>,
+    /// The route has changed since SUMO heard of it.
+    route_is_news: bool,
+    inserted: bool,
+}
+
+/// Route projection window behind and ahead of the last place (m).
+const BACK: f64 = 10.0;
+const AHEAD: f64 = 30.0;
+
+impl Ego {
+    /// An ego at `start` (m) on `route`, standing.
+    pub fn new(id: &str, params: EgoParams, route: Route, start: f64) -> Self {
+        let pose = route.at(start).pose;
+        let flat = Pose::new(pose.position.x, pose.position.y, 0.0, pose.heading);
+        let front_s = start + 0.5 * params.length;
+        Self {
+            id: id.to_string(),
+            vehicle: EgoVehicle::new(params, flat, 0.0),
+            route,
+            world: WorldState::default(),
+            s: start,
+            d: 0.0,
+            front_s,
+            lamps: Lamps::default(),
+            shown_lamps: None,
+            route_is_news: true,
+            inserted: false,
+        }
+    }
+
+    /// Puts it down elsewhere, standing, on another route.
+    pub fn respawn(&mut self, route: Route, start: f64) {
+        let pose = route.at(start).pose;
+        self.vehicle.respawn(Pose::new(pose.position.x, pose.position.y, 0.0, pose.heading), 0.0);
+        self.set_route(route, start);
+    }
+
+    /// Gives it a route that it is on at `s` (m).
+    pub fn set_route(&mut self, route: Route, s: f64) {
+        self.route = route;
+        self.s = s;
+        self.route_is_news = true;
+        self.locate();
+    }
+
+    /// Its route.
+    pub fn route(&self) -> &Route {
+        &self.route
+    }
+
+    /// What it sees after the last tick.
+    pub fn world(&self) -> &WorldState {
+        &self.world
+    }
+
+    /// What it is made of.
+    pub fn params(&self) -> &EgoParams {
+        self.vehicle.params()
+    }
+
+    /// The physics behind it.
+    pub fn vehicle_mut(&mut self) -> &mut EgoVehicle {
+        &mut self.vehicle
+    }
+
+    /// Its motion; the pose's height is the road's.
+    pub fn state(&self) -> EgoState {
+        let mut state = self.vehicle.state();
+        state.pose.position.z += self.route.at(self.s).pose.position.z;
+        state
+    }
+
+    /// Its motion and its place on the route.
+    pub fn on_route(&self) -> EgoOnRoute {
+        EgoOnRoute { state: self.state(), s: self.s, d: self.d, front_s: self.front_s }
+    }
+
+    /// The lamps that others are to see from the next tick on.
+    pub fn set_lamps(&mut self, lamps: Lamps) {
+        self.lamps = lamps;
+    }
+
+    /// Physics of one tick of `duration` (s) among the road users it sees.
+    pub fn advance(&mut self, control: Control, duration: f64) -> Vec<Contact> {
+        let bodies = |kind: PartnerKind| {
+            move |actor: &Actor| MovingBody {
+                key: actor.key,
+                kind,
+                pose: Pose::new(actor.pose.position.x, actor.pose.position.y, 0.0, actor.pose.heading),
+                speed: actor.speed,
+                length: actor.actor_type.length,
+                width: actor.actor_type.width,
+                height: actor.actor_type.height,
+            }
+        };
+        let moving: Vec<MovingBody> = (self.world.vehicles.iter().map(bodies(PartnerKind::Vehicle)))
+            .chain(self.world.pedestrians.iter().map(bodies(PartnerKind::Pedestrian)))
+            .collect();
+        let contacts = self.vehicle.tick(control, duration, &moving);
+        self.locate();
+        contacts
+    }
+
+    fn locate(&mut self) {
+        let pose = self.vehicle.state().pose;
+        let centre = self.route.project_near(pose.xy(), self.s, BACK, AHEAD);
+        (self.s, self.d) = (centre.s, centre.d);
+        let bumper = pose.advanced(0.5 * self.params().length);
+        self.front_s = self.route.project_near(bumper.xy(), self.s, 0.0, AHEAD).s;
+    }
+
+    /// The lane under its centre on its route.
+    pub fn lane(&self) -> LaneId {
+        self.route.at(self.s).lane
+    }
+
+    /// Appends what brings it into SUMO: type, route, vehicle, colour.
+    pub(super) fn insert(&mut self, network: &Network, batch: &mut Batch) {
+        let params = self.vehicle.params();
+        let type_id = format!("{}_type", self.id);
+        vehicle_type::copy(batch, "DEFAULT_VEHTYPE", &type_id);
+        batch.set(vehicle_type::SET_LENGTH, &type_id, params.length);
+        batch.set(vehicle_type::SET_WIDTH, &type_id, params.width);
+        batch.set(vehicle_type::SET_HEIGHT, &type_id, params.height);
+        batch.set(vehicle_type::SET_MAX_SPEED, &type_id, 60.0);
+        let route_id = format!("{}_route", self.id);
+        let edges = self.sumo_edges(network);
+        let edges: Vec<&str> = edges.iter().map(String::as_str).collect();
+        route::add(batch, &route_id, &edges);
+        vehicle::add(
+            batch,
+            &self.id,
+            &vehicle::Add { route: &route_id, vehicle_type: &type_id, ..vehicle::Add::default() },
+        );
+        batch.set(vehicle::SET_COLOR, &self.id, Color::rgb(220, 30, 30));
+        // All checks off: its motion is ours, SUMO is only told of it.
+        batch.set(vehicle::SET_SPEED_MODE, &self.id, 0);
+        batch.set(vehicle::SET_LANE_CHANGE_MODE, &self.id, 0);
+        self.route_is_news = false;
+        self.inserted = true;
+    }
+
+    /// Appends its pose, and route and lamps where they changed, to the next step's message.
+    pub(super) fn report(&mut self, network: &Network, batch: &mut Batch) {
+        if self.route_is_news {
+            let edges = self.sumo_edges(network);
+            let edges: Vec<&str> = edges.iter().map(String::as_str).collect();
+            batch.set(vehicle::SET_ROUTE, &self.id, &edges);
+            self.route_is_news = false;
+        }
+        if self.shown_lamps != Some(self.lamps) {
+            batch.set(vehicle::SET_SIGNALS, &self.id, self.lamps.to_sumo());
+            self.shown_lamps = Some(self.lamps);
+        }
+        let (front, angle) = self.vehicle.state().pose.to_sumo(self.params().length);
+        vehicle::move_to_xy(
+            batch,
+            &self.id,
+            &vehicle::MoveToXy { x: front.x, y: front.y, angle_deg: angle, keep_route: 3, ..Default::default() },
+        );
+    }
+
+    /// The edges that SUMO is told of: the rest of the route, and one edge beyond its end, since others
+    /// notice the ego at a junction only while its route goes on beyond it (eclipse-sumo/sumo issue 6140).
+    fn sumo_edges(&self, network: &Network) -> Vec<String> {
+        let from = self.route.edge_index_at(self.s);
+        let mut edges: Vec<_> = self.route.edges[from.min(self.route.edges.len().saturating_sub(1))..].to_vec();
+        if let Some(&last) = edges.last() {
+            let beyond = network.edge(last).lanes.iter().flat_map(|lane| &network.lane(*lane).outgoing).find(|link| {
+                let to = network.lane(network.link(**link).to);
+                network.edge(to.edge).kind == EdgeKind::Normal
+                    && to.permissions.allows(crate::destination::EGO_CLASS)
+            });
+            if let Some(link) = beyond {
+                edges.push(network.lane(network.link(*link).to).edge);
+            }
+        }
+        edges.into_iter().map(|edge| network.edge(edge).id.clone()).collect()
+    }
+}

@@ -1,0 +1,349 @@
+//! The co-simulation: one SUMO, one network, any number of egos in it.
+//!
+//! One tick is one message: population changes, the egos' poses, the step; the reply brings
+//! everything within sight of each ego.
+//!
+//! ```text
+//! ego.advance(control)        physics of one tick, contacts
+//! bridge.step(&mut [&mut ego]) poses in, one SUMO step, a new WorldState for each ego
+//! ```
+
+mod ego;
+mod error;
+mod observe;
+mod signals;
+
+pub use ego::{Ego, Lamps};
+pub use error::BridgeError;
+
+use crate::geometry::{Point, Pose};
+use crate::network::Network;
+use crate::seeds;
+use crate::sumo_config::{OptionSchema, Overrides, SumoConfig};
+use crate::traci::process::{LaunchOptions, SumoInstall, SumoProcess};
+use crate::traci::{self, Batch, Replies, TcpClient, gui, person, simulation, vehicle};
+use crate::traffic::{Population, StepEvents, TrafficSpec};
+use observe::ActorCatalog;
+use serde::{Deserialize, Serialize};
+use signals::SignalWatch;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// How to start a co-simulation.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct BridgeOptions {
+    /// A `.sumocfg` or `.net.xml(.gz)`.
+    pub config: PathBuf,
+    /// The run's seed; SUMO's and the traffic's derive from it.
+    pub seed: u64,
+    /// Tick length (ms); None: the config's step-length, else 167.
+    pub tick_ms: Option<f64>,
+    /// Background population.
+    pub traffic: TrafficSpec,
+    /// How far an ego sees (m).
+    pub sight: f64,
+    /// sumo-gui instead of sumo, the ego followed.
+    pub gui: bool,
+    /// `host:port` of a running SUMO to use instead of an own one.
+    pub attach: Option<String>,
+    /// Longest time a tick may take before SUMO counts as hung (s).
+    pub tick_timeout: f64,
+    /// Folder for SUMO's files: effective config, log, redirected outputs.
+    pub output_dir: PathBuf,
+}
+
+impl BridgeOptions {
+    /// The defaults of `wad-cosim run` for a config, SUMO's files going to `output_dir`.
+    pub fn new(config: impl Into<PathBuf>, output_dir: impl Into<PathBuf>) -> Self {
+        Self {
+            config: config.into(),
+            seed: 0,
+            tick_ms: None,
+            traffic: TrafficSpec::AsIs,
+            sight: 100.0,
+            gui: false,
+            attach: None,
+            tick_timeout: 60.0,
+            output_dir: output_dir.into(),
+        }
+    }
+}
+
+/// The paper's six ticks a second, in SUMO's whole milliseconds.
+pub const DEFAULT_TICK_MS: f64 = 167.0;
+
+/// A running co-simulation.
+#[derive(Debug)]
+pub struct Bridge {
+    client: TcpClient,
+    /// None where attached to somebody else's SUMO.
+    process: Option<SumoProcess>,
+    network: Arc<Network>,
+    config: SumoConfig,
+    catalog: ActorCatalog,
+    signals: SignalWatch,
+    population: Option<Population>,
+    batch: Batch,
+    sight: f64,
+    gui: bool,
+    subscribed: bool,
+    /// SUMO's clock when the bridge began (ms), tick length (ms), ticks since.
+    begin_ms: f64,
+    tick_ms: f64,
+    ticks: u64,
+    /// Background vehicles and pedestrians in the network after the last step.
+    counts: (usize, usize),
+}
+
+impl Bridge {
+    /// Reads config and network, starts SUMO (or attaches to one) and shakes hands with it.
+    ///
+    /// # Errors
+    /// See [`BridgeError`]; nothing is left running.
+    pub async fn start(options: &BridgeOptions) -> Result<Self, BridgeError> {
+        let install = SumoInstall::find()?;
+        let schema = OptionSchema::query(&install, options.gui)?;
+        let config = SumoConfig::load(&options.config, &schema)?;
+        for option in &config.ignored {
+            tracing::info!("{}: {option} is not an option of this SUMO, left out", config.path().display());
+        }
+        let network = Arc::new(Network::load(&config.net_file()?)?);
+        let timeout = Duration::from_secs_f64(options.tick_timeout.max(0.001));
+        let wanted = match options.tick_ms {
+            Some(ms) => Some(ms),
+            None => config.time("step-length")?.map(|s| s * 1000.0),
+        };
+        let (mut client, process, begin_ms, tick_ms) = match &options.attach {
+            Some(address) => {
+                let mut client = TcpClient::attach(address).await?;
+                let step = client.get(simulation::DELTA_T, "").await? * 1000.0;
+                if let Some(wanted) = options.tick_ms.filter(|ms| (ms - step).abs() > 0.5) {
+                    return Err(BridgeError::AttachedTick { address: address.clone(), found: step, wanted });
+                }
+                let now = client.get(simulation::TIME, "").await? * 1000.0;
+                (client, None, now, step)
+            }
+            None => {
+                let tick_ms = wanted.unwrap_or(DEFAULT_TICK_MS).round();
+                if !(1.0..=1000.0).contains(&tick_ms) {
+                    return Err(BridgeError::Tick { found: tick_ms });
+                }
+                let effective = config.write_effective(&schema, &overrides(options, &config, tick_ms))?;
+                let launch = LaunchOptions {
+                    gui: options.gui,
+                    log_file: options.output_dir.join("sumo.log"),
+                    ..LaunchOptions::config(effective)
+                };
+                let (process, client) = SumoProcess::launch(&install, launch).await?;
+                let begin = config.time("begin")?.unwrap_or(0.0) * 1000.0;
+                (client, Some(process), begin, tick_ms)
+            }
+        };
+        client.set_timeout(Some(timeout));
+        let population = options.traffic.counts(&config.name()).map(|counts| {
+            Population::new(Arc::clone(&network), counts, seeds::derive(options.seed, "traffic"))
+        });
+        Ok(Self {
+            client,
+            process,
+            signals: SignalWatch::new(&network, options.sight),
+            network,
+            config,
+            catalog: ActorCatalog::default(),
+            population,
+            batch: Batch::new(),
+            sight: options.sight,
+            gui: options.gui,
+            subscribed: false,
+            begin_ms,
+            tick_ms,
+            ticks: 0,
+            counts: (0, 0),
+        })
+    }
+
+    /// The network.
+    pub fn network(&self) -> &Arc<Network> {
+        &self.network
+    }
+
+    /// The configuration that the run began from.
+    pub fn config(&self) -> &SumoConfig {
+        &self.config
+    }
+
+    /// Length of a tick (s).
+    pub fn tick(&self) -> f64 {
+        self.tick_ms / 1000.0
+    }
+
+    /// SUMO's clock (s).
+    pub fn time(&self) -> f64 {
+        (self.begin_ms + self.ticks as f64 * self.tick_ms) / 1000.0
+    }
+
+    /// Background vehicles and pedestrians in the network.
+    pub fn counts(&self) -> (usize, usize) {
+        self.counts
+    }
+
+    /// Id of SUMO's process, None where attached.
+    pub fn sumo_pid(&self) -> Option<u32> {
+        self.process.as_ref().and_then(SumoProcess::pid)
+    }
+
+    /// Brings an ego into SUMO with its first step. The population appears round it.
+    ///
+    /// # Errors
+    /// SUMO refuses the ego, or fails.
+    pub async fn spawn(&mut self, ego: &mut Ego) -> Result<(), BridgeError> {
+        self.batch.clear();
+        ego.insert(&self.network, &mut self.batch);
+        observe::subscribe(&mut self.batch, &ego.id, self.sight);
+        if !self.subscribed {
+            self.subscribed = true;
+            // Ids "" are the domain itself: how many of each there are.
+            self.batch.subscribe(vehicle::DOMAIN, "", &[vehicle::ID_COUNT.id()]);
+            self.batch.subscribe(person::DOMAIN, "", &[person::ID_COUNT.id()]);
+            if let Some(population) = &mut self.population {
+                population.define_types(&mut self.batch);
+                population.subscribe(&mut self.batch);
+                population.populate(&mut self.batch, Some(ego.state().pose));
+            }
+        }
+        if self.gui {
+            gui::track_vehicle(&mut self.batch, "View #0", &ego.id);
+            self.batch.set(gui::SET_ZOOM, "View #0", 800.0);
+        }
+        let replies = self.exchange(&mut [ego]).await?;
+        if let Err(refusal) = replies.check() {
+            return Err(traci::Error::from(refusal).into());
+        }
+        Ok(())
+    }
+
+    /// One SUMO step with the egos where their physics put them; each then has a new world.
+    ///
+    /// # Errors
+    /// SUMO died, hung, sent garbage or lost an ego.
+    pub async fn step(&mut self, egos: &mut [&mut Ego]) -> Result<(), BridgeError> {
+        self.batch.clear();
+        let replies = self.exchange(egos).await?;
+        for refusal in replies.failures() {
+            if let Some(ego) = egos.iter().find(|ego| ego.id == refusal.object) {
+                return Err(BridgeError::EgoLost {
+                    id: ego.id.clone(),
+                    time: self.time(),
+                    why: refusal.to_string(),
+                });
+            }
+            tracing::debug!("SUMO refused: {refusal}");
+        }
+        Ok(())
+    }
+
+    /// Sends what is in the batch with the egos' poses and the step, and reads the new worlds.
+    async fn exchange(&mut self, egos: &mut [&mut Ego]) -> Result<Replies, BridgeError> {
+        let observers: Vec<Point> = egos.iter().map(|ego| ego.state().pose.xy()).collect();
+        self.signals.follow(&self.network, &observers, &mut self.batch);
+        if let Some(population) = &mut self.population {
+            population.commands(&mut self.batch);
+        }
+        for ego in egos.iter_mut() {
+            ego.report(&self.network, &mut self.batch);
+        }
+        self.batch.step();
+        let replies = match self.client.send(&self.batch).await {
+            Ok(replies) => replies,
+            Err(error) => return Err(self.explain(error).await),
+        };
+        self.ticks += 1;
+        let time = self.time();
+        self.catalog.next_tick();
+        let subscriptions = replies.subscriptions();
+        self.signals.read(&self.network, &subscriptions);
+        self.count(&subscriptions, egos.len());
+        for ego in egos.iter_mut() {
+            let Ego { id, world, .. } = &mut **ego;
+            let actors = (&mut world.vehicles, &mut world.pedestrians);
+            let observed = self.catalog.observe(&mut self.client, &self.network, &replies, id, actors).await;
+            if let Err(error) = observed {
+                return Err(self.explain(error).await);
+            }
+            world.tick = self.ticks;
+            world.time = time;
+            world.traffic_lights.clear();
+            world.traffic_lights.extend_from_slice(self.signals.states());
+        }
+        if let Some(population) = &mut self.population {
+            let poses: Vec<Pose> = egos.iter().map(|ego| ego.state().pose).collect();
+            let events = StepEvents::read(&subscriptions, time);
+            population.update(&events, poses.first().copied(), &[]);
+        }
+        Ok(replies)
+    }
+
+    fn count(&mut self, subscriptions: &traci::Subscriptions<'_>, egos: usize) {
+        for object in subscriptions.objects(vehicle::DOMAIN) {
+            if let ("", Ok(count)) = (object.id(), object.value(vehicle::ID_COUNT)) {
+                self.counts.0 = (count.max(0) as usize).saturating_sub(egos);
+            }
+        }
+        for object in subscriptions.objects(person::DOMAIN) {
+            if let ("", Ok(count)) = (object.id(), object.value(person::ID_COUNT)) {
+                self.counts.1 = count.max(0) as usize;
+            }
+        }
+    }
+
+    /// A broken connection's error with SUMO's end and its last log lines, where SUMO was our child.
+    async fn explain(&mut self, error: traci::Error) -> BridgeError {
+        match &mut self.process {
+            Some(process) if error.is_fatal() => process.explain(error).await.into(),
+            _ => error.into(),
+        }
+    }
+
+    /// Ends the co-simulation: closes the connection and waits for an own SUMO to end.
+    ///
+    /// # Errors
+    /// SUMO did not take leave properly; it is gone all the same.
+    pub async fn close(self) -> Result<(), BridgeError> {
+        let closed = self.client.close().await;
+        if let Some(process) = self.process {
+            process.wait_or_kill(Duration::from_secs(5)).await;
+        }
+        Ok(closed?)
+    }
+}
+
+fn overrides(options: &BridgeOptions, config: &SumoConfig, tick_ms: f64) -> Overrides {
+    let own = |pairs: &[(&str, &str)]| -> Vec<(String, String)> {
+        pairs.iter().map(|(k, v)| ((*k).to_string(), (*v).to_string())).collect()
+    };
+    let mut default = own(&[
+        ("collision.action", "warn"),
+        ("collision.check-junctions", "true"),
+        ("collision.mingap-factor", "0"),
+        ("time-to-teleport", "-1"),
+        // Pedestrians wait at an ego that blocks their crossing rather than squeeze through it.
+        ("pedestrian.striping.jamtime.crossing", "300"),
+    ]);
+    if !config.has("lateral-resolution") {
+        // Without it cars jump a lane within a tick; the sublane model has its own way.
+        default.push(("lanechange.duration".to_string(), "2".to_string()));
+    }
+    let mut set = own(&[("no-step-log", "true"), ("duration-log.disable", "true")]);
+    set.push(("step-length".to_string(), format!("{}", tick_ms / 1000.0)));
+    set.push(("seed".to_string(), seeds::sumo(options.seed).to_string()));
+    if options.gui {
+        set.extend(own(&[("start", "true"), ("quit-on-end", "true")]));
+    }
+    Overrides {
+        output_dir: options.output_dir.clone(),
+        set,
+        default,
+        drop_demand: !options.traffic.keeps_config_demand(),
+    }
+}

@@ -1,0 +1,341 @@
+//! `wad-cosim run`: drive through a town.
+
+use super::{Exit, print};
+use anyhow::Context;
+use clap::ValueHint;
+use indicatif::{ProgressBar, ProgressStyle};
+use std::io::IsTerminal;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+use wad_cosim::bridge::{BridgeError, BridgeOptions};
+use wad_cosim::bundled;
+use wad_cosim::criteria::Event;
+use wad_cosim::drive::{Drive, DriveError, DriveOptions, Status, Summary};
+use wad_cosim::telemetry::FolderError;
+use wad_cosim::traffic::TrafficSpec;
+
+const EXAMPLES: &str = "\
+Examples:
+  wad-cosim run nets/town5.sumocfg                          the town's own traffic, until Ctrl-C or the config's end
+  wad-cosim run town5 --traffic dense --ticks 1200          70 vehicles and 150 pedestrians, 200 s
+  wad-cosim run town3 --traffic 40,80 --seed 7 --gui        watch it in sumo-gui
+  wad-cosim run my.sumocfg --route -E12,E7 --json           own net, from edge -E12 to edge E7, machine-readable
+  wad-cosim run my.net.xml --attach 127.0.0.1:8813          join a SUMO that is running already
+
+Results go to runs/DATE-TOWN-SEED (or --out): config.json, telemetry.jsonl, summary.json, sumo/sumo.log.
+Exit codes: 0 done; 2 usage or input; 3 SUMO failed; 4 interrupted, results kept; 1 anything else.";
+
+/// Drive an ego vehicle under the rule-based autopilot through SUMO traffic.
+#[derive(clap::Args, Debug)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// A .sumocfg, a .net.xml(.gz), a folder with one .sumocfg, or a bundled town (town3, town5).
+    #[arg(value_hint = ValueHint::FilePath)]
+    config: String,
+    /// Who drives.
+    #[arg(long, default_value = "autopilot", value_parser = ["autopilot"])]
+    agent: String,
+    /// Stop after N ticks [default: at the config's end time, or at Ctrl-C].
+    #[arg(long, value_name = "N")]
+    ticks: Option<u64>,
+    /// Stop after this many simulation seconds.
+    #[arg(long, value_name = "SECONDS", conflicts_with = "ticks")]
+    time: Option<f64>,
+    /// Everything random derives from it [default: the config's seed, or 0].
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+    /// Background traffic: as-is (the config's own), empty, regular, dense, or VEHICLES,PEDESTRIANS.
+    #[arg(long, default_value = "as-is", value_name = "T")]
+    traffic: TrafficSpec,
+    /// Drive from one edge (or lane) to another first; later destinations are drawn.
+    #[arg(long, value_name = "FROM,TO", allow_hyphen_values = true)]
+    route: Option<String>,
+    /// Folder for the results.
+    #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
+    out: Option<PathBuf>,
+    /// Length of a tick in milliseconds [default: the config's step-length, or 167].
+    #[arg(long, value_name = "MS")]
+    tick_ms: Option<f64>,
+    /// Show it in sumo-gui, the ego followed.
+    #[arg(long)]
+    gui: bool,
+    /// Run no faster than real time.
+    #[arg(long)]
+    realtime: bool,
+    /// Use a running SUMO (started with --remote-port) instead of an own one.
+    #[arg(long, value_name = "HOST:PORT", conflicts_with = "gui")]
+    attach: Option<String>,
+    /// Give SUMO up as hung when one tick takes longer than this.
+    #[arg(long, value_name = "SECONDS", default_value_t = 60.0)]
+    tick_timeout: f64,
+    /// Print one JSON object as the last line of stdout; everything else goes to stderr.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+pub fn run(args: Args) -> anyhow::Result<Exit> {
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .context("cannot start the asynchronous runtime")?;
+    runtime.block_on(drive(args))
+}
+
+async fn drive(args: Args) -> anyhow::Result<Exit> {
+    let config = bundled::resolve(&args.config).map_err(|e| Exit::Input.because(e))?;
+    let seed = args.seed.unwrap_or(0);
+    let out = args.out.clone().unwrap_or_else(|| default_folder(&config, seed));
+    let options = DriveOptions {
+        bridge: BridgeOptions {
+            seed,
+            tick_ms: args.tick_ms,
+            traffic: args.traffic,
+            gui: args.gui,
+            attach: args.attach.clone(),
+            tick_timeout: args.tick_timeout,
+            ..BridgeOptions::new(config, out.join("sumo"))
+        },
+        route: args.route.clone(),
+        out,
+        ego: Default::default(),
+        autopilot: Default::default(),
+        criteria: Default::default(),
+    };
+    let mut interrupt = Interrupt::listen()?;
+    let started = tokio::select! {
+        started = Drive::start(options) => started,
+        () = interrupt.wait() => {
+            eprintln!("interrupted before the first tick");
+            return Ok(Exit::Interrupted);
+        }
+    };
+    let mut drive = started.map_err(with_exit)?;
+    let limit = tick_limit(&args, &drive)?;
+    let mut line = StatusLine::new(args.quiet_status(), limit);
+    let (began, tick) = (Instant::now(), drive.bridge().tick());
+    let mut interrupted = false;
+    let mut ticks = 0;
+    while limit.is_none_or(|limit| ticks < limit) {
+        let ticked = tokio::select! {
+            biased;
+            () = interrupt.wait() => { interrupted = true; break; }
+            ticked = drive.tick() => ticked,
+        };
+        match ticked {
+            Ok(status) => line.show(&status),
+            Err(error) => {
+                line.clear();
+                // What there is stays readable, with a summary that says how it ended.
+                if let Err(second) = drive.abort().await {
+                    eprintln!("wad-cosim: {second}");
+                }
+                return Err(with_exit(error));
+            }
+        }
+        ticks += 1;
+        if args.realtime {
+            let due = began + Duration::from_secs_f64(ticks as f64 * tick);
+            tokio::select! {
+                () = interrupt.wait() => { interrupted = true; break; }
+                () = tokio::time::sleep_until(due.into()) => {}
+            }
+        }
+    }
+    line.clear();
+    let summary = drive.finish("survived", interrupted).await.map_err(with_exit)?;
+    report(&summary, args.json)?;
+    Ok(if interrupted { Exit::Interrupted } else { Exit::Done })
+}
+
+impl Args {
+    fn quiet_status(&self) -> bool {
+        !std::io::stderr().is_terminal()
+    }
+}
+
+/// `runs/20261121-093000-town5-0` under the current folder.
+fn default_folder(config: &std::path::Path, seed: u64) -> PathBuf {
+    let name = config.file_name().map(|f| f.to_string_lossy().to_string()).unwrap_or_default();
+    let town = name.split('.').next().unwrap_or("net").to_string();
+    let base = PathBuf::from("runs").join(format!("{}-{town}-{seed}", wad_cosim::clock::timestamp()));
+    let mut folder = base.clone();
+    let mut copy = 1;
+    while folder.exists() {
+        copy += 1;
+        folder = base.with_file_name(format!("{}-{copy}", base.file_name().unwrap_or_default().to_string_lossy()));
+    }
+    folder
+}
+
+/// How many ticks to drive: as asked for, else to the config's end, else for ever.
+fn tick_limit(args: &Args, drive: &Drive) -> anyhow::Result<Option<u64>> {
+    if args.ticks.is_some() {
+        return Ok(args.ticks);
+    }
+    let bridge = drive.bridge();
+    let seconds = match args.time {
+        Some(seconds) => Some(seconds),
+        None => {
+            let end = bridge.config().time("end").map_err(|e| Exit::Input.because(e))?;
+            end.map(|end| end - bridge.time()).filter(|left| *left > 0.0)
+        }
+    };
+    Ok(seconds.map(|seconds| (seconds / bridge.tick()).round().max(0.0) as u64))
+}
+
+fn with_exit(error: DriveError) -> anyhow::Error {
+    let exit = match &error {
+        DriveError::Bridge(bridge) if bridge.is_input() => Exit::Input,
+        DriveError::Bridge(BridgeError::Folder { .. }) | DriveError::Write(_) => Exit::Other,
+        DriveError::Bridge(_) => Exit::Sumo,
+        DriveError::Destination(_) | DriveError::Folder(FolderError::Taken { .. }) => Exit::Input,
+        DriveError::Folder(FolderError::Write(_)) => Exit::Other,
+    };
+    exit.because(error)
+}
+
+/// Ctrl-C and SIGTERM.
+struct Interrupt {
+    terminate: tokio::signal::unix::Signal,
+    interrupt: tokio::signal::unix::Signal,
+}
+
+impl Interrupt {
+    fn listen() -> anyhow::Result<Self> {
+        use tokio::signal::unix::{SignalKind, signal};
+        let listen = |kind| signal(kind).context("cannot listen for Ctrl-C");
+        Ok(Self { terminate: listen(SignalKind::terminate())?, interrupt: listen(SignalKind::interrupt())? })
+    }
+
+    async fn wait(&mut self) {
+        tokio::select! {
+            _ = self.terminate.recv() => {}
+            _ = self.interrupt.recv() => {}
+        }
+    }
+}
+
+/// One line that changes in place on a terminal; a plain line now and then elsewhere.
+struct StatusLine {
+    bar: Option<ProgressBar>,
+    last: Option<Instant>,
+}
+
+impl StatusLine {
+    fn new(plain: bool, limit: Option<u64>) -> Self {
+        let bar = (!plain).then(|| {
+            let bar = limit.map_or_else(ProgressBar::new_spinner, ProgressBar::new);
+            let template = if limit.is_some() { "{bar:20} {pos}/{len}  {msg}" } else { "{spinner} {pos}  {msg}" };
+            ProgressStyle::with_template(template).map_or(bar.clone(), |style| bar.with_style(style))
+        });
+        Self { bar, last: None }
+    }
+
+    fn show(&mut self, status: &Status) {
+        let every = if self.bar.is_some() { Duration::from_millis(100) } else { Duration::from_secs(5) };
+        for event in &status.record.events {
+            self.say(&format!("{:8.1} s  {}", status.record.time, describe(event)));
+        }
+        if self.last.is_some_and(|last| last.elapsed() < every) {
+            return;
+        }
+        self.last = Some(Instant::now());
+        let text = describe_tick(status);
+        match &self.bar {
+            Some(bar) => {
+                bar.set_position(status.record.tick);
+                bar.set_message(text);
+            }
+            None => eprintln!("{text}"),
+        }
+    }
+
+    fn say(&self, text: &str) {
+        match &self.bar {
+            Some(bar) => bar.suspend(|| eprintln!("{text}")),
+            None => eprintln!("{text}"),
+        }
+    }
+
+    fn clear(&self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+fn describe_tick(status: &Status) -> String {
+    let r = &status.record;
+    let light = r.light.map_or("-".to_string(), |l| {
+        format!("{} {:.0} m", serde_name(&l.state), l.distance)
+    });
+    let leader = r.leader.map_or("-".to_string(), |l| format!("{:.0} m", l.gap));
+    format!(
+        "{:7.1} s  {:5.1} km/h (limit {:.0})  light {light}  leader {leader}  route {:3.0} %  {}  {:.0} ticks/s",
+        r.time,
+        r.ego.speed * 3.6,
+        r.limit * 3.6,
+        100.0 * r.route.s / r.route.length.max(1e-9),
+        r.reason,
+        status.ticks_per_second,
+    )
+}
+
+fn describe(event: &Event) -> String {
+    match event {
+        Event::Collision { kind, partner, impulse, cause, reason, .. } => format!(
+            "collision with {} {partner}, {impulse:.0} N s, caused by {}: {reason}",
+            serde_name(kind),
+            serde_name(cause)
+        ),
+        Event::RedLight { traffic_light, speed } => format!("ran the red light {traffic_light} at {speed:.1} m/s"),
+        Event::OutsideLane { offset } => format!("outside the lane by {offset:.2} m"),
+        Event::Sidewalk => "a wheel left the road".to_string(),
+        Event::VehicleBlocked => "blocked without a reason; starting elsewhere".to_string(),
+        Event::Arrival => "arrived; next destination".to_string(),
+    }
+}
+
+fn serde_name(value: &impl serde::Serialize) -> String {
+    serde_json::to_string(value).unwrap_or_default().trim_matches('"').replace('_', " ")
+}
+
+fn report(summary: &Summary, json: bool) -> anyhow::Result<()> {
+    let s = summary;
+    let text = format!(
+        "{}: {} ticks ({:.1} s) in {:.1} s, {:.0} ticks/s\n\
+         distance {:.0} m, mean speed {:.1} m/s ({:.1} m/s when free), destinations {}\n\
+         collisions: {} vehicle, {} pedestrian, {} static (caused: {}, {}, {}); red lights run {}; \
+         outside lane {} ticks; blocked {}\n\
+         traffic: {:.1} vehicles, {:.1} pedestrians on average\n\
+         results in {}\n",
+        s.town,
+        s.ticks,
+        s.sim_seconds,
+        s.wall_seconds,
+        s.ticks_per_second,
+        s.distance_m,
+        s.mean_speed_mps,
+        s.mean_free_speed_mps,
+        s.destinations_reached,
+        s.collisions.vehicle,
+        s.collisions.pedestrian,
+        s.collisions.fixed,
+        s.collisions_caused.vehicle,
+        s.collisions_caused.pedestrian,
+        s.collisions_caused.fixed,
+        s.red_lights_run,
+        s.outside_lane_ticks,
+        s.vehicle_blocked,
+        s.vehicles_mean,
+        s.pedestrians_mean,
+        s.out.display(),
+    );
+    if json {
+        eprint!("{text}");
+        print(&format!("{}\n", serde_json::to_string(summary).context("cannot write the summary as JSON")?))
+    } else {
+        print(&text)
+    }
+}

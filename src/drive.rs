@@ -1,0 +1,383 @@
+//! `run`: the autopilot drives one ego from destination to destination.
+
+use crate::autopilot::{Autopilot, AutopilotParams, Decision};
+use crate::bridge::{Bridge, BridgeError, BridgeOptions, Ego, Lamps};
+use crate::criteria::{Cause, Criteria, CriteriaParams, Event, Situation};
+use crate::destination::{self, DestinationError, Destinations};
+use crate::network::polygons;
+use crate::network::{LanePosition, Network, Route};
+use crate::seeds;
+use crate::telemetry::{
+    FolderError, LeaderRecord, LightRecord, RouteRecord, RunFolder, TickRecord, WriteError,
+};
+use crate::vehicle::{EgoParams, PartnerKind, StaticBody, statics};
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// What a run is made of; saved as its `config.json`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct DriveOptions {
+    pub bridge: BridgeOptions,
+    /// `FROM,TO` of the first route; None: drawn from the seed.
+    pub route: Option<String>,
+    pub ego: EgoParams,
+    pub autopilot: AutopilotParams,
+    pub criteria: CriteriaParams,
+    /// The run's folder.
+    pub out: PathBuf,
+}
+
+/// Why a run could not start or go on.
+#[derive(Debug, thiserror::Error)]
+pub enum DriveError {
+    #[error(transparent)]
+    Bridge(#[from] BridgeError),
+    #[error(transparent)]
+    Destination(#[from] DestinationError),
+    #[error(transparent)]
+    Folder(#[from] FolderError),
+    #[error(transparent)]
+    Write(#[from] WriteError),
+}
+
+/// Counts by partner.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CollisionCounts {
+    pub vehicle: u64,
+    pub pedestrian: u64,
+    #[serde(rename = "static")]
+    pub fixed: u64,
+}
+
+impl CollisionCounts {
+    fn add(&mut self, kind: PartnerKind) {
+        match kind {
+            PartnerKind::Vehicle => self.vehicle += 1,
+            PartnerKind::Pedestrian => self.pedestrian += 1,
+            PartnerKind::Static => self.fixed += 1,
+        }
+    }
+}
+
+/// `summary.json`, and the last line of `run --json`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Summary {
+    pub town: String,
+    pub seed: u64,
+    pub ticks: u64,
+    pub tick_ms: f64,
+    pub sim_seconds: f64,
+    pub wall_seconds: f64,
+    pub ticks_per_second: f64,
+    pub distance_m: f64,
+    pub mean_speed_mps: f64,
+    /// Mean speed over the ticks in which neither a light nor other traffic held the ego.
+    pub mean_free_speed_mps: f64,
+    /// Ticks in which a light or other traffic held the ego.
+    pub held_ticks: u64,
+    pub top_speed_mps: f64,
+    pub destinations_reached: u64,
+    pub collisions: CollisionCounts,
+    /// Those that the ego caused.
+    pub collisions_caused: CollisionCounts,
+    pub red_lights_run: u64,
+    pub outside_lane_ticks: u64,
+    pub sidewalk_events: u64,
+    pub vehicle_blocked: u64,
+    /// Times the ego was put down elsewhere because it was blocked or had nowhere to go on.
+    pub respawns: u64,
+    pub vehicles_mean: f64,
+    pub pedestrians_mean: f64,
+    pub end: String,
+    pub interrupted: bool,
+    /// The run's folder.
+    pub out: PathBuf,
+}
+
+/// What the status line shows.
+#[derive(Clone, Debug)]
+pub struct Status {
+    pub record: TickRecord,
+    pub ticks_per_second: f64,
+}
+
+/// A drive under way.
+#[derive(Debug)]
+pub struct Drive {
+    bridge: Bridge,
+    ego: Ego,
+    autopilot: Autopilot,
+    criteria: Criteria,
+    destinations: Destinations,
+    statics: Vec<StaticBody>,
+    folder: RunFolder,
+    options: DriveOptions,
+    totals: Totals,
+    began: Instant,
+}
+
+#[derive(Debug, Default)]
+struct Totals {
+    ticks: u64,
+    distance: f64,
+    free: (u64, f64),
+    top_speed: f64,
+    destinations: u64,
+    collisions: CollisionCounts,
+    caused: CollisionCounts,
+    red_lights: u64,
+    outside_ticks: u64,
+    sidewalk: u64,
+    blocked: u64,
+    respawns: u64,
+    vehicles: u64,
+    pedestrians: u64,
+}
+
+impl Drive {
+    /// Starts SUMO, draws or reads the first route, and puts the ego on it.
+    ///
+    /// # Errors
+    /// Bad input, SUMO fails, or the run folder cannot be written. Nothing is left running.
+    pub async fn start(options: DriveOptions) -> Result<Self, DriveError> {
+        let folder = RunFolder::create(&options.out, &options)?;
+        let mut bridge = Bridge::start(&options.bridge).await?;
+        let network = bridge.network().clone();
+        let rng = seeds::rng(options.bridge.seed, "route");
+        let mut destinations = Destinations::new(&network, rng)?;
+        let route = match &options.route {
+            Some(text) => {
+                let (from, to) = destination::parse_route(&network, text)?;
+                network.route(from, to, destination::EGO_CLASS).map_err(DestinationError::from)?
+            }
+            None => first_route(&network, &mut destinations)?,
+        };
+        let outlines = polygons::load_buildings(&bridge.config().additional_files());
+        let statics = statics::from_network(&network, &outlines);
+        let mut ego = Ego::new("ego", options.ego.clone(), route, 0.0);
+        ego.vehicle_mut().set_statics(statics.clone());
+        bridge.spawn(&mut ego).await?;
+        let autopilot = Autopilot::new(options.autopilot.clone(), &options.ego);
+        Ok(Self {
+            bridge,
+            ego,
+            autopilot,
+            criteria: Criteria::new(options.criteria),
+            destinations,
+            statics,
+            folder,
+            options,
+            totals: Totals::default(),
+            began: Instant::now(),
+        })
+    }
+
+    /// The co-simulation.
+    pub fn bridge(&self) -> &Bridge {
+        &self.bridge
+    }
+
+    /// The ego.
+    pub fn ego(&self) -> &Ego {
+        &self.ego
+    }
+
+    /// One tick: decide, move, step, judge, record.
+    ///
+    /// # Errors
+    /// SUMO fails, or telemetry cannot be written.
+    pub async fn tick(&mut self) -> Result<Status, DriveError> {
+        let tick = self.bridge.tick();
+        let network = self.bridge.network().clone();
+        let before = self.ego.on_route();
+        let world = self.ego.world().clone();
+        let decision =
+            self.autopilot.control(&network, self.ego.route(), before.s, &before.state, &world, tick);
+        self.ego.set_lamps(Lamps {
+            blinker_left: decision.blinker_left,
+            blinker_right: decision.blinker_right,
+            brake: decision.brake_light,
+        });
+        let contacts = self.ego.advance(decision.control, tick);
+        self.bridge.step(&mut [&mut self.ego]).await?;
+        let after = self.ego.on_route();
+        let params = self.ego.params();
+        let statics = &self.statics;
+        let events = self.criteria.check(&Situation {
+            network: &network,
+            route: self.ego.route(),
+            world: &world,
+            before,
+            after,
+            contacts: &contacts,
+            static_label: &|key| {
+                statics.iter().find(|body| body.key == key).map_or_else(|| key.to_string(), |b| b.label.clone())
+            },
+            length: params.length,
+            width: params.width,
+            wheelbase: params.wheelbase,
+            track: params.track,
+            tick,
+        });
+        self.totals.add(&decision, &before.state, &after.state, tick, self.bridge.counts());
+        self.totals.judge(&events);
+        self.totals.outside_ticks += u64::from(self.criteria.is_outside_lane());
+        let record = self.record(&network, &decision, events);
+        self.folder.record(&record)?;
+        self.go_on(&network, &record.events)?;
+        let elapsed = self.began.elapsed().as_secs_f64().max(1e-9);
+        Ok(Status { record, ticks_per_second: self.totals.ticks as f64 / elapsed })
+    }
+
+    fn record(&self, network: &Network, decision: &Decision, events: Vec<Event>) -> TickRecord {
+        let on_route = self.ego.on_route();
+        let at = self.ego.route().at(on_route.s);
+        let (vehicles, pedestrians) = self.bridge.counts();
+        TickRecord {
+            tick: self.totals.ticks,
+            time: self.bridge.time(),
+            control: decision.control,
+            ego: on_route.state,
+            route: RouteRecord {
+                lane: network.lane(at.lane).id.clone(),
+                s: on_route.s,
+                d: on_route.d,
+                length: self.ego.route().length(),
+                option: at.option,
+            },
+            limit: at.speed_limit,
+            light: decision.light.map(|(state, distance)| LightRecord { state, distance }),
+            leader: decision.leader.map(|leader| LeaderRecord { gap: leader.gap, speed: leader.speed }),
+            reason: decision.reason.to_string(),
+            events,
+            vehicles,
+            pedestrians,
+        }
+    }
+
+    /// A new destination on arrival; a new start where the ego is blocked or can go nowhere.
+    fn go_on(&mut self, network: &Network, events: &[Event]) -> Result<(), DriveError> {
+        let blocked = events.contains(&Event::VehicleBlocked);
+        if events.contains(&Event::Arrival) {
+            match self.destinations.continuation(network, self.ego.route()) {
+                Ok((route, s)) => {
+                    // The new route begins under the ego.
+                    let s = (s + self.ego.on_route().s).min(route.length());
+                    self.ego.set_route(route, s);
+                    self.criteria.route_changed();
+                    return Ok(());
+                }
+                Err(error) => tracing::info!("no way on from the destination, starting elsewhere: {error}"),
+            }
+        } else if !blocked {
+            return Ok(());
+        }
+        let route = first_route(network, &mut self.destinations)?;
+        self.ego.respawn(route, 0.0);
+        self.criteria.route_changed();
+        self.totals.respawns += 1;
+        Ok(())
+    }
+
+    /// The summary so far.
+    pub fn summary(&self, end: &str, interrupted: bool) -> Summary {
+        let t = &self.totals;
+        let per_tick = |sum: f64| if t.ticks == 0 { 0.0 } else { sum / t.ticks as f64 };
+        let tick = self.bridge.tick();
+        let wall_seconds = self.began.elapsed().as_secs_f64();
+        Summary {
+            town: self.bridge.config().name(),
+            seed: self.options.bridge.seed,
+            ticks: t.ticks,
+            tick_ms: tick * 1000.0,
+            sim_seconds: t.ticks as f64 * tick,
+            wall_seconds,
+            ticks_per_second: t.ticks as f64 / wall_seconds.max(1e-9),
+            distance_m: t.distance,
+            mean_speed_mps: per_tick(t.distance / tick),
+            mean_free_speed_mps: if t.free.0 == 0 { 0.0 } else { t.free.1 / t.free.0 as f64 },
+            held_ticks: t.ticks - t.free.0,
+            top_speed_mps: t.top_speed,
+            destinations_reached: t.destinations,
+            collisions: t.collisions,
+            collisions_caused: t.caused,
+            red_lights_run: t.red_lights,
+            outside_lane_ticks: t.outside_ticks,
+            sidewalk_events: t.sidewalk,
+            vehicle_blocked: t.blocked,
+            respawns: t.respawns,
+            vehicles_mean: per_tick(t.vehicles as f64),
+            pedestrians_mean: per_tick(t.pedestrians as f64),
+            end: end.to_string(),
+            interrupted,
+            out: self.folder.path().to_path_buf(),
+        }
+    }
+
+    /// Ends SUMO and writes the summary.
+    ///
+    /// # Errors
+    /// The summary cannot be written.
+    pub async fn finish(mut self, end: &str, interrupted: bool) -> Result<Summary, DriveError> {
+        let summary = self.summary(end, interrupted);
+        self.folder.finish(&summary)?;
+        if let Err(error) = self.bridge.close().await {
+            tracing::warn!("SUMO did not close properly: {error}");
+        }
+        Ok(summary)
+    }
+}
+
+impl Totals {
+    fn add(
+        &mut self,
+        decision: &Decision,
+        before: &crate::vehicle::EgoState,
+        after: &crate::vehicle::EgoState,
+        tick: f64,
+        counts: (usize, usize),
+    ) {
+        let step = (after.pose.position - before.pose.position).xy().norm();
+        self.ticks += 1;
+        self.distance += step;
+        if !decision.held {
+            self.free.0 += 1;
+            self.free.1 += step / tick;
+        }
+        self.top_speed = self.top_speed.max(after.speed);
+        self.vehicles += counts.0 as u64;
+        self.pedestrians += counts.1 as u64;
+    }
+
+    fn judge(&mut self, events: &[Event]) {
+        for event in events {
+            match event {
+                Event::Collision { kind, cause, .. } => {
+                    self.collisions.add(*kind);
+                    if *cause == Cause::Ego {
+                        self.caused.add(*kind);
+                    }
+                }
+                Event::RedLight { .. } => self.red_lights += 1,
+                Event::OutsideLane { .. } => {}
+                Event::Sidewalk => self.sidewalk += 1,
+                Event::VehicleBlocked => self.blocked += 1,
+                Event::Arrival => self.destinations += 1,
+            }
+        }
+    }
+}
+
+/// A random route from a random place.
+fn first_route(network: &Network, destinations: &mut Destinations) -> Result<Route, DestinationError> {
+    let mut last = None;
+    for _ in 0..20 {
+        let from: LanePosition = destinations.place(network);
+        match destinations.route_from(network, from) {
+            Ok(route) => return Ok(route),
+            Err(error) => last = Some(error),
+        }
+    }
+    Err(last.map_or(DestinationError::NoLane, DestinationError::Route))
+}
