@@ -1,5 +1,19 @@
 //! The ego vehicle: a rapier raycast vehicle, its actuators and its contacts.
 
+mod actuators;
+mod chassis;
+mod contacts;
+mod ego;
+mod outline;
+mod params;
+pub mod statics;
+mod surroundings;
+mod tyres;
+
+pub use ego::EgoVehicle;
+pub use params::{EgoParams, GRAVITY};
+pub use statics::{StaticBody, StaticKind};
+
 use crate::geometry::{Pose, Vector};
 use serde::{Deserialize, Serialize};
 
@@ -19,7 +33,7 @@ pub struct Control {
 pub struct EgoState {
     /// Centre of the footprint on the ground, world frame.
     pub pose: Pose,
-    /// Roll and pitch of the body (rad).
+    /// Roll and pitch of the body (rad): leaning right and nose down are positive.
     pub roll: f64,
     pub pitch: f64,
     /// Velocity (m/s), world frame.

@@ -1,0 +1,233 @@
+//! The ground, the fixed bodies near the ego and the moving ones in its reach, as colliders of
+//! the physics world.
+
+use super::statics::{StaticKind, Statics};
+use super::{MovingBody, PartnerKind};
+use crate::geometry::{Point, direction};
+use rapier3d::prelude::*;
+use std::collections::BTreeMap;
+
+/// Fixed bodies within this distance (m) are in the physics world ...
+const STATIC_RADIUS: f64 = 40.0;
+/// ... and looked for again once the ego has moved this far (m).
+const STATIC_STEP: f64 = 15.0;
+/// A moving body is in the physics world when it can come this close (m) within the tick.
+const REACH_MARGIN: f64 = 3.0;
+
+/// Collision groups.
+pub(super) const GROUND: Group = Group::GROUP_1;
+pub(super) const KERB: Group = Group::GROUP_2;
+pub(super) const OBSTACLE: Group = Group::GROUP_3;
+pub(super) const EGO: Group = Group::GROUP_4;
+
+/// Whom a collider belongs to, kept in its user data.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Owner {
+    Ground,
+    /// Index of a fixed body.
+    Static(usize),
+    /// Kind and key of a moving body.
+    Moving(PartnerKind, u64),
+}
+
+impl Owner {
+    fn encode(self) -> u128 {
+        match self {
+            Self::Ground => 0,
+            Self::Static(index) => (1 << 64) | index as u128,
+            Self::Moving(kind, key) => ((2 + kind as u128) << 64) | u128::from(key),
+        }
+    }
+
+    pub(super) fn decode(data: u128) -> Self {
+        match (data >> 64, data as u64) {
+            (0, _) => Self::Ground,
+            (1, index) => Self::Static(index as usize),
+            (2, key) => Self::Moving(PartnerKind::Vehicle, key),
+            (3, key) => Self::Moving(PartnerKind::Pedestrian, key),
+            (_, key) => Self::Moving(PartnerKind::Static, key),
+        }
+    }
+}
+
+pub(super) fn groups(member: Group, with: Group) -> InteractionGroups {
+    InteractionGroups::new(member, with, InteractionTestMode::And)
+}
+
+/// A moving body in the physics world.
+struct Mover {
+    body: RigidBodyHandle,
+    size: [f64; 3],
+    /// Still near in the present tick.
+    present: bool,
+}
+
+/// What surrounds the ego in the physics world.
+#[derive(Default)]
+pub(super) struct Surroundings {
+    /// Piece index to collider.
+    statics: BTreeMap<usize, ColliderHandle>,
+    /// Where fixed bodies were last looked for (m).
+    looked_at: Option<Point>,
+    movers: BTreeMap<(u8, u64), Mover>,
+}
+
+impl Surroundings {
+    /// Lays the ground: a slab with its top at height 0.
+    pub(super) fn lay_ground(world: &mut PhysicsWorld) {
+        let slab = ColliderBuilder::cuboid(1000.0, 1000.0, 5.0)
+            .translation(Vector::new(0.0, 0.0, -5.0))
+            .friction(0.5)
+            .collision_groups(groups(GROUND, EGO))
+            .user_data(Owner::Ground.encode());
+        world.colliders.insert(slab);
+    }
+
+    /// Forgets every fixed body: the set, or the world's origin, has changed.
+    pub(super) fn clear_statics(&mut self, world: &mut PhysicsWorld) {
+        for handle in std::mem::take(&mut self.statics).into_values() {
+            world.remove_collider(handle);
+        }
+        self.looked_at = None;
+    }
+
+    /// Keeps the fixed bodies round `ego` (m) in the physics world, whose origin is at `origin`.
+    /// True when any came in or went.
+    pub(super) fn refresh_statics(
+        &mut self,
+        world: &mut PhysicsWorld,
+        statics: &Statics,
+        origin: Point,
+        ego: Point,
+        friction: f32,
+    ) -> bool {
+        if self.looked_at.is_some_and(|at| (at - ego).norm_squared() < STATIC_STEP * STATIC_STEP) {
+            return false;
+        }
+        self.looked_at = Some(ego);
+        let near = statics.near(ego, STATIC_RADIUS);
+        let mut changed = false;
+        self.statics.retain(|index, handle| {
+            let keep = near.binary_search(index).is_ok();
+            if !keep {
+                changed = true;
+                world.remove_collider(*handle);
+            }
+            keep
+        });
+        for index in near {
+            if self.statics.contains_key(&index) {
+                continue;
+            }
+            let piece = &statics.pieces[index];
+            let at = piece.centre - origin;
+            let translation = Vector::new(at.x as f32, at.y as f32, piece.height as f32);
+            let kerb = statics.bodies[piece.body].kind == StaticKind::Kerb;
+            let collider = ColliderBuilder::new(piece.shape.clone())
+                .position(Pose::from_parts(translation, piece.rotation))
+                .friction(friction)
+                // Nothing collides with a kerb: only the wheels' rays see it.
+                .collision_groups(if kerb { groups(KERB, Group::NONE) } else { groups(OBSTACLE, EGO) })
+                .user_data(Owner::Static(piece.body).encode());
+            self.statics.insert(index, world.colliders.insert(collider));
+            changed = true;
+        }
+        changed
+    }
+
+    /// Puts the moving bodies that `ego` (m, at `speed` m/s and of bounding radius `radius` m) can
+    /// meet within `duration` (s) where they are at the tick's begin, and takes the others out.
+    #[allow(clippy::too_many_arguments)]
+    pub(super) fn place_movers(
+        &mut self,
+        world: &mut PhysicsWorld,
+        bodies: &[MovingBody],
+        origin: Point,
+        ego: Point,
+        speed: f64,
+        radius: f64,
+        duration: f64,
+        friction: f32,
+    ) {
+        for mover in self.movers.values_mut() {
+            mover.present = false;
+        }
+        for body in bodies {
+            if !within_reach(body, ego, speed, radius, duration) {
+                continue;
+            }
+            let size = [body.length, body.width, body.height];
+            let id = (body.kind as u8, body.key);
+            if let Some(mover) = self.movers.get(&id)
+                && mover.size != size
+            {
+                world.remove_body(mover.body);
+                self.movers.remove(&id);
+            }
+            let mover = self.movers.entry(id).or_insert_with(|| Mover {
+                body: insert_mover(world, body, friction),
+                size,
+                present: false,
+            });
+            if mover.present {
+                continue; // The same key twice in one tick: the first stands.
+            }
+            mover.present = true;
+            let at = body.pose.xy() - origin;
+            let velocity = direction(body.pose.heading) * body.speed;
+            if let Some(rigid) = world.bodies.get_mut(mover.body) {
+                let translation = Vector::new(at.x as f32, at.y as f32, 0.0);
+                let rotation = Rotation::from_rotation_z(body.pose.heading as f32);
+                rigid.set_position(Pose::from_parts(translation, rotation), true);
+                rigid.set_linvel(Vector::new(velocity.x as f32, velocity.y as f32, 0.0), true);
+            }
+        }
+        self.movers.retain(|_, mover| {
+            if !mover.present {
+                world.remove_body(mover.body);
+            }
+            mover.present
+        });
+    }
+}
+
+fn insert_mover(world: &mut PhysicsWorld, body: &MovingBody, friction: f32) -> RigidBodyHandle {
+    let half = |size: f64| 0.5 * size as f32;
+    let collider = ColliderBuilder::cuboid(half(body.length), half(body.width), half(body.height))
+        .translation(Vector::new(0.0, 0.0, half(body.height)))
+        .friction(friction)
+        .collision_groups(groups(OBSTACLE, EGO))
+        .user_data(Owner::Moving(body.kind, body.key).encode());
+    let rigid = RigidBodyBuilder::kinematic_velocity_based().can_sleep(false);
+    world.insert(rigid, collider).0
+}
+
+/// Whether a body is usable and can come within [`REACH_MARGIN`] of the ego during the tick.
+pub(super) fn within_reach(body: &MovingBody, ego: Point, speed: f64, radius: f64, duration: f64) -> bool {
+    let numbers = [body.pose.position.x, body.pose.position.y, body.pose.heading, body.speed];
+    let sizes = [body.length, body.width, body.height];
+    if numbers.iter().any(|n| !n.is_finite()) || sizes.iter().any(|&s| !(s > 0.0 && s < 100.0)) {
+        return false;
+    }
+    let own_radius = 0.5 * body.length.hypot(body.width);
+    let reach = radius + own_radius + REACH_MARGIN + (speed.abs() + body.speed.abs()) * duration;
+    (body.pose.xy() - ego).norm_squared() <= reach * reach
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn owners_survive_their_encoding() {
+        for owner in [
+            Owner::Ground,
+            Owner::Static(0),
+            Owner::Static(123_456),
+            Owner::Moving(PartnerKind::Vehicle, u64::MAX),
+            Owner::Moving(PartnerKind::Static, 0),
+        ] {
+            assert_eq!(Owner::decode(owner.encode()), owner);
+        }
+    }
+}
