@@ -1,5 +1,6 @@
 //! wad-cosim: a co-simulation bridge to SUMO traffic.
 
+pub mod autopilot;
 pub mod geometry;
 pub mod network;
 pub mod traci;
