@@ -69,14 +69,6 @@ impl Destinations {
         self.draw(network, |network, to| network.route(from, to, EGO_CLASS))
     }
 
-    /// `route`, driven to its end, continued to a random place.
-    ///
-    /// # Errors
-    /// Nothing can be reached from its end.
-    pub fn continuation(&mut self, network: &Network, route: &Route) -> Result<Route, RouteError> {
-        self.draw(network, |network, to| network.extend_route(route, to, EGO_CLASS))
-    }
-
     fn draw(
         &mut self,
         network: &Network,

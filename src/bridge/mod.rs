@@ -26,7 +26,7 @@ use crate::traffic::{Population, StepEvents, TrafficSpec};
 use observe::ActorCatalog;
 use serde::{Deserialize, Serialize};
 use signals::SignalWatch;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -284,6 +284,14 @@ impl Bridge {
         Ok(replies)
     }
 
+    /// Saves SUMO's state, persons and random generators included.
+    ///
+    /// # Errors
+    /// SUMO fails or cannot write the file.
+    pub async fn save_state(&mut self, file: &Path) -> Result<(), BridgeError> {
+        Ok(self.client.save_state(&file.to_string_lossy()).await?)
+    }
+
     fn count(&mut self, subscriptions: &traci::Subscriptions<'_>, egos: usize) {
         for object in subscriptions.objects(vehicle::DOMAIN) {
             if let ("", Ok(count)) = (object.id(), object.value(vehicle::ID_COUNT)) {
@@ -334,7 +342,12 @@ fn overrides(options: &BridgeOptions, config: &SumoConfig, tick_ms: f64) -> Over
         // Without it cars jump a lane within a tick; the sublane model has its own way.
         default.push(("lanechange.duration".to_string(), "2".to_string()));
     }
-    let mut set = own(&[("no-step-log", "true"), ("duration-log.disable", "true")]);
+    let mut set = own(&[
+        ("no-step-log", "true"),
+        ("duration-log.disable", "true"),
+        ("save-state.transportables", "true"),
+        ("save-state.rng", "true"),
+    ]);
     set.push(("step-length".to_string(), format!("{}", tick_ms / 1000.0)));
     set.push(("seed".to_string(), seeds::sumo(options.seed).to_string()));
     if options.gui {

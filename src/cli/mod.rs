@@ -1,8 +1,10 @@
 //! The command line: one file per command. Here: what all commands share, which is
 //! exit codes, log level and printing.
 
+mod bench;
 mod doctor;
 mod exit;
+mod run;
 
 use clap::{ArgAction, Parser, Subcommand};
 use std::io::Write;
@@ -29,6 +31,10 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
+    /// Drive an ego vehicle under the rule-based autopilot through SUMO traffic.
+    Run(Box<run::Args>),
+    /// Measure speed, as a ratio to SUMO alone in the same run.
+    Bench(bench::Args),
     /// Check what this machine has for wad-cosim, and say what to do about what is missing.
     Doctor(doctor::Args),
 }
@@ -38,6 +44,8 @@ pub fn main() -> ExitCode {
     let cli = Cli::parse();
     start_log(cli.verbose, cli.quiet);
     let result = match cli.command {
+        Command::Run(args) => run::run(*args),
+        Command::Bench(args) => bench::run(args),
         Command::Doctor(args) => doctor::run(args),
     };
     match result {

@@ -184,7 +184,7 @@ fn tick_limit(args: &Args, drive: &Drive) -> anyhow::Result<Option<u64>> {
     Ok(seconds.map(|seconds| (seconds / bridge.tick()).round().max(0.0) as u64))
 }
 
-fn with_exit(error: DriveError) -> anyhow::Error {
+pub fn with_exit(error: DriveError) -> anyhow::Error {
     let exit = match &error {
         DriveError::Bridge(bridge) if bridge.is_input() => Exit::Input,
         DriveError::Bridge(BridgeError::Folder { .. }) | DriveError::Write(_) => Exit::Other,
@@ -277,7 +277,7 @@ fn describe_tick(status: &Status) -> String {
         r.ego.speed * 3.6,
         r.limit * 3.6,
         100.0 * r.route.s / r.route.length.max(1e-9),
-        r.reason,
+        r.reason.map_or(String::new(), |reason| reason_name(&reason)),
         status.ticks_per_second,
     )
 }
@@ -295,6 +295,11 @@ fn describe(event: &Event) -> String {
         Event::VehicleBlocked => "blocked without a reason; starting elsewhere".to_string(),
         Event::Arrival => "arrived; next destination".to_string(),
     }
+}
+
+fn reason_name(reason: &wad_cosim::autopilot::Reason) -> String {
+    let value = serde_json::to_value(reason).unwrap_or_default();
+    value.get("kind").and_then(|kind| kind.as_str()).unwrap_or_default().replace('_', " ")
 }
 
 fn serde_name(value: &impl serde::Serialize) -> String {
