@@ -7,11 +7,10 @@
 //! and loading cancel out.
 
 use crate::drive::{Drive, DriveError, DriveOptions};
-use crate::traci::process::{ProcessError, SumoInstall};
+use crate::traci::process::{InstallError, SumoInstall};
 use crate::traffic::{Counts, TrafficSpec};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-use std::process::Command;
 use std::time::Instant;
 
 /// What to measure.
@@ -53,7 +52,7 @@ pub enum BenchError {
     #[error(transparent)]
     Drive(#[from] DriveError),
     #[error(transparent)]
-    Process(#[from] ProcessError),
+    Install(#[from] InstallError),
     #[error("plain SUMO failed in the comparison: {0}")]
     Alone(String),
 }
@@ -142,8 +141,8 @@ struct Turn {
 /// Seconds that plain SUMO takes from the saved state until `end` (s).
 fn alone(install: &SumoInstall, config: &Path, state: &Path, end: f64) -> Result<f64, BenchError> {
     let began = Instant::now();
-    let output = Command::new(install.binary(false))
-        .env("SUMO_HOME", install.home())
+    let output = install
+        .command("sumo")
         .arg("-c")
         .arg(config)
         .arg("--load-state")

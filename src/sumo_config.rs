@@ -43,10 +43,11 @@ pub struct OptionSchema {
 impl OptionSchema {
     /// Asks the `sumo` (or `sumo-gui`) binary of an installation.
     pub fn query(install: &SumoInstall, gui: bool) -> Result<Self, ConfigError> {
-        let binary = install.binary(gui);
+        let program = if gui { "sumo-gui" } else { "sumo" };
+        let binary = install.program(program);
         let fail = |problem: String| ConfigError::Schema { binary: binary.clone(), problem };
-        let output = std::process::Command::new(&binary)
-            .env("SUMO_HOME", install.home())
+        let output = install
+            .command(program)
             .args(["--save-template", "/dev/stdout", "--save-template.commented", "true"])
             .output()
             .map_err(|e| fail(e.to_string()))?;

@@ -132,10 +132,10 @@ impl Bridge {
                 let effective = config.write_effective(&schema, &overrides(options, &config, tick_ms))?;
                 let launch = LaunchOptions {
                     gui: options.gui,
-                    log_file: options.output_dir.join("sumo.log"),
+                    log_file: Some(options.output_dir.join("sumo.log")),
                     ..LaunchOptions::config(effective)
                 };
-                let (process, client) = SumoProcess::launch(&install, launch).await?;
+                let (process, client) = SumoProcess::launch_with(&install, &launch).await?;
                 let begin = config.time("begin")?.unwrap_or(0.0) * 1000.0;
                 (client, Some(process), begin, tick_ms)
             }
@@ -190,7 +190,7 @@ impl Bridge {
 
     /// Id of SUMO's process, None where attached.
     pub fn sumo_pid(&self) -> Option<u32> {
-        self.process.as_ref().and_then(SumoProcess::pid)
+        self.process.as_ref().map(SumoProcess::id)
     }
 
     /// Brings an ego into SUMO with its first step. The population appears round it.
@@ -204,8 +204,8 @@ impl Bridge {
         if !self.subscribed {
             self.subscribed = true;
             // Ids "" are the domain itself: how many of each there are.
-            self.batch.subscribe(vehicle::DOMAIN, "", &[vehicle::ID_COUNT.id()]);
-            self.batch.subscribe(person::DOMAIN, "", &[person::ID_COUNT.id()]);
+            self.batch.subscribe(vehicle::Vehicle, "", &[vehicle::ID_COUNT.id()]);
+            self.batch.subscribe(person::Person, "", &[person::ID_COUNT.id()]);
             if let Some(population) = &mut self.population {
                 population.define_types(&mut self.batch);
                 population.subscribe(&mut self.batch);
@@ -213,8 +213,8 @@ impl Bridge {
             }
         }
         if self.gui {
-            gui::track_vehicle(&mut self.batch, "View #0", &ego.id);
-            self.batch.set(gui::SET_ZOOM, "View #0", 800.0);
+            self.batch.set(gui::TRACK_VEHICLE, gui::MAIN_VIEW, &ego.id);
+            self.batch.set(gui::SET_ZOOM, gui::MAIN_VIEW, 800.0);
         }
         let replies = self.exchange(&mut [ego]).await?;
         if let Err(refusal) = replies.check() {
@@ -293,12 +293,12 @@ impl Bridge {
     }
 
     fn count(&mut self, subscriptions: &traci::Subscriptions<'_>, egos: usize) {
-        for object in subscriptions.objects(vehicle::DOMAIN) {
+        for object in subscriptions.objects(vehicle::Vehicle) {
             if let ("", Ok(count)) = (object.id(), object.value(vehicle::ID_COUNT)) {
                 self.counts.0 = (count.max(0) as usize).saturating_sub(egos);
             }
         }
-        for object in subscriptions.objects(person::DOMAIN) {
+        for object in subscriptions.objects(person::Person) {
             if let ("", Ok(count)) = (object.id(), object.value(person::ID_COUNT)) {
                 self.counts.1 = count.max(0) as usize;
             }
@@ -319,8 +319,9 @@ impl Bridge {
     /// SUMO did not take leave properly; it is gone all the same.
     pub async fn close(self) -> Result<(), BridgeError> {
         let closed = self.client.close().await;
-        if let Some(process) = self.process {
-            process.wait_or_kill(Duration::from_secs(5)).await;
+        if let Some(mut process) = self.process {
+            // Dropping it kills what is still there.
+            process.wait_at_most(Duration::from_secs(5)).await;
         }
         Ok(closed?)
     }
