@@ -8,7 +8,10 @@ mod build;
 mod centre_line;
 mod error;
 mod parse;
+mod pedestrian;
 mod permissions;
+mod polygons;
+mod reach;
 mod requests;
 mod route;
 mod route_search;
@@ -17,9 +20,11 @@ mod xml;
 
 pub use error::NetworkError;
 pub use permissions::{Permissions, VehicleClass};
+pub use polygons::{PointOfInterest, Polygon, Shapes};
 pub use route::{RoadOption, Route, RouteError, RouteLink, RoutePoint, RouteSection};
 
 use crate::geometry::{Point, Polyline, Vector};
+use pedestrian::PedestrianNetwork;
 use spatial::LaneTree;
 use std::collections::HashMap;
 use std::path::Path;
@@ -239,6 +244,7 @@ pub struct Network {
     tree: LaneTree,
     /// By class: the lanes of roads that it may use.
     drivable: Vec<Vec<LaneId>>,
+    walks: PedestrianNetwork,
 }
 
 /// SUMO's ids.
