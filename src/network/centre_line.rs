@@ -20,6 +20,16 @@ pub(super) enum Piece {
     Link { link: LinkId, via: usize, s: f64 },
 }
 
+impl Piece {
+    /// Its length (m) on the lanes.
+    pub fn length(&self, network: &Network) -> f64 {
+        match *self {
+            Self::Lane { from, to, .. } | Self::Change { from: (from, to), .. } => to - from,
+            Self::Link { link, .. } => network.link_length(link),
+        }
+    }
+}
+
 /// Distance between fine samples, and how many make one sample of the result.
 const FINE: f64 = 0.25;
 const STRIDE: usize = 4;
@@ -315,6 +325,7 @@ fn sample(fine: &Fine, lead: f64, end: f64, starts: &[f64], shifts: &[Shift]) ->
         };
         let (h0, h1) = (heading(i), heading(i + 1));
         let k = curvature(points, i) * (1.0 - t) + curvature(points, i + 1) * t;
+        let k = k.clamp(-1.0, 1.0);
         (u, points[i] + (points[i + 1] - points[i]) * t, wrap_angle(h0 + t * wrap_angle(h1 - h0)), k)
     };
     for i in 0..=whole {

@@ -302,6 +302,23 @@ impl Network {
     pub fn traffic_light_by_id(&self, id: &str) -> Option<TrafficLightId> {
         self.names.traffic_lights.get(id).copied()
     }
+    /// The centre line of a link's internal lanes; in nets without them straight from lane to lane.
+    pub fn link_path(&self, id: LinkId) -> Polyline {
+        let link = self.link(id);
+        if link.via.is_empty() {
+            let (from, to) = (&self.lane(link.from).shape, &self.lane(link.to).shape);
+            return Polyline::new([from.at(from.length()).position, to.at(0.0).position]);
+        }
+        Polyline::new(link.via.iter().flat_map(|&l| self.lane(l).shape.points().iter().copied()))
+    }
+    /// How far it is over the junction on a link (m).
+    pub fn link_length(&self, id: LinkId) -> f64 {
+        let link = self.link(id);
+        if link.via.is_empty() {
+            return self.link_path(id).length();
+        }
+        link.via.iter().map(|&l| self.lane(l).shape.length()).sum()
+    }
     /// Lanes of normal edges that `class` may use, in file order.
     pub fn drivable_lanes(&self, class: VehicleClass) -> &[LaneId] {
         &self.drivable[class as usize]
