@@ -4,8 +4,8 @@ use crate::autopilot::{Autopilot, AutopilotParams, Decision, EgoModel};
 use crate::bridge::{Bridge, BridgeError, BridgeOptions, Ego, Lamps};
 use crate::criteria::{Cause, Criteria, CriteriaParams, Event, Situation};
 use crate::destination::{self, DestinationError, Destinations};
-use crate::network::polygons;
-use crate::network::{LanePosition, Network, Route};
+use crate::geometry::Point;
+use crate::network::{LanePosition, Network, Route, Shapes};
 use crate::seeds;
 use crate::telemetry::{
     FolderError, LeaderRecord, LightRecord, RouteRecord, RunFolder, TickRecord, WriteError,
@@ -103,7 +103,6 @@ pub struct Status {
 }
 
 /// A drive under way.
-#[derive(Debug)]
 pub struct Drive {
     bridge: Bridge,
     ego: Ego,
@@ -163,8 +162,7 @@ impl Drive {
             }
             None => first_route(&network, &mut destinations)?,
         };
-        let outlines = polygons::load_buildings(&bridge.config().additional_files());
-        let statics = statics::from_network(&network, &outlines);
+        let statics = statics::from_network(&network, &buildings(&bridge, &network));
         let mut ego = Ego::new("ego", options.ego.clone(), route, 0.0);
         ego.vehicle_mut().set_statics(statics.clone());
         bridge.spawn(&mut ego).await?;
@@ -408,6 +406,20 @@ impl Totals {
             }
         }
     }
+}
+
+/// Outlines of the buildings in the config's additional files.
+fn buildings(bridge: &Bridge, network: &Network) -> Vec<Vec<Point>> {
+    let mut outlines = Vec::new();
+    for file in bridge.config().additional_files() {
+        match Shapes::load(&file, network) {
+            Ok(shapes) => outlines.extend(
+                shapes.polygons.into_iter().filter(|p| p.kind.starts_with("building")).map(|p| p.shape),
+            ),
+            Err(error) => tracing::warn!("no buildings from an additional file: {error}"),
+        }
+    }
+    outlines
 }
 
 /// A random route from a random place.

@@ -26,7 +26,6 @@ impl Lamps {
 }
 
 /// An ego vehicle. Several may share one SUMO.
-#[derive(Debug)]
 pub struct Ego {
     /// Its id in SUMO.
     pub id: String,

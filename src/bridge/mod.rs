@@ -16,13 +16,13 @@ mod signals;
 pub use ego::{Ego, Lamps};
 pub use error::BridgeError;
 
-use crate::geometry::{Point, Pose};
+use crate::geometry::Point;
 use crate::network::Network;
 use crate::seeds;
 use crate::sumo_config::{OptionSchema, Overrides, SumoConfig};
 use crate::traci::process::{LaunchOptions, SumoInstall, SumoProcess};
 use crate::traci::{self, Batch, Replies, TcpClient, gui, person, simulation, vehicle};
-use crate::traffic::{Population, StepEvents, TrafficSpec};
+use crate::traffic::{self, Population, StepEvents, TrafficSpec};
 use observe::ActorCatalog;
 use serde::{Deserialize, Serialize};
 use signals::SignalWatch;
@@ -74,7 +74,6 @@ impl BridgeOptions {
 pub const DEFAULT_TICK_MS: f64 = 167.0;
 
 /// A running co-simulation.
-#[derive(Debug)]
 pub struct Bridge {
     client: TcpClient,
     /// None where attached to somebody else's SUMO.
@@ -142,7 +141,8 @@ impl Bridge {
         };
         client.set_timeout(Some(timeout));
         let population = options.traffic.counts(&config.name()).map(|counts| {
-            Population::new(Arc::clone(&network), counts, seeds::derive(options.seed, "traffic"))
+            let behaviour = traffic::Options { alone: true, keep: vec!["ego".to_string()], ..Default::default() };
+            Population::new(Arc::clone(&network), counts, seeds::derive(options.seed, "traffic"), behaviour)
         });
         Ok(Self {
             client,
@@ -198,7 +198,6 @@ impl Bridge {
     /// # Errors
     /// SUMO refuses the ego, or fails.
     pub async fn spawn(&mut self, ego: &mut Ego) -> Result<(), BridgeError> {
-        self.batch.clear();
         ego.insert(&self.network, &mut self.batch);
         observe::subscribe(&mut self.batch, &ego.id, self.sight);
         if !self.subscribed {
@@ -208,7 +207,7 @@ impl Bridge {
             self.batch.subscribe(person::Person, "", &[person::ID_COUNT.id()]);
             if let Some(population) = &mut self.population {
                 population.define_types(&mut self.batch);
-                population.subscribe(&mut self.batch);
+                Population::subscribe(&mut self.batch);
                 population.populate(&mut self.batch, Some(ego.state().pose));
             }
         }
@@ -228,7 +227,6 @@ impl Bridge {
     /// # Errors
     /// SUMO died, hung, sent garbage or lost an ego.
     pub async fn step(&mut self, egos: &mut [&mut Ego]) -> Result<(), BridgeError> {
-        self.batch.clear();
         let replies = self.exchange(egos).await?;
         for refusal in replies.failures() {
             if let Some(ego) = egos.iter().find(|ego| ego.id == refusal.object) {
@@ -247,9 +245,6 @@ impl Bridge {
     async fn exchange(&mut self, egos: &mut [&mut Ego]) -> Result<Replies, BridgeError> {
         let observers: Vec<Point> = egos.iter().map(|ego| ego.state().pose.xy()).collect();
         self.signals.follow(&self.network, &observers, &mut self.batch);
-        if let Some(population) = &mut self.population {
-            population.commands(&mut self.batch);
-        }
         for ego in egos.iter_mut() {
             ego.report(&self.network, &mut self.batch);
         }
@@ -258,6 +253,8 @@ impl Bridge {
             Ok(replies) => replies,
             Err(error) => return Err(self.explain(error).await),
         };
+        // From here on the batch is the next tick's.
+        self.batch.clear();
         self.ticks += 1;
         let time = self.time();
         self.catalog.next_tick();
@@ -277,9 +274,15 @@ impl Bridge {
             world.traffic_lights.extend_from_slice(self.signals.states());
         }
         if let Some(population) = &mut self.population {
-            let poses: Vec<Pose> = egos.iter().map(|ego| ego.state().pose).collect();
-            let events = StepEvents::read(&subscriptions, time);
-            population.update(&events, poses.first().copied(), &[]);
+            let ego = egos.first();
+            let near: Vec<Point> = ego
+                .iter()
+                .flat_map(|ego| ego.world.vehicles.iter().chain(&ego.world.pedestrians))
+                .map(|actor| actor.pose.xy())
+                .collect();
+            let pose = ego.map(|ego| ego.state().pose);
+            let events = StepEvents::read(&replies).map_err(traci::Error::from)?;
+            population.update(&events, &replies, pose, &near, &mut self.batch);
         }
         Ok(replies)
     }
