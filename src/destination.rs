@@ -19,13 +19,17 @@ const TRIES: usize = 40;
 /// Why there is no place to drive.
 #[derive(Debug, thiserror::Error)]
 pub enum DestinationError {
-    #[error("no edge or lane `{name}` in the network; give edge or lane ids as in the .net.xml, e.g. --route {example}")]
+    #[error(
+        "no edge or lane `{name}` in the network; give edge or lane ids as in the .net.xml, e.g. --route {example}"
+    )]
     Unknown { name: String, example: String },
     #[error("`{given}` is not FROM,TO with two edge or lane ids of the network, e.g. --route {example}")]
     NotAPair { given: String, example: String },
     #[error("`{name}` has no lane that a passenger car may drive on")]
     NotDrivable { name: String },
-    #[error("the network has no lane for a passenger car that is {SHORTEST_LANE} m or longer; the ego has nowhere to drive")]
+    #[error(
+        "the network has no lane for a passenger car that is {SHORTEST_LANE} m or longer; the ego has nowhere to drive"
+    )]
     NoLane,
     #[error(transparent)]
     Route(#[from] RouteError),

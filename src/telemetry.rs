@@ -142,9 +142,7 @@ impl RunFolder {
     /// Hands what is buffered to the system.
     pub fn flush(&mut self) -> Result<(), WriteError> {
         self.unflushed = 0;
-        self.telemetry
-            .flush()
-            .map_err(|source| WriteError { path: self.telemetry_path.clone(), source })
+        self.telemetry.flush().map_err(|source| WriteError { path: self.telemetry_path.clone(), source })
     }
 
     /// Writes `summary.json`, whole or not at all.

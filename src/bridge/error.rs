@@ -36,9 +36,6 @@ pub enum BridgeError {
 impl BridgeError {
     /// True where the user's input is at fault, not SUMO.
     pub fn is_input(&self) -> bool {
-        matches!(
-            self,
-            Self::Config(_) | Self::Network(_) | Self::Tick { .. } | Self::AttachedTick { .. }
-        )
+        matches!(self, Self::Config(_) | Self::Network(_) | Self::Tick { .. } | Self::AttachedTick { .. })
     }
 }

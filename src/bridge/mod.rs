@@ -141,7 +141,8 @@ impl Bridge {
         };
         client.set_timeout(Some(timeout));
         let population = options.traffic.counts(&config.name()).map(|counts| {
-            let behaviour = traffic::Options { alone: true, keep: vec!["ego".to_string()], ..Default::default() };
+            let behaviour =
+                traffic::Options { alone: true, keep: vec!["ego".to_string()], ..Default::default() };
             Population::new(Arc::clone(&network), counts, seeds::derive(options.seed, "traffic"), behaviour)
         });
         Ok(Self {

@@ -34,8 +34,7 @@ impl SignalWatch {
     /// Appends the changes of subscriptions that observers at these places need.
     pub fn follow(&mut self, network: &Network, observers: &[Point], batch: &mut Batch) {
         let near = |last: &Vec<Point>| {
-            last.len() == observers.len()
-                && last.iter().zip(observers).all(|(a, b)| (a - b).norm() < MOVED)
+            last.len() == observers.len() && last.iter().zip(observers).all(|(a, b)| (a - b).norm() < MOVED)
         };
         if self.last.as_ref().is_some_and(near) {
             return;

@@ -87,12 +87,20 @@ async fn bridge(args: BridgeArgs) -> anyhow::Result<Exit> {
     let mut rows = Vec::new();
     let header = format!(
         "{:>9} {:>12} {:>14} {:>10} {:>6} {:>11} {:>13} {:>9}",
-        "vehicles", "pedestrians", "sumo alone ms", "bridge ms", "ratio", "physics ms", "autopilot ms", "in sight"
+        "vehicles",
+        "pedestrians",
+        "sumo alone ms",
+        "bridge ms",
+        "ratio",
+        "physics ms",
+        "autopilot ms",
+        "in sight"
     );
     let say = |line: &str| if args.json { eprintln!("{line}") } else { println!("{line}") };
     say(&header);
     for &(vehicles, pedestrians) in &bench.populations {
-        let mut progress = |turn: usize| tracing::info!("{vehicles}/{pedestrians}: turn {turn} of {}", args.repeat);
+        let mut progress =
+            |turn: usize| tracing::info!("{vehicles}/{pedestrians}: turn {turn} of {}", args.repeat);
         let row = bench.row(vehicles, pedestrians, &mut progress).await.map_err(|error| match error {
             BenchError::Drive(error) => run::with_exit(error),
             other => Exit::Sumo.because(other),
@@ -109,6 +117,13 @@ async fn bridge(args: BridgeArgs) -> anyhow::Result<Exit> {
 fn line(r: &BridgeRow) -> String {
     format!(
         "{:>9} {:>12} {:>14.3} {:>10.3} {:>6.2} {:>11.3} {:>13.3} {:>9.1}",
-        r.vehicles, r.pedestrians, r.sumo_alone_ms, r.bridge_ms, r.ratio, r.physics_ms, r.autopilot_ms, r.actors_in_sight
+        r.vehicles,
+        r.pedestrians,
+        r.sumo_alone_ms,
+        r.bridge_ms,
+        r.ratio,
+        r.physics_ms,
+        r.autopilot_ms,
+        r.actors_in_sight
     )
 }

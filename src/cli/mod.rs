@@ -51,10 +51,19 @@ pub fn main() -> ExitCode {
     match result {
         Ok(exit) => exit.into(),
         Err(error) => {
-            eprintln!("wad-cosim: {error:#}");
+            eprintln!("wad-cosim: {}", message(&error));
             Exit::of(&error).into()
         }
     }
+}
+
+/// The error and its causes in one text; a cause that the text quotes already is not said twice.
+fn message(error: &anyhow::Error) -> String {
+    error
+        .chain()
+        .map(ToString::to_string)
+        .reduce(|text, cause| if text.contains(&cause) { text } else { format!("{text}: {cause}") })
+        .unwrap_or_default()
 }
 
 /// Log to stderr: stdout belongs to results. `WAD_COSIM_LOG` (a tracing filter such as
