@@ -6,6 +6,7 @@
 
 use super::draw::{normal, pick_weighted};
 use crate::network::VehicleClass;
+use crate::traci::{Batch, vehicle_type};
 use crate::world::ActorKind;
 use rand_chacha::ChaCha8Rng;
 
@@ -101,7 +102,9 @@ const BIKE_COLOURS: &[(u32, Rgb)] = &[
 const CAR_SPEED: Normc = Normc::new(1.0, 0.1, 0.8, 1.2);
 const VAN_SPEED: Normc = Normc::new(0.97, 0.08, 0.8, 1.1);
 const HEAVY_SPEED: Normc = Normc::new(0.92, 0.06, 0.8, 1.0);
-const BIKE_SPEED: Normc = Normc::new(1.0, 0.12, 0.75, 1.3);
+// Of a cyclist's 20 km/h, SUMO's own wanted speed of the class.
+const CITY_BIKE_SPEED: Normc = Normc::new(0.9, 0.1, 0.65, 1.2);
+const ROAD_BIKE_SPEED: Normc = Normc::new(1.15, 0.12, 0.85, 1.4);
 
 /// A car; the cars differ in size, acceleration and share alone.
 const fn car(id: &'static str, shape: &'static str, share: u32, size: [f64; 3], accel: f64) -> Model {
@@ -153,11 +156,11 @@ pub const FLEET: &[Model] = &[
         min_gap: 2.0, ..car("wad_motorcycle_sport", "motorcycle", 30, [2.04, 0.80, 1.55], 4.5) },
     Model { kind: ActorKind::Motorcycle, class: VehicleClass::Motorcycle, palette: BIKE_COLOURS, decel: 5.0,
         min_gap: 2.0, max_speed: 25.0, ..car("wad_motorcycle_scooter", "moped", 30, [1.80, 0.75, 1.65], 2.4) },
-    Model { kind: ActorKind::Bicycle, class: VehicleClass::Bicycle, speed_factor: BIKE_SPEED, palette: BIKE_COLOURS,
-        decel: 3.0, emergency_decel: 5.0, max_speed: 5.6, min_gap: 1.0,
+    Model { kind: ActorKind::Bicycle, class: VehicleClass::Bicycle, speed_factor: CITY_BIKE_SPEED, palette: BIKE_COLOURS,
+        decel: 3.0, emergency_decel: 5.0, max_speed: 7.0, min_gap: 1.0,
         ..car("wad_bicycle_city", "bicycle", 40, [1.84, 0.60, 1.75], 1.0) },
-    Model { kind: ActorKind::Bicycle, class: VehicleClass::Bicycle, speed_factor: BIKE_SPEED, palette: BIKE_COLOURS,
-        decel: 3.5, emergency_decel: 5.5, max_speed: 7.5, min_gap: 1.0,
+    Model { kind: ActorKind::Bicycle, class: VehicleClass::Bicycle, speed_factor: ROAD_BIKE_SPEED, palette: BIKE_COLOURS,
+        decel: 3.5, emergency_decel: 5.5, max_speed: 8.0, min_gap: 1.0,
         ..car("wad_bicycle_road", "bicycle", 30, [1.65, 0.55, 1.70], 1.2) },
 ];
 
@@ -234,6 +237,35 @@ pub fn draw_walker(rng: &mut ChaCha8Rng) -> (&'static Walker, Rgb) {
 fn draw_from(rng: &mut ChaCha8Rng, palette: &[(u32, Rgb)]) -> Rgb {
     let chosen = pick_weighted(rng, palette.iter().map(|c| f64::from(c.0)));
     chosen.map_or([128, 128, 128], |i| palette[i].1)
+}
+
+/// Defines every vehicle and pedestrian type in SUMO.
+pub(super) fn define(batch: &mut Batch) {
+    for model in FLEET {
+        let base = if model.kind == ActorKind::Bicycle { "DEFAULT_BIKETYPE" } else { "DEFAULT_VEHTYPE" };
+        vehicle_type::copy(batch, base, model.id);
+        batch.set(vehicle_type::SET_VEHICLE_CLASS, model.id, model.class.sumo_name());
+        batch.set(vehicle_type::SET_SHAPE_CLASS, model.id, model.shape);
+        for (setter, value) in [
+            (vehicle_type::SET_LENGTH, model.length),
+            (vehicle_type::SET_WIDTH, model.width),
+            (vehicle_type::SET_HEIGHT, model.height),
+            (vehicle_type::SET_ACCEL, model.accel),
+            (vehicle_type::SET_DECEL, model.decel),
+            (vehicle_type::SET_EMERGENCY_DECEL, model.emergency_decel),
+            (vehicle_type::SET_APPARENT_DECEL, model.decel),
+            (vehicle_type::SET_MAX_SPEED, model.max_speed),
+            (vehicle_type::SET_MIN_GAP, model.min_gap),
+            (vehicle_type::SET_IMPERFECTION, model.sigma),
+        ] {
+            batch.set(setter, model.id, value);
+        }
+    }
+    for walker in WALKERS {
+        vehicle_type::copy(batch, "DEFAULT_PEDTYPE", walker.id);
+        batch.set(vehicle_type::SET_WIDTH, walker.id, walker.width);
+        batch.set(vehicle_type::SET_HEIGHT, walker.id, walker.height);
+    }
 }
 
 #[cfg(test)]
