@@ -4,11 +4,29 @@
 //! Everything is stored in flat vectors and referred to by small ids, in file order,
 //! so that iteration is deterministic.
 
+mod build;
+mod centre_line;
+mod error;
+mod parse;
+mod pedestrian;
+mod permissions;
+mod polygons;
+mod reach;
+mod requests;
 mod route;
+mod route_search;
+mod spatial;
+mod xml;
 
+pub use error::NetworkError;
+pub use permissions::{Permissions, VehicleClass};
+pub use polygons::{PointOfInterest, Polygon, Shapes};
 pub use route::{RoadOption, Route, RouteError, RouteLink, RoutePoint, RouteSection};
 
-use crate::geometry::{Point, Polyline};
+use crate::geometry::{Point, Polyline, Vector};
+use pedestrian::PedestrianNetwork;
+use spatial::LaneTree;
+use std::collections::HashMap;
 use std::path::Path;
 
 macro_rules! index_type {
@@ -72,10 +90,6 @@ pub struct Edge {
     pub lanes: Vec<LaneId>,
 }
 
-/// Vehicle classes as a bit set (SUMO's SVCPermissions, our own bit order).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Permissions(pub u64);
-
 /// One lane. `shape` is its centre line (for a walkingarea: its outline).
 #[derive(Clone, Debug)]
 pub struct Lane {
@@ -91,6 +105,10 @@ pub struct Lane {
     /// m; 3.2 where the file says nothing.
     pub width: f64,
     pub permissions: Permissions,
+    /// Who may change from here to the lane with the next higher index (SUMO's `changeLeft`).
+    pub change_up: Permissions,
+    /// Who may change from here to the lane with the next lower index (SUMO's `changeRight`).
+    pub change_down: Permissions,
     pub shape: Polyline,
     /// Links that leave this lane.
     pub outgoing: Vec<LinkId>,
@@ -222,33 +240,101 @@ pub struct Network {
     pub left_hand: bool,
     /// Corners of the bounding box (m).
     pub bounds: (Point, Point),
+    names: Names,
+    tree: LaneTree,
+    /// By class: the lanes of roads that it may use.
+    drivable: Vec<Vec<LaneId>>,
+    walks: PedestrianNetwork,
 }
 
-/// Why a network could not be used.
-#[derive(Debug, thiserror::Error)]
-pub enum NetworkError {
-    #[error("{0}")]
-    Placeholder(String),
+/// SUMO's ids.
+#[derive(Clone, Debug, Default)]
+struct Names {
+    edges: HashMap<String, EdgeId>,
+    lanes: HashMap<String, LaneId>,
+    junctions: HashMap<String, JunctionId>,
+    traffic_lights: HashMap<String, TrafficLightId>,
+}
+
+impl Lane {
+    /// SUMO's lane_position (m) of arc length `s` (m) on the shape.
+    pub fn lane_position(&self, s: f64) -> f64 {
+        let shape = self.shape.length();
+        if shape > 0.0 { s * self.length / shape } else { 0.0 }
+    }
+
+    /// Arc length (m) on the shape of SUMO's `lane_position` (m).
+    pub fn arc_length(&self, lane_position: f64) -> f64 {
+        if self.length > 0.0 { lane_position * self.shape.length() / self.length } else { 0.0 }
+    }
 }
 
 impl Network {
     /// Reads a `.net.xml` or `.net.xml.gz` file.
-    pub fn load(_path: &Path) -> Result<Self, NetworkError> {
-        todo!()
+    ///
+    /// # Errors
+    /// When the file cannot be read, is no XML, no network, cut off, or names what it does not have.
+    pub fn load(path: &Path) -> Result<Self, NetworkError> {
+        Self::from_xml(path, &xml::read_text(path)?)
     }
+
+    /// The network of a `.net.xml` document; `path` is what errors call it.
+    ///
+    /// # Errors
+    /// As [`Network::load`].
+    pub fn from_xml(path: &Path, text: &str) -> Result<Self, NetworkError> {
+        build::build(parse::parse(path, text)?, &build::Source { path, text })
+    }
+
     /// The edge with SUMO's id `id`.
-    pub fn edge_by_id(&self, _id: &str) -> Option<EdgeId> {
-        todo!()
+    pub fn edge_by_id(&self, id: &str) -> Option<EdgeId> {
+        self.names.edges.get(id).copied()
     }
     /// The lane with SUMO's id `id`.
-    pub fn lane_by_id(&self, _id: &str) -> Option<LaneId> {
-        todo!()
+    pub fn lane_by_id(&self, id: &str) -> Option<LaneId> {
+        self.names.lanes.get(id).copied()
     }
-    pub fn junction_by_id(&self, _id: &str) -> Option<JunctionId> {
-        todo!()
+    /// The junction with SUMO's id `id`.
+    pub fn junction_by_id(&self, id: &str) -> Option<JunctionId> {
+        self.names.junctions.get(id).copied()
     }
-    pub fn traffic_light_by_id(&self, _id: &str) -> Option<TrafficLightId> {
-        todo!()
+    /// The traffic light with SUMO's id `id`.
+    pub fn traffic_light_by_id(&self, id: &str) -> Option<TrafficLightId> {
+        self.names.traffic_lights.get(id).copied()
+    }
+    /// The centre line of a link's internal lanes; in nets without them straight from lane to lane.
+    pub fn link_path(&self, id: LinkId) -> Polyline {
+        let link = self.link(id);
+        if link.via.is_empty() {
+            let (from, to) = (&self.lane(link.from).shape, &self.lane(link.to).shape);
+            return Polyline::new([from.at(from.length()).position, to.at(0.0).position]);
+        }
+        Polyline::new(link.via.iter().flat_map(|&l| self.lane(l).shape.points().iter().copied()))
+    }
+    /// How far it is over the junction on a link (m).
+    pub fn link_length(&self, id: LinkId) -> f64 {
+        let link = self.link(id);
+        if link.via.is_empty() {
+            return self.link_path(id).length();
+        }
+        link.via.iter().map(|&l| self.lane(l).shape.length()).sum()
+    }
+    /// Lanes of normal edges that `class` may use, in file order.
+    pub fn drivable_lanes(&self, class: VehicleClass) -> &[LaneId] {
+        &self.drivable[class as usize]
+    }
+    /// The same, or the error that says that there is none.
+    ///
+    /// # Errors
+    /// [`NetworkError::NoDrivableLane`].
+    pub fn require_drivable(&self, class: VehicleClass) -> Result<&[LaneId], NetworkError> {
+        let lanes = self.drivable_lanes(class);
+        if lanes.is_empty() {
+            let road = |l: &&Lane| self.edge(l.edge).kind == EdgeKind::Normal;
+            let lanes = self.lanes.iter().filter(road).count();
+            return Err(NetworkError::NoDrivableLane { class, lanes });
+        }
+        Ok(lanes)
     }
     pub fn edge(&self, id: EdgeId) -> &Edge {
         &self.edges[id.index()]
@@ -268,30 +354,4 @@ impl Network {
     pub fn traffic_light(&self, id: TrafficLightId) -> &TrafficLight {
         &self.traffic_lights[id.index()]
     }
-    /// Lanes whose centre line passes within `radius` (m) of `point`, nearest first.
-    /// `z` (m), where given, leaves out lanes more than 3 m above or below.
-    pub fn lanes_near(&self, _point: Point, _z: Option<f64>, _radius: f64) -> Vec<NearLane> {
-        todo!()
-    }
-    /// The cheapest route (by travel time) from one lane position to another for a vehicle class.
-    pub fn route(
-        &self,
-        _from: LanePosition,
-        _to: LanePosition,
-        _class: VehicleClass,
-    ) -> Result<Route, RouteError> {
-        todo!()
-    }
-}
-
-/// SUMO's abstract vehicle classes that the bridge tells apart.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum VehicleClass {
-    Passenger,
-    Delivery,
-    Truck,
-    Bus,
-    Motorcycle,
-    Bicycle,
-    Pedestrian,
 }

@@ -1,2 +1,5 @@
 //! The integration tests: one binary, so that the heavy libraries are linked once.
 //! Each module talks to a real SUMO.
+
+mod network;
+mod traci;

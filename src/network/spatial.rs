@@ -1,0 +1,65 @@
+//! Which lanes are near a point: an R-tree over the lanes' segments.
+
+use super::{EdgeKind, LaneId, NearLane, Network};
+use crate::geometry::Point;
+use rstar::RTree;
+use rstar::primitives::{GeomWithData, Line};
+
+/// A lane further above or below than this is on another level (m).
+const LEVEL: f64 = 3.0;
+
+/// A segment of a lane: which lane, and which of its segments.
+type Segment = GeomWithData<Line<[f64; 2]>, (LaneId, u32)>;
+
+/// The segments of all lanes' centre lines; walkingareas have none.
+#[derive(Clone, Debug, Default)]
+pub(super) struct LaneTree(RTree<Segment>);
+
+impl LaneTree {
+    pub fn new(network: &Network) -> Self {
+        let mut segments = Vec::new();
+        for (index, lane) in network.lanes.iter().enumerate() {
+            if network.edge(lane.edge).kind == EdgeKind::WalkingArea {
+                continue;
+            }
+            for (i, pair) in lane.shape.points().windows(2).enumerate() {
+                let line = Line::new([pair[0].x, pair[0].y], [pair[1].x, pair[1].y]);
+                segments.push(Segment::new(line, (LaneId(index as u32), i as u32)));
+            }
+        }
+        Self(RTree::bulk_load(segments))
+    }
+}
+
+impl Network {
+    /// Lanes whose centre line passes within `radius` (m) of `point`, nearest first: roads, paths,
+    /// internal lanes and crossings, but no walkingareas (they have no centre line).
+    /// `z` (m), where given, leaves out lanes more than 3 m above or below.
+    pub fn lanes_near(&self, point: Point, z: Option<f64>, radius: f64) -> Vec<NearLane> {
+        let mut near: Vec<NearLane> = Vec::new();
+        if !(point.x.is_finite() && point.y.is_finite() && radius >= 0.0) {
+            return near;
+        }
+        for segment in self.tree.0.locate_within_distance([point.x, point.y], radius * radius) {
+            let (id, index) = segment.data;
+            let shape = &self.lane(id).shape;
+            let index = index as usize;
+            let (a, b) = (shape.points()[index], shape.points()[index + 1]);
+            let ab = b.xy() - a.xy();
+            let t = ((point - a.xy()).dot(&ab) / ab.norm_squared()).clamp(0.0, 1.0);
+            if z.is_some_and(|z| (a.z + (b.z - a.z) * t - z).abs() > LEVEL) {
+                continue;
+            }
+            let distance = (point - (a.xy() + ab * t)).norm();
+            let s = shape.arc_lengths()[index] + t * ab.norm();
+            let d = distance.copysign(ab.perp(&(point - a.xy())));
+            near.push(NearLane { lane: id, s, d, distance });
+        }
+        near.sort_by(|a, b| {
+            a.lane.cmp(&b.lane).then(a.distance.total_cmp(&b.distance)).then(a.s.total_cmp(&b.s))
+        });
+        near.dedup_by_key(|n| n.lane);
+        near.sort_by(|a, b| a.distance.total_cmp(&b.distance).then(a.lane.cmp(&b.lane)));
+        near
+    }
+}
