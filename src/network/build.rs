@@ -169,7 +169,9 @@ fn edges(network: &mut Network, raw: &RawNet, source: &Source<'_>) -> Result<(),
 fn crossings(network: &mut Network, raw: &RawNet) {
     for edge in raw.edges.iter().filter(|e| kind_of(e) == EdgeKind::Crossing) {
         let Some(&edge_id) = network.names.edges.get(&edge.id) else { continue };
-        let Edge { junction: Some(junction), ref lanes, .. } = network.edges[edge_id.index()] else { continue };
+        let Edge { junction: Some(junction), ref lanes, .. } = network.edges[edge_id.index()] else {
+            continue;
+        };
         let (Some(&lane), Some(raw_lane)) = (lanes.first(), edge.lanes.first()) else { continue };
         let id = CrossingId(network.crossings.len() as u32);
         let outline = if raw_lane.outline.len() >= 3 {
@@ -182,7 +184,11 @@ fn crossings(network: &mut Network, raw: &RawNet) {
             lane,
             edge: edge_id,
             junction,
-            crossed_edges: edge.crossing_edges.iter().filter_map(|e| network.names.edges.get(e).copied()).collect(),
+            crossed_edges: edge
+                .crossing_edges
+                .iter()
+                .filter_map(|e| network.names.edges.get(e).copied())
+                .collect(),
             outline,
             signal: None,
             priority: false,
@@ -326,7 +332,9 @@ fn traffic_light_places(network: &mut Network) {
         }
         for &crossing in &light.crossings {
             let shape = &network.lane(network.crossing(crossing).lane).shape;
-            places.extend([shape.points().first(), shape.points().last()].into_iter().flatten().map(|p| p.xy()));
+            places.extend(
+                [shape.points().first(), shape.points().last()].into_iter().flatten().map(|p| p.xy()),
+            );
         }
         if places.is_empty() {
             continue;

@@ -89,7 +89,8 @@ impl Joined {
         let distance = (b.0.xy() - a.0.xy()).norm();
         let turn = 0.5 * wrap_angle(b.1 - a.1).abs();
         // Bezier handles that give a circular arc for this turn.
-        let handle = if turn < 1e-3 { distance / 3.0 } else { distance * 2.0 / 3.0 * (0.5 * turn).tan() / turn.sin() };
+        let handle =
+            if turn < 1e-3 { distance / 3.0 } else { distance * 2.0 / 3.0 * (0.5 * turn).tan() / turn.sin() };
         let handle = handle.min(distance);
         let along = |p: Point3<f64>, heading: f64, by: f64| {
             Point3::new(p.x + by * heading.cos(), p.y + by * heading.sin(), p.z)
@@ -99,7 +100,10 @@ impl Joined {
         for i in 0..=steps as usize {
             let t = i as f64 / steps;
             let u = 1.0 - t;
-            let p = a.0.coords * (u * u * u) + c.coords * (3.0 * u * u * t) + d.coords * (3.0 * u * t * t) + b.0.coords * (t * t * t);
+            let p = a.0.coords * (u * u * u)
+                + c.coords * (3.0 * u * u * t)
+                + d.coords * (3.0 * u * t * t)
+                + b.0.coords * (t * t * t);
             self.push(p.into());
         }
     }

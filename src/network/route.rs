@@ -89,13 +89,17 @@ pub struct Route {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RouteError {
     /// No way leads there.
-    #[error("no route from edge `{from}` to edge `{to}` for class {class}: no connections lead there; choose edges of the same connected part of the net, or another vehicle class")]
+    #[error(
+        "no route from edge `{from}` to edge `{to}` for class {class}: no connections lead there; choose edges of the same connected part of the net, or another vehicle class"
+    )]
     Unreachable { from: String, to: String, class: VehicleClass },
     /// The class may not use the lane.
     #[error("lane `{lane}` is not open to class {class}; choose one that is")]
     NotForClass { lane: String, class: VehicleClass },
     /// The position lies beyond the lane's ends.
-    #[error("position {s:.2} m is off lane `{lane}`, which is {length:.2} m long; choose one from 0 to its length")]
+    #[error(
+        "position {s:.2} m is off lane `{lane}`, which is {length:.2} m long; choose one from 0 to its length"
+    )]
     OffLane { lane: String, s: f64, length: f64 },
     /// A crossing or walkingarea, or, as a destination, a lane inside a junction.
     #[error("lane `{lane}` is no lane of a road; choose a lane of a normal edge")]
@@ -195,7 +199,16 @@ impl Route {
         let mut section = |lane: LaneId, from_lane, link, option| {
             let on = network.lane(lane);
             let (speed_limit, width) = (on.speed_limit, on.width);
-            self.sections.push(RouteSection { s_start, s_end, lane, from_lane, link, option, speed_limit, width });
+            self.sections.push(RouteSection {
+                s_start,
+                s_end,
+                lane,
+                from_lane,
+                link,
+                option,
+                speed_limit,
+                width,
+            });
         };
         match piece {
             Piece::Lane { lane, .. } => {

@@ -12,8 +12,7 @@ const LARGEST: u64 = 4 << 30;
 
 /// Reads a whole file as text; gzip is told by its magic bytes. Text that is not UTF-8 is read as Latin-1.
 pub(super) fn read_text(path: &Path) -> Result<String, NetworkError> {
-    let bytes = std::fs::read(path)
-        .map_err(|source| NetworkError::Io { path: path.to_owned(), source })?;
+    let bytes = std::fs::read(path).map_err(|source| NetworkError::Io { path: path.to_owned(), source })?;
     let bytes = if bytes.starts_with(&[0x1f, 0x8b]) {
         let mut unpacked = Vec::with_capacity(bytes.len().saturating_mul(8));
         flate2::read::MultiGzDecoder::new(bytes.as_slice())
