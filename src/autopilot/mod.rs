@@ -14,6 +14,8 @@ mod pedestrians;
 mod right_of_way;
 mod speed;
 mod steering;
+#[cfg(test)]
+mod tests;
 
 pub use params::{AutopilotParams, EgoModel};
 
