@@ -97,7 +97,7 @@ fn a_side_road_lets_the_main_road_pass() {
             let phase = f64::from(phase) * 0.6;
             let mut setup = Setup::new(&network, ("GE_1", 60.0), (to, 100.0), 8.0);
             stream(&mut setup, &["CE_1", ":E_6_0", "EF_1"], phase, 7.0, 60.0, 20.0);
-            stream(&mut setup, &["FE_2", ":E_1_1", "EC_2"], phase + 1.0, 7.0, 60.0, 20.0);
+            stream(&mut setup, &["FE_2", ":E_0_1", "EC_2"], phase + 1.0, 7.0, 60.0, 20.0);
             setup.seconds = 110.0;
             let report = setup.run();
             assert_eq!(report.contacts, 0, "{to} {phase}: {report:?}");
@@ -114,8 +114,8 @@ fn one_who_runs_the_red_light_is_not_driven_into() {
         let phase = f64::from(phase) * 0.4;
         let mut setup = Setup::new(&network, ("WC_1", 100.0), ("CE_1", 100.0), 12.0);
         setup.vehicles.push(Box::new(move |network, t, _| {
-            let x = 60.0 + 10.0 * (t + phase);
-            car(network, 1, &["SC_1", ":C_8_0", "CN_1"], x, 10.0)
+            let x = 85.0 + 7.0 * (t + phase);
+            car(network, 1, &["SC_1", ":C_8_0", "CN_1"], x, 7.0)
         }));
         setup.seconds = 40.0;
         let report = setup.run();

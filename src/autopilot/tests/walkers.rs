@@ -44,14 +44,19 @@ fn those_on_a_crossing_are_let_pass_after_a_turn() {
             let (line, name) = (line.clone(), name.clone());
             let start = f64::from(start);
             setup.pedestrians.push(Box::new(move |network, t, _| {
-                let walked = 1.3 * (t - start);
-                if walked < 0.0 || walked > line.length() {
+                // From 4 m before the kerb on.
+                let walked = 1.3 * (t - start) - 4.0;
+                if walked < -4.0 || walked > line.length() + 1.0 {
                     return None;
                 }
-                let at = line.at(if forward { walked } else { line.length() - walked });
+                let on_it = walked > 0.0 && walked < line.length();
+                let beyond = walked.min(0.0) + (walked - line.length()).max(0.0);
+                let s = walked.clamp(0.0, line.length());
+                let mut at = line.at(if forward { s } else { line.length() - s });
+                at = at.advanced(if forward { beyond } else { -beyond });
                 let heading = if forward { at.heading } else { at.heading + std::f64::consts::PI };
                 let velocity = crate::geometry::direction(heading) * 1.3;
-                Some(walker(network, 1, at.xy(), velocity, Some(&name)))
+                Some(walker(network, 1, at.xy(), velocity, on_it.then_some(name.as_str())))
             }));
             setup.seconds = 60.0;
             let report = setup.run();
