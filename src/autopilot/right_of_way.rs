@@ -217,7 +217,10 @@ fn consider(
     };
 
     let share = 1.0 - (1.0 - params.impatient_share) * ego.impatience;
-    let (before, after) = if !yields {
+    // Once in the junction it clears it rather than stand in the next one's way.
+    let entered = ego.front_s > plan.stop_s + 1.0
+        && plan.wait_s.is_none_or(|w| w > conflict.enter_s + 0.3 || ego.front_s > w + 0.3);
+    let (before, after) = if !yields || entered {
         (0.5, 0.2)
     } else if conflict.merge {
         let closing = (speed - ego.top.min(ego.speed + 4.0)).max(0.0);
@@ -244,7 +247,8 @@ fn consider(
     let stop_s = places.iter().flatten().copied().find(|&s| reachable(s)).or_else(|| {
         let room = last_chance - ego.front_s;
         let hard = ego.speed * ego.speed / (2.0 * room.max(0.1));
-        (room > 0.0 && hard < params.emergency_deceleration).then_some(last_chance)
+        let late = foe_enter < ego_enter;
+        (room > 0.0 && (hard < params.emergency_deceleration || late)).then_some(last_chance)
     });
     if let Some(stop_s) = stop_s
         && outcome.hold.is_none_or(|h| stop_s < h.stop_s)
