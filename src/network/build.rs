@@ -45,6 +45,7 @@ pub(super) fn build(raw: RawNet, source: &Source<'_>) -> Result<Network, Network
         names: Names::default(),
         tree: LaneTree::default(),
         drivable: Vec::new(),
+        walks: PedestrianNetwork::default(),
     };
     junctions(&mut network, &raw);
     edges(&mut network, &raw, source)?;
@@ -60,6 +61,7 @@ pub(super) fn build(raw: RawNet, source: &Source<'_>) -> Result<Network, Network
     network.bounds = bounds(&network);
     network.tree = LaneTree::new(&network);
     network.drivable = VehicleClass::EVERY.iter().map(|&class| drivable(&network, class)).collect();
+    network.walks = PedestrianNetwork::new(&network, &raw.connections);
     Ok(network)
 }
 
@@ -169,7 +171,9 @@ fn edges(network: &mut Network, raw: &RawNet, source: &Source<'_>) -> Result<(),
 fn crossings(network: &mut Network, raw: &RawNet) {
     for edge in raw.edges.iter().filter(|e| kind_of(e) == EdgeKind::Crossing) {
         let Some(&edge_id) = network.names.edges.get(&edge.id) else { continue };
-        let Edge { junction: Some(junction), ref lanes, .. } = network.edges[edge_id.index()] else { continue };
+        let Edge { junction: Some(junction), ref lanes, .. } = network.edges[edge_id.index()] else {
+            continue;
+        };
         let (Some(&lane), Some(raw_lane)) = (lanes.first(), edge.lanes.first()) else { continue };
         let id = CrossingId(network.crossings.len() as u32);
         let outline = if raw_lane.outline.len() >= 3 {
@@ -182,7 +186,11 @@ fn crossings(network: &mut Network, raw: &RawNet) {
             lane,
             edge: edge_id,
             junction,
-            crossed_edges: edge.crossing_edges.iter().filter_map(|e| network.names.edges.get(e).copied()).collect(),
+            crossed_edges: edge
+                .crossing_edges
+                .iter()
+                .filter_map(|e| network.names.edges.get(e).copied())
+                .collect(),
             outline,
             signal: None,
             priority: false,
@@ -326,7 +334,9 @@ fn traffic_light_places(network: &mut Network) {
         }
         for &crossing in &light.crossings {
             let shape = &network.lane(network.crossing(crossing).lane).shape;
-            places.extend([shape.points().first(), shape.points().last()].into_iter().flatten().map(|p| p.xy()));
+            places.extend(
+                [shape.points().first(), shape.points().last()].into_iter().flatten().map(|p| p.xy()),
+            );
         }
         if places.is_empty() {
             continue;

@@ -38,6 +38,8 @@ pub enum NetworkError {
     #[error("{}:{line}: <{element}> names the {kind} `{id}`, which the file does not have; build the net again with netconvert", path.display())]
     DanglingReference { path: PathBuf, line: usize, element: &'static str, kind: &'static str, id: String },
     /// Nothing to drive on.
-    #[error("no drivable lane for class {class}: none of the net's {lanes} road lanes allows it; use another net or another vehicle class")]
+    #[error(
+        "no drivable lane for class {class}: none of the net's {lanes} road lanes allows it; use another net or another vehicle class"
+    )]
     NoDrivableLane { class: VehicleClass, lanes: usize },
 }

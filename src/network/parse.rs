@@ -40,7 +40,6 @@ pub(super) struct RawJunction {
     pub point: Point3<f64>,
     pub shape: Vec<Point3<f64>>,
     pub incoming_lanes: Vec<String>,
-    pub internal_lanes: Vec<String>,
     pub requests: Vec<RawRequest>,
     pub position: u64,
 }
@@ -90,9 +89,9 @@ pub(super) fn parse(path: &Path, text: &str) -> Result<RawNet, NetworkError> {
     // The child of the root that the walk is in.
     let mut inside = Inside::Other;
     while let Some(step) = walk.next()? {
-        let Step::Open(depth, element) = step else { continue };
+        let Step::Open(element) = step else { continue };
         let at = At { path, walk: &walk, element: &element };
-        match (depth, element.name()) {
+        match (element.depth, element.name()) {
             (0, "net") => {
                 root_seen = true;
                 net.left_hand = matches!(element.read(["lefthand"]), [Some(v)] if is_true(&v));
@@ -112,7 +111,8 @@ pub(super) fn parse(path: &Path, text: &str) -> Result<RawNet, NetworkError> {
                     }
                     "tlLogic" => {
                         let [id] = element.read(["id"]);
-                        net.traffic_lights.push(RawTrafficLight { id: at.need(id, "tlLogic", "", "id")?, signals: 0 });
+                        net.traffic_lights
+                            .push(RawTrafficLight { id: at.need(id, "tlLogic", "", "id")?, signals: 0 });
                         Inside::TrafficLight
                     }
                     "connection" => {
@@ -135,7 +135,8 @@ pub(super) fn parse(path: &Path, text: &str) -> Result<RawNet, NetworkError> {
                 }
             }
             (2, "phase") if inside == Inside::TrafficLight => {
-                if let ([Some(state)], Some(light)) = (element.read(["state"]), net.traffic_lights.last_mut()) {
+                if let ([Some(state)], Some(light)) = (element.read(["state"]), net.traffic_lights.last_mut())
+                {
                     light.signals = light.signals.max(state.len());
                 }
             }
@@ -191,7 +192,13 @@ impl At<'_> {
         })
     }
 
-    fn bad(&self, element: &'static str, attribute: &'static str, value: &str, expected: &'static str) -> NetworkError {
+    fn bad(
+        &self,
+        element: &'static str,
+        attribute: &'static str,
+        value: &str,
+        expected: &'static str,
+    ) -> NetworkError {
         NetworkError::BadValue {
             path: self.path.to_owned(),
             line: self.line(),
@@ -202,11 +209,21 @@ impl At<'_> {
         }
     }
 
-    fn number(&self, element: &'static str, attribute: &'static str, value: &str) -> Result<f64, NetworkError> {
+    fn number(
+        &self,
+        element: &'static str,
+        attribute: &'static str,
+        value: &str,
+    ) -> Result<f64, NetworkError> {
         finite(value).ok_or_else(|| self.bad(element, attribute, value, "a finite number"))
     }
 
-    fn count(&self, element: &'static str, attribute: &'static str, value: &str) -> Result<usize, NetworkError> {
+    fn count(
+        &self,
+        element: &'static str,
+        attribute: &'static str,
+        value: &str,
+    ) -> Result<usize, NetworkError> {
         value.trim().parse().map_err(|_| self.bad(element, attribute, value, "a whole number from 0"))
     }
 
@@ -217,8 +234,9 @@ impl At<'_> {
         value: Value<'_>,
     ) -> Result<Vec<Point3<f64>>, NetworkError> {
         let Some(value) = value else { return Ok(Vec::new()) };
-        points(&value)
-            .ok_or_else(|| self.bad(element, attribute, &value, "points `x,y` or `x,y,z` separated by blanks"))
+        points(&value).ok_or_else(|| {
+            self.bad(element, attribute, &value, "points `x,y` or `x,y,z` separated by blanks")
+        })
     }
 }
 
@@ -252,9 +270,8 @@ fn words(value: Value<'_>) -> Vec<String> {
 }
 
 fn edge(at: &At<'_>) -> Result<RawEdge, NetworkError> {
-    let [id, function, from, to, priority, edge_type, name, crossing_edges] = at.element.read([
-        "id", "function", "from", "to", "priority", "type", "name", "crossingEdges",
-    ]);
+    let [id, function, from, to, priority, edge_type, name, crossing_edges] =
+        at.element.read(["id", "function", "from", "to", "priority", "type", "name", "crossingEdges"]);
     Ok(RawEdge {
         id: at.need(id, "edge", "", "id")?,
         function: function.unwrap_or_default().into_owned(),
@@ -271,7 +288,15 @@ fn edge(at: &At<'_>) -> Result<RawEdge, NetworkError> {
 
 fn lane(at: &At<'_>) -> Result<RawLane, NetworkError> {
     let [id, speed, length, width, allow, disallow, left, right, shape, outline] = at.element.read([
-        "id", "speed", "length", "width", "allow", "disallow", "changeLeft", "changeRight", "shape",
+        "id",
+        "speed",
+        "length",
+        "width",
+        "allow",
+        "disallow",
+        "changeLeft",
+        "changeRight",
+        "shape",
         "outlineShape",
     ]);
     let id = at.need(id, "lane", "", "id")?;
@@ -299,8 +324,8 @@ fn lane(at: &At<'_>) -> Result<RawLane, NetworkError> {
 }
 
 fn junction(at: &At<'_>) -> Result<RawJunction, NetworkError> {
-    let [id, kind, x, y, z, incoming, internal, shape] =
-        at.element.read(["id", "type", "x", "y", "z", "incLanes", "intLanes", "shape"]);
+    let [id, kind, x, y, z, incoming, shape] =
+        at.element.read(["id", "type", "x", "y", "z", "incLanes", "shape"]);
     let id = at.need(id, "junction", "", "id")?;
     let x = at.need(x, "junction", &id, "x")?;
     let y = at.need(y, "junction", &id, "y")?;
@@ -313,7 +338,6 @@ fn junction(at: &At<'_>) -> Result<RawJunction, NetworkError> {
         point: Point3::new(at.number("junction", "x", &x)?, at.number("junction", "y", &y)?, z),
         shape: at.shape("junction", "shape", shape)?,
         incoming_lanes: words(incoming),
-        internal_lanes: words(internal),
         requests: Vec::new(),
         position: at.element.position,
         id,
@@ -331,9 +355,8 @@ fn request(at: &At<'_>) -> Result<RawRequest, NetworkError> {
 }
 
 fn connection(at: &At<'_>) -> Result<RawConnection, NetworkError> {
-    let [from, to, from_lane, to_lane, via, light, link_index, direction, state] = at.element.read([
-        "from", "to", "fromLane", "toLane", "via", "tl", "linkIndex", "dir", "state",
-    ]);
+    let [from, to, from_lane, to_lane, via, light, link_index, direction, state] =
+        at.element.read(["from", "to", "fromLane", "toLane", "via", "tl", "linkIndex", "dir", "state"]);
     let from = at.need(from, "connection", "", "from")?;
     let to = at.need(to, "connection", &from, "to")?;
     let from_lane = at.need(from_lane, "connection", &from, "fromLane")?;

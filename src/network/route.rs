@@ -10,6 +10,9 @@ use serde::{Deserialize, Serialize};
 /// The road option of a link holds from here before its stop line on (m).
 pub const APPROACH: f64 = 15.0;
 
+/// The longest route that is built (m).
+const LONGEST: f64 = 500_000.0;
+
 /// What the driver is to do at a waypoint (CARLA's RoadOption).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum RoadOption {
@@ -54,7 +57,7 @@ pub struct RouteLink {
 #[derive(Clone, Copy, Debug)]
 pub struct RoutePoint {
     pub pose: Pose,
-    /// 1/m, left positive.
+    /// 1/m, left positive; cut off at 1.
     pub curvature: f64,
     /// m/s.
     pub speed_limit: f64,
@@ -89,14 +92,24 @@ pub struct Route {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RouteError {
     /// No way leads there.
-    #[error("no route from edge `{from}` to edge `{to}` for class {class}: no connections lead there; choose edges of the same connected part of the net, or another vehicle class")]
+    #[error(
+        "no route from edge `{from}` to edge `{to}` for class {class}: no connections lead there; choose edges of the same connected part of the net, or another vehicle class"
+    )]
     Unreachable { from: String, to: String, class: VehicleClass },
     /// The class may not use the lane.
     #[error("lane `{lane}` is not open to class {class}; choose one that is")]
     NotForClass { lane: String, class: VehicleClass },
     /// The position lies beyond the lane's ends.
-    #[error("position {s:.2} m is off lane `{lane}`, which is {length:.2} m long; choose one from 0 to its length")]
+    #[error(
+        "position {s:.2} m is off lane `{lane}`, which is {length:.2} m long; choose one from 0 to its length"
+    )]
     OffLane { lane: String, s: f64, length: f64 },
+    /// Longer than anything that is driven.
+    #[error(
+        "the route is {kilometres:.0} km long, more than the {} km that are supported; choose a nearer destination",
+        LONGEST / 1000.0
+    )]
+    TooLong { kilometres: f64 },
     /// A crossing or walkingarea, or, as a destination, a lane inside a junction.
     #[error("lane `{lane}` is no lane of a road; choose a lane of a normal edge")]
     NotARoad { lane: String },
@@ -116,7 +129,7 @@ impl Network {
         to: LanePosition,
         class: VehicleClass,
     ) -> Result<Route, RouteError> {
-        Ok(Route::new(self, search(self, from, to, class)?, from, to, class))
+        Route::new(self, search(self, from, to, class)?, from, to, class)
     }
 
     /// Lengthens a route to a further destination. What was driven keeps its `s`, but for the last few
@@ -138,7 +151,7 @@ impl Network {
             }
         }
         pieces.extend(more);
-        *route = Route::new(self, pieces, route.from, to, route.class);
+        *route = Route::new(self, pieces, route.from, to, route.class)?;
         Ok(())
     }
 
@@ -168,7 +181,11 @@ impl Route {
         from: LanePosition,
         to: LanePosition,
         class: VehicleClass,
-    ) -> Self {
+    ) -> Result<Self, RouteError> {
+        let length: f64 = pieces.iter().map(|p| p.length(network)).sum();
+        if length > LONGEST {
+            return Err(RouteError::TooLong { kilometres: length / 1000.0 });
+        }
         let CentreLine { line, samples, starts } = centre_line(network, &pieces);
         let mut route = Self {
             edges: Vec::new(),
@@ -188,14 +205,23 @@ impl Route {
             route.add(network, *piece, starts[i], s_end);
         }
         route.pieces = pieces;
-        route
+        Ok(route)
     }
 
     fn add(&mut self, network: &Network, piece: Piece, s_start: f64, s_end: f64) {
         let mut section = |lane: LaneId, from_lane, link, option| {
             let on = network.lane(lane);
             let (speed_limit, width) = (on.speed_limit, on.width);
-            self.sections.push(RouteSection { s_start, s_end, lane, from_lane, link, option, speed_limit, width });
+            self.sections.push(RouteSection {
+                s_start,
+                s_end,
+                lane,
+                from_lane,
+                link,
+                option,
+                speed_limit,
+                width,
+            });
         };
         match piece {
             Piece::Lane { lane, .. } => {

@@ -53,7 +53,7 @@ fn fit(room: f64, count: usize, speed: f64, mode: Room) -> Option<Changes> {
         let length = wished * squeeze;
         return Some(Changes { lead: lead * squeeze, length, gap: gap * squeeze, cost: cost(length) });
     }
-    let shortest = if mode == Room::Tight { 8.0 } else { shortest };
+    let shortest = if mode == Room::Tight { 9.0 } else { shortest };
     let (lead, gap, tail) = (1.0, 1.0, 2.0);
     let length = ((room - lead - tail - (n - 1.0) * gap) / n).min(shortest.max(12.0));
     (length >= shortest).then(|| Changes { lead, length, gap, cost: cost(length) })
@@ -314,11 +314,18 @@ impl Search<'_> {
         if let Some(changes) = fit(end - entry.s, count, self.speed(first), self.mode) {
             let lanes = &network.edge(first.edge).lanes;
             for i in 0..count {
-                let index = if target.index > first.index { first.index + i + 1 } else { first.index - i - 1 };
+                let index =
+                    if target.index > first.index { first.index + i + 1 } else { first.index - i - 1 };
                 let start = entry.s + changes.lead + i as f64 * (changes.length + changes.gap);
                 let (a, b) = (here.lane, lanes[index]);
-                let from = (beside(network, entry.lane, start, a), beside(network, entry.lane, start + changes.length, a));
-                let to = (beside(network, entry.lane, start, b), beside(network, entry.lane, start + changes.length, b));
+                let from = (
+                    beside(network, entry.lane, start, a),
+                    beside(network, entry.lane, start + changes.length, a),
+                );
+                let to = (
+                    beside(network, entry.lane, start, b),
+                    beside(network, entry.lane, start + changes.length, b),
+                );
                 if from.0 > here.s {
                     pieces.push(Piece::Lane { lane: a, from: here.s, to: from.0 });
                 }
@@ -326,7 +333,9 @@ impl Search<'_> {
                 here = LanePosition { lane: b, s: to.1 };
             }
         }
-        let end = if here.lane == entry.lane { end } else if count > 0 && end >= first.shape.length() {
+        let end = if here.lane == entry.lane {
+            end
+        } else if count > 0 && end >= first.shape.length() {
             network.lane(here.lane).shape.length()
         } else {
             beside(network, entry.lane, end, here.lane)

@@ -55,7 +55,9 @@ impl Network {
             let d = distance.copysign(ab.perp(&(point - a.xy())));
             near.push(NearLane { lane: id, s, d, distance });
         }
-        near.sort_by(|a, b| a.lane.cmp(&b.lane).then(a.distance.total_cmp(&b.distance)).then(a.s.total_cmp(&b.s)));
+        near.sort_by(|a, b| {
+            a.lane.cmp(&b.lane).then(a.distance.total_cmp(&b.distance)).then(a.s.total_cmp(&b.s))
+        });
         near.dedup_by_key(|n| n.lane);
         near.sort_by(|a, b| a.distance.total_cmp(&b.distance).then(a.lane.cmp(&b.lane)));
         near

@@ -2,3 +2,4 @@
 //! Each module talks to a real SUMO.
 
 mod network;
+mod traci;

@@ -66,7 +66,9 @@ fn measure(network: &Network, route: &Route, stats: &mut Stats) {
     let mut s = 0.0;
     while s <= route.length() {
         let here = route.at(s);
-        let turn = route.link_at(s).is_some_and(|l| network.link(l.link).direction == wad_cosim::network::LinkDirection::TurnAround);
+        let turn = route
+            .link_at(s)
+            .is_some_and(|l| network.link(l.link).direction == wad_cosim::network::LinkDirection::TurnAround);
         stats.samples += 1;
         if turn {
             stats.max_curvature_turn = stats.max_curvature_turn.max(here.curvature.abs());
@@ -74,14 +76,32 @@ fn measure(network: &Network, route: &Route, stats: &mut Stats) {
             if here.curvature.abs() > stats.max_curvature {
                 stats.max_curvature = here.curvature.abs();
                 if here.curvature.abs() > 0.34 {
-                    eprintln!("   k {:.2} at {:.1} {:.1} on {} {:?}", here.curvature, here.pose.position.x, here.pose.position.y, network.lane(here.lane).id, here.option);
+                    eprintln!(
+                        "   k {:.2} at {:.1} {:.1} on {} {:?}",
+                        here.curvature,
+                        here.pose.position.x,
+                        here.pose.position.y,
+                        network.lane(here.lane).id,
+                        here.option
+                    );
                 }
             }
-            if here.curvature.abs() > 0.25 { stats.tight += 1; }
+            if here.curvature.abs() > 0.25 {
+                stats.tight += 1;
+            }
         }
-        if let Some(link) = route.link_at(s) && !turn {
-            let away = network.link(link.link).via.iter().map(|&l| network.lane(l).shape.project(here.pose.xy()).distance).fold(f64::INFINITY, f64::min);
-            if away.is_finite() { stats.max_away = stats.max_away.max(away); }
+        if let Some(link) = route.link_at(s)
+            && !turn
+        {
+            let away = network
+                .link(link.link)
+                .via
+                .iter()
+                .map(|&l| network.lane(l).shape.project(here.pose.xy()).distance)
+                .fold(f64::INFINITY, f64::min);
+            if away.is_finite() {
+                stats.max_away = stats.max_away.max(away);
+            }
         }
         s += 0.5;
     }
@@ -93,23 +113,38 @@ fn every_shipped_net_loads_and_is_driven() {
         let start = Instant::now();
         let network = Network::load(&path).unwrap_or_else(|e| panic!("{e}"));
         let ms = start.elapsed().as_secs_f64() * 1e3;
-        eprintln!("{} {:.1} ms, {} edges {} lanes {} links {} crossings {} tls", path.file_name().unwrap().to_string_lossy(), ms, network.edges.len(), network.lanes.len(), network.links.len(), network.crossings.len(), network.traffic_lights.len());
+        eprintln!(
+            "{} {:.1} ms, {} edges {} lanes {} links {} crossings {} tls",
+            path.file_name().unwrap().to_string_lossy(),
+            ms,
+            network.edges.len(),
+            network.lanes.len(),
+            network.links.len(),
+            network.crossings.len(),
+            network.traffic_lights.len()
+        );
         for class in [VehicleClass::Passenger, VehicleClass::Bicycle] {
-        let lanes = network.drivable_lanes(class);
-        if lanes.is_empty() { continue; }
-        let mut random = Random(7);
-        let mut stats = Stats::default();
-        for _ in 0..100 {
-            let (a, b) = (random_place(&network, lanes, &mut random), random_place(&network, lanes, &mut random));
-            let start = Instant::now();
-            match network.route(a, b, class) {
-                Ok(route) => { stats.search_ms += start.elapsed().as_secs_f64() * 1e3; measure(&network, &route, &mut stats) }
-                Err(RouteError::Unreachable { .. }) => stats.unreachable += 1,
-                Err(e) => panic!("{e}"),
+            let lanes = network.drivable_lanes(class);
+            if lanes.is_empty() {
+                continue;
             }
-        }
-        stats.search_ms /= stats.routes.max(1) as f64;
-        eprintln!("   {stats:?}");
+            let mut random = Random(7);
+            let mut stats = Stats::default();
+            for _ in 0..100 {
+                let (a, b) =
+                    (random_place(&network, lanes, &mut random), random_place(&network, lanes, &mut random));
+                let start = Instant::now();
+                match network.route(a, b, class) {
+                    Ok(route) => {
+                        stats.search_ms += start.elapsed().as_secs_f64() * 1e3;
+                        measure(&network, &route, &mut stats)
+                    }
+                    Err(RouteError::Unreachable { .. }) => stats.unreachable += 1,
+                    Err(e) => panic!("{e}"),
+                }
+            }
+            stats.search_ms /= stats.routes.max(1) as f64;
+            eprintln!("   {stats:?}");
         }
     }
 }
