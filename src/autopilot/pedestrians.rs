@@ -20,9 +20,6 @@ const KERB: f64 = 2.0;
 pub struct Halt {
     /// Where the front bumper is to stand (m on the route).
     pub stop_s: f64,
-    /// Where the pedestrian's way meets the path (m on the route).
-    pub meet_s: f64,
-    pub pedestrian: u64,
     /// Whether it is on (or about to step onto) a crossing.
     pub crossing: bool,
 }
@@ -192,5 +189,5 @@ fn walk(
         }
         None => own.max((ego.front_s + 0.3).min(near_s - RADIUS - 0.5)),
     };
-    Some(Halt { stop_s, meet_s: near_s, pedestrian: actor.key, crossing: zone.is_some() })
+    Some(Halt { stop_s, crossing: zone.is_some() })
 }
