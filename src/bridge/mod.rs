@@ -184,7 +184,7 @@ impl Bridge {
         (self.begin_ms + self.ticks as f64 * self.tick_ms) / 1000.0
     }
 
-    /// Background vehicles and pedestrians in the network.
+    /// Background vehicles after the last step, and pedestrians before it, in the network.
     pub fn counts(&self) -> (usize, usize) {
         self.counts
     }
@@ -203,9 +203,8 @@ impl Bridge {
         observe::subscribe(&mut self.batch, &ego.id, self.sight);
         if !self.subscribed {
             self.subscribed = true;
-            // Ids "" are the domain itself: how many of each there are.
+            // Id "" is the domain itself: how many there are.
             self.batch.subscribe(vehicle::Vehicle, "", &[vehicle::ID_COUNT.id()]);
-            self.batch.subscribe(person::Person, "", &[person::ID_COUNT.id()]);
             if let Some(population) = &mut self.population {
                 population.define_types(&mut self.batch);
                 Population::subscribe(&mut self.batch);
@@ -249,6 +248,8 @@ impl Bridge {
         for ego in egos.iter_mut() {
             ego.report(&self.network, &mut self.batch);
         }
+        // SUMO drops a subscription to the persons' number, so it is asked for before the step.
+        let persons = self.batch.get(person::ID_COUNT, "");
         self.batch.step();
         let replies = match self.client.send(&self.batch).await {
             Ok(replies) => replies,
@@ -261,7 +262,12 @@ impl Bridge {
         self.catalog.next_tick();
         let subscriptions = replies.subscriptions();
         self.signals.read(&self.network, &subscriptions);
-        self.count(&subscriptions, egos.len());
+        for object in subscriptions.objects(vehicle::Vehicle) {
+            if let ("", Ok(count)) = (object.id(), object.value(vehicle::ID_COUNT)) {
+                self.counts.0 = (count.max(0) as usize).saturating_sub(egos.len());
+            }
+        }
+        self.counts.1 = replies.get(persons).unwrap_or_default().max(0) as usize;
         for ego in egos.iter_mut() {
             let Ego { id, world, .. } = &mut **ego;
             let actors = (&mut world.vehicles, &mut world.pedestrians);
@@ -294,19 +300,6 @@ impl Bridge {
     /// SUMO fails or cannot write the file.
     pub async fn save_state(&mut self, file: &Path) -> Result<(), BridgeError> {
         Ok(self.client.save_state(&file.to_string_lossy()).await?)
-    }
-
-    fn count(&mut self, subscriptions: &traci::Subscriptions<'_>, egos: usize) {
-        for object in subscriptions.objects(vehicle::Vehicle) {
-            if let ("", Ok(count)) = (object.id(), object.value(vehicle::ID_COUNT)) {
-                self.counts.0 = (count.max(0) as usize).saturating_sub(egos);
-            }
-        }
-        for object in subscriptions.objects(person::Person) {
-            if let ("", Ok(count)) = (object.id(), object.value(person::ID_COUNT)) {
-                self.counts.1 = count.max(0) as usize;
-            }
-        }
     }
 
     /// A broken connection's error with SUMO's end and its last log lines, where SUMO was our child.
