@@ -107,10 +107,18 @@ impl Pedestrians {
     }
 
     /// Follows one step: see [`super::Population::update`].
-    pub fn update(&mut self, events: &StepEvents<'_>, replies: &Replies, scene: Scene<'_>, batch: &mut Batch) {
+    pub fn update(
+        &mut self,
+        events: &StepEvents<'_>,
+        replies: &Replies,
+        scene: Scene<'_>,
+        batch: &mut Batch,
+    ) {
         for id in &events.arrived_persons {
             if let Some(slot) = self.slots.get(*id).copied() {
-                if std::env::var_os("WADDBG").is_some() { eprintln!("arrived {id} {}", scene.time); }
+                if std::env::var_os("WADDBG").is_some() {
+                    eprintln!("arrived {id} {}", scene.time);
+                }
                 self.vacate(slot);
             }
         }
@@ -202,8 +210,21 @@ impl Pedestrians {
         self.next_serial += 1;
         let id = format!("wad_p{serial}");
         let edge_id = &self.network.edge(edge).id;
-        if std::env::var_os("WADDBG").is_some() { let n: Vec<_> = walk.edges.iter().map(|&e| (self.network.edge(e).id.as_str(), self.network.lane(self.network.edge(e).lanes[0]).length)).collect(); eprintln!("{id} {time} v={speed:.2} {walk:?} {n:?} due {}", follow_up(&walk, speed)); }
-        let add = person::Add { edge: edge_id, position: walk.from, person_type: kind.id, ..Default::default() };
+        if std::env::var_os("WADDBG").is_some() {
+            let n: Vec<_> = walk
+                .edges
+                .iter()
+                .map(|&e| {
+                    (
+                        self.network.edge(e).id.as_str(),
+                        self.network.lane(self.network.edge(e).lanes[0]).length,
+                    )
+                })
+                .collect();
+            eprintln!("{id} {time} v={speed:.2} {walk:?} {n:?} due {}", follow_up(&walk, speed));
+        }
+        let add =
+            person::Add { edge: edge_id, position: walk.from, person_type: kind.id, ..Default::default() };
         person::add(batch, &id, &add);
         self.append(&id, speed, &walk, batch);
         batch.set(person::SET_COLOR, &id, Color::rgb(r, g, b));

@@ -152,8 +152,7 @@ impl Vehicles {
             let found = [model, 0].into_iter().find_map(|model| {
                 let roads = &self.roads[self.model_roads[model]?];
                 let length = FLEET[model].length;
-                let (start, front) =
-                    occupancy.take(&mut self.rng, &network, roads, length, allowed)?;
+                let (start, front) = occupancy.take(&mut self.rng, &network, roads, length, allowed)?;
                 Some((model, start.lane, front))
             });
             let Some(found) = found else { break };
@@ -174,7 +173,13 @@ impl Vehicles {
     }
 
     /// Follows one step: see [`super::Population::update`].
-    pub fn update(&mut self, events: &StepEvents<'_>, replies: &Replies, scene: Scene<'_>, batch: &mut Batch) {
+    pub fn update(
+        &mut self,
+        events: &StepEvents<'_>,
+        replies: &Replies,
+        scene: Scene<'_>,
+        batch: &mut Batch,
+    ) {
         for id in &events.arrived {
             if let Some(slot) = self.slots.get(*id).copied() {
                 self.vacate(slot);
@@ -307,7 +312,11 @@ impl Vehicles {
             let rear = point_on(network, start.lane, front - spec.length);
             let hidden = [point, rear].iter().all(|&p| !avoid.in_sight(scene.ego, p));
             if hidden && avoid.clear_of(scene.near, point) {
-                return Some(Place { lane: start.lane, front, free: network.lane(start.lane).length - front });
+                return Some(Place {
+                    lane: start.lane,
+                    front,
+                    free: network.lane(start.lane).length - front,
+                });
             }
         }
         let mut furthest: Option<(f64, Place)> = None;

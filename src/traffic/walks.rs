@@ -234,9 +234,7 @@ fn distance_to_polygon(outline: &[Point], point: Point) -> f64 {
         let ab = b - a;
         let t = if ab.norm_squared() > 0.0 { (point - a).dot(&ab) / ab.norm_squared() } else { 0.0 };
         best = best.min((point - (a + ab * t.clamp(0.0, 1.0))).norm());
-        if (a.y > point.y) != (b.y > point.y)
-            && point.x < a.x + (point.y - a.y) / (b.y - a.y) * (b.x - a.x)
-        {
+        if (a.y > point.y) != (b.y > point.y) && point.x < a.x + (point.y - a.y) / (b.y - a.y) * (b.x - a.x) {
             inside = !inside;
         }
     }
