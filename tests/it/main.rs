@@ -2,4 +2,5 @@
 //! Each module talks to a real SUMO.
 
 mod network;
+mod run;
 mod traci;
