@@ -6,6 +6,7 @@ mod contacts;
 mod ego;
 mod outline;
 mod params;
+mod roadside;
 pub mod statics;
 mod surroundings;
 mod tyres;

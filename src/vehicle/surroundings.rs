@@ -1,7 +1,7 @@
 //! The ground, the fixed bodies near the ego and the moving ones in its reach, as colliders of
 //! the physics world.
 
-use super::statics::{StaticKind, Statics};
+use super::statics::{StaticKind, Statics, same_level};
 use super::{MovingBody, PartnerKind};
 use crate::geometry::{Point, direction};
 use rapier3d::prelude::*;
@@ -9,8 +9,9 @@ use std::collections::BTreeMap;
 
 /// Fixed bodies within this distance (m) are in the physics world ...
 const STATIC_RADIUS: f64 = 40.0;
-/// ... and looked for again once the ego has moved this far (m).
+/// ... and looked for again once the ego has moved or climbed this far (m).
 const STATIC_STEP: f64 = 15.0;
+const CLIMB_STEP: f64 = 1.0;
 /// A moving body is in the physics world when it can come this close (m) within the tick.
 const REACH_MARGIN: f64 = 3.0;
 
@@ -78,6 +79,8 @@ pub(super) struct Reach {
     pub(super) radius: f64,
     /// The tick (s).
     pub(super) duration: f64,
+    /// Height of the ego's road (m), where it is known.
+    pub(super) elevation: Option<f64>,
 }
 
 impl Reach {
@@ -86,6 +89,9 @@ impl Reach {
         let numbers = [body.pose.position.x, body.pose.position.y, body.pose.heading, body.speed];
         let sizes = [body.length, body.width, body.height];
         if numbers.iter().any(|n| !n.is_finite()) || sizes.iter().any(|&s| !(s > 0.0 && s < 100.0)) {
+            return false;
+        }
+        if !same_level(Some(body.pose.position.z), self.elevation) {
             return false;
         }
         let own_radius = 0.5 * body.length.hypot(body.width);
@@ -100,8 +106,8 @@ impl Reach {
 pub(super) struct Surroundings {
     /// Piece index to collider.
     statics: BTreeMap<usize, ColliderHandle>,
-    /// Where fixed bodies were last looked for (m).
-    looked_at: Option<Point>,
+    /// Where fixed bodies were last looked for, and on which level (m).
+    looked_at: Option<(Point, Option<f64>)>,
     movers: BTreeMap<(u8, u64), Mover>,
 }
 
@@ -132,13 +138,20 @@ impl Surroundings {
         statics: &Statics,
         origin: Point,
         ego: Point,
+        elevation: Option<f64>,
         friction: f32,
     ) -> bool {
-        if self.looked_at.is_some_and(|at| (at - ego).norm_squared() < STATIC_STEP * STATIC_STEP) {
+        let still_good = |(at, height): (Point, Option<f64>)| {
+            let climb = height.unwrap_or_default() - elevation.unwrap_or_default();
+            (at - ego).norm_squared() < STATIC_STEP * STATIC_STEP
+                && height.is_some() == elevation.is_some()
+                && climb.abs() < CLIMB_STEP
+        };
+        if self.looked_at.is_some_and(still_good) {
             return false;
         }
-        self.looked_at = Some(ego);
-        let near = statics.near(ego, STATIC_RADIUS);
+        self.looked_at = Some((ego, elevation));
+        let near = statics.near(ego, STATIC_RADIUS, elevation);
         let mut changed = false;
         self.statics.retain(|index, handle| {
             let keep = near.binary_search(index).is_ok();
