@@ -113,7 +113,7 @@ impl EgoVehicle {
 
         let reach = Reach {
             ego: self.state.pose.xy(),
-            speed: self.state.velocity.norm(),
+            velocity: self.state.velocity,
             radius: 0.5 * self.params.length.hypot(self.params.width),
             duration: duration_s,
             elevation: self.elevation,

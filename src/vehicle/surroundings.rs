@@ -2,7 +2,7 @@
 //! the physics world.
 
 use super::statics::{StaticKind, Statics, same_level};
-use super::{MovingBody, PartnerKind};
+use super::{GRAVITY, MovingBody, PartnerKind};
 use crate::geometry::{Point, direction};
 use rapier3d::prelude::*;
 use std::collections::BTreeMap;
@@ -12,8 +12,9 @@ const STATIC_RADIUS: f64 = 40.0;
 /// ... and looked for again once the ego has moved or climbed this far (m).
 const STATIC_STEP: f64 = 15.0;
 const CLIMB_STEP: f64 = 1.0;
-/// A moving body is in the physics world when it can come this close (m) within the tick.
-const REACH_MARGIN: f64 = 3.0;
+/// A moving body is in the physics world when it can come this close (m) within the tick: as much as
+/// the ego may be thrown off its way by a collision.
+const REACH_MARGIN: f64 = 2.0;
 
 /// Collision groups.
 pub(super) const GROUND: Group = Group::GROUP_1;
@@ -73,9 +74,9 @@ struct Mover {
 /// Which moving bodies the ego can meet within a tick.
 #[derive(Clone, Copy)]
 pub(super) struct Reach {
-    /// The ego's centre (m), speed (m/s) and bounding radius (m).
+    /// The ego's centre (m), velocity (m/s) and bounding radius (m).
     pub(super) ego: Point,
-    pub(super) speed: f64,
+    pub(super) velocity: crate::geometry::Vector,
     pub(super) radius: f64,
     /// The tick (s).
     pub(super) duration: f64,
@@ -94,10 +95,15 @@ impl Reach {
         if !same_level(Some(body.pose.position.z), self.elevation) {
             return false;
         }
+        let apart = body.pose.xy() - self.ego;
+        let closing = direction(body.pose.heading) * body.speed - self.velocity;
+        // When the two, each keeping its velocity, are closest.
+        let when = -apart.dot(&closing) / closing.norm_squared().max(1e-9);
+        let closest = apart + closing * when.clamp(0.0, self.duration);
         let own_radius = 0.5 * body.length.hypot(body.width);
-        let way = (self.speed.abs() + body.speed.abs()) * self.duration;
-        let reach = self.radius + own_radius + REACH_MARGIN + way;
-        (body.pose.xy() - self.ego).norm_squared() <= reach * reach
+        let swerve = 0.5 * GRAVITY * self.duration * self.duration;
+        let reach = self.radius + own_radius + REACH_MARGIN + swerve;
+        closest.norm_squared() <= reach * reach
     }
 }
 
