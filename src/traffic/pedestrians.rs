@@ -7,7 +7,7 @@ use super::fleet::draw_walker;
 use super::places::point_on;
 use super::schedule::Schedule;
 use super::vehicles::Scene;
-use super::walks::{Walk, Walks};
+use super::walks::{Walk, Walks, sidewalk};
 use crate::geometry::{Point, Pose};
 use crate::network::{EdgeId, Network};
 use crate::traci::{Batch, Color, Position2D, RemoveReason, Replies, Ticket, person};
@@ -58,6 +58,7 @@ pub(super) struct Pedestrians {
     schedule: Schedule,
     looks: Vec<Look>,
     next_serial: u64,
+    alive: usize,
 }
 
 impl Pedestrians {
@@ -75,6 +76,7 @@ impl Pedestrians {
             schedule: Schedule::default(),
             looks: Vec::new(),
             next_serial: 0,
+            alive: 0,
         }
     }
 
@@ -83,9 +85,9 @@ impl Pedestrians {
         !self.walks.is_empty()
     }
 
-    /// Number of pedestrians that have departed.
+    /// How many were in the network after the last step.
     pub fn alive(&self) -> usize {
-        self.members.iter().flatten().filter(|m| m.departed).count()
+        self.alive
     }
 
     pub fn owns(&self, id: &str) -> bool {
@@ -107,14 +109,20 @@ impl Pedestrians {
     }
 
     /// Follows one step: see [`super::Population::update`].
-    pub fn update(&mut self, events: &StepEvents<'_>, replies: &Replies, scene: Scene<'_>, batch: &mut Batch) {
+    pub fn update(
+        &mut self,
+        events: &StepEvents<'_>,
+        replies: &Replies,
+        scene: Scene<'_>,
+        batch: &mut Batch,
+    ) {
         for id in &events.arrived_persons {
             if let Some(slot) = self.slots.get(*id).copied() {
-                if std::env::var_os("WADDBG").is_some() { eprintln!("arrived {id} {}", scene.time); }
                 self.vacate(slot);
             }
         }
         self.note_departures(events);
+        self.alive = self.members.iter().flatten().filter(|m| m.departed).count();
         self.read_looks(replies, scene, batch);
         for slot in std::mem::take(&mut self.vacant) {
             if !self.replace(slot, scene, batch) {
@@ -160,8 +168,8 @@ impl Pedestrians {
     /// A random place on a sidewalk where `allowed` lets somebody stand.
     fn draw_place(&mut self, allowed: impl Fn(Point) -> bool) -> Option<(EdgeId, f64)> {
         for _ in 0..DRAWS {
-            let (edge, at) = self.walks.draw_start(&mut self.rng)?;
-            let lane = self.walks.lane(edge)?;
+            let (edge, at) = self.walks.draw_start(&mut self.rng, &self.network)?;
+            let lane = sidewalk(&self.network, edge)?;
             if allowed(point_on(&self.network, lane, at)) {
                 return Some((edge, at));
             }
@@ -179,8 +187,8 @@ impl Pedestrians {
         {
             let mut furthest = avoid.start;
             for _ in 0..DRAWS {
-                let Some((edge, at)) = self.walks.draw_start(&mut self.rng) else { break };
-                let Some(lane) = self.walks.lane(edge) else { continue };
+                let Some((edge, at)) = self.walks.draw_start(&mut self.rng, &self.network) else { break };
+                let Some(lane) = sidewalk(&self.network, edge) else { continue };
                 let distance = (ego.xy() - point_on(&self.network, lane, at)).norm();
                 if distance > furthest {
                     furthest = distance;
@@ -202,8 +210,8 @@ impl Pedestrians {
         self.next_serial += 1;
         let id = format!("wad_p{serial}");
         let edge_id = &self.network.edge(edge).id;
-        if std::env::var_os("WADDBG").is_some() { let n: Vec<_> = walk.edges.iter().map(|&e| (self.network.edge(e).id.as_str(), self.network.lane(self.network.edge(e).lanes[0]).length)).collect(); eprintln!("{id} {time} v={speed:.2} {walk:?} {n:?} due {}", follow_up(&walk, speed)); }
-        let add = person::Add { edge: edge_id, position: walk.from, person_type: kind.id, ..Default::default() };
+        let add =
+            person::Add { edge: edge_id, position: walk.from, person_type: kind.id, ..Default::default() };
         person::add(batch, &id, &add);
         self.append(&id, speed, &walk, batch);
         batch.set(person::SET_COLOR, &id, Color::rgb(r, g, b));

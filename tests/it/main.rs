@@ -3,3 +3,4 @@
 
 mod network;
 mod traci;
+mod traffic;
