@@ -7,8 +7,8 @@ use rand_chacha::ChaCha8Rng;
 
 /// Sidewalks shorter than this (m) are walked through, but nobody starts or ends there.
 const SHORTEST: f64 = 8.0;
-/// Legs of one walk at the most.
-const LEGS: usize = 16;
+/// Destinations drawn for one walk at the most.
+const DRAWS: usize = 4;
 
 /// A walk along edges.
 #[derive(Clone, Debug)]
@@ -62,8 +62,9 @@ impl Walks {
         Some((edge, between(rng, 1.0, length(network, edge) - 1.0)))
     }
 
-    /// A walk from `from` (m, SUMO lane_position) on `edge` to random destinations, cut off where it
-    /// is `wanted` metres long.
+    /// A walk from `from` (m, SUMO lane_position) on `edge` towards a random destination, cut off
+    /// where it is `wanted` metres long. It may leave its first edge at either end, so it has to be
+    /// a stage of its own in SUMO: within one, nobody turns round.
     pub fn walk(
         &self,
         rng: &mut ChaCha8Rng,
@@ -73,11 +74,12 @@ impl Walks {
         wanted: f64,
     ) -> Option<Walk> {
         let mut edges = vec![edge];
-        for _ in 0..LEGS {
-            let &last = edges.last()?;
+        for _ in 0..DRAWS {
             let (goal, _) = self.draw_start(rng, network)?;
-            edges.extend(network.walk_route(last, goal).into_iter().flatten().skip(1));
-            if length_over(network, &edges, from) >= wanted {
+            if goal != edge
+                && let Some(route) = network.walk_route(edge, goal)
+            {
+                edges = route;
                 break;
             }
         }
