@@ -90,6 +90,7 @@ pub(super) struct Vehicles {
     /// By edge: whether its one-edge route was defined.
     routes: Vec<bool>,
     next_serial: u64,
+    alive: usize,
 }
 
 impl Vehicles {
@@ -127,12 +128,13 @@ impl Vehicles {
             reserve: Reserve::new(edges),
             routes: vec![false; edges],
             next_serial: 0,
+            alive: 0,
         }
     }
 
-    /// Number of vehicles that SUMO was given and that have departed.
+    /// How many were in the network after the last step.
     pub fn alive(&self) -> usize {
-        self.members.iter().flatten().filter(|m| m.departed).count()
+        self.alive
     }
 
     pub fn owns(&self, id: &str) -> bool {
@@ -186,6 +188,7 @@ impl Vehicles {
             }
         }
         self.note_departures(events, scene.time, batch);
+        self.alive = self.members.iter().flatten().filter(|m| m.departed).count();
         self.read_extensions(replies, scene.time);
         self.read_looks(replies, scene, batch);
         self.reserve.read(replies, scene.time);

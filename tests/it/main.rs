@@ -4,3 +4,4 @@
 mod network;
 mod run;
 mod traci;
+mod traffic;
