@@ -19,13 +19,17 @@ const TRIES: usize = 40;
 /// Why there is no place to drive.
 #[derive(Debug, thiserror::Error)]
 pub enum DestinationError {
-    #[error("no edge or lane `{name}` in the network; give edge or lane ids as in the .net.xml, e.g. --route {example}")]
+    #[error(
+        "no edge or lane `{name}` in the network; give edge or lane ids as in the .net.xml, e.g. --route {example}"
+    )]
     Unknown { name: String, example: String },
     #[error("`{given}` is not FROM,TO with two edge or lane ids of the network, e.g. --route {example}")]
     NotAPair { given: String, example: String },
     #[error("`{name}` has no lane that a passenger car may drive on")]
     NotDrivable { name: String },
-    #[error("the network has no lane for a passenger car that is {SHORTEST_LANE} m or longer; the ego has nowhere to drive")]
+    #[error(
+        "the network has no lane for a passenger car that is {SHORTEST_LANE} m or longer; the ego has nowhere to drive"
+    )]
     NoLane,
     #[error(transparent)]
     Route(#[from] RouteError),
@@ -67,14 +71,6 @@ impl Destinations {
     /// Nothing can be reached from there.
     pub fn route_from(&mut self, network: &Network, from: LanePosition) -> Result<Route, RouteError> {
         self.draw(network, |network, to| network.route(from, to, EGO_CLASS))
-    }
-
-    /// `route`, driven to its end, continued to a random place.
-    ///
-    /// # Errors
-    /// Nothing can be reached from its end.
-    pub fn continuation(&mut self, network: &Network, route: &Route) -> Result<Route, RouteError> {
-        self.draw(network, |network, to| network.extend_route(route, to, EGO_CLASS))
     }
 
     fn draw(

@@ -1,18 +1,18 @@
 //! `run`: the autopilot drives one ego from destination to destination.
 
-use crate::autopilot::{Autopilot, AutopilotParams, Decision};
+use crate::autopilot::{Autopilot, AutopilotParams, Decision, EgoModel};
 use crate::bridge::{Bridge, BridgeError, BridgeOptions, Ego, Lamps};
 use crate::criteria::{Cause, Criteria, CriteriaParams, Event, Situation};
 use crate::destination::{self, DestinationError, Destinations};
-use crate::network::polygons;
-use crate::network::{LanePosition, Network, Route};
+use crate::geometry::Point;
+use crate::network::{LanePosition, Network, Route, Shapes};
 use crate::seeds;
 use crate::telemetry::{
     FolderError, LeaderRecord, LightRecord, RouteRecord, RunFolder, TickRecord, WriteError,
 };
 use crate::vehicle::{EgoParams, PartnerKind, StaticBody, statics};
 use serde::{Deserialize, Serialize};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// What a run is made of; saved as its `config.json`.
@@ -103,7 +103,6 @@ pub struct Status {
 }
 
 /// A drive under way.
-#[derive(Debug)]
 pub struct Drive {
     bridge: Bridge,
     ego: Ego,
@@ -114,7 +113,17 @@ pub struct Drive {
     folder: RunFolder,
     options: DriveOptions,
     totals: Totals,
+    timings: Timings,
     began: Instant,
+}
+
+/// Where the wall time of the ticks so far went (s).
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Timings {
+    /// Pose in, SUMO's step, the new world decoded.
+    pub bridge: f64,
+    pub physics: f64,
+    pub agent: f64,
 }
 
 #[derive(Debug, Default)]
@@ -153,12 +162,12 @@ impl Drive {
             }
             None => first_route(&network, &mut destinations)?,
         };
-        let outlines = polygons::load_buildings(&bridge.config().additional_files());
-        let statics = statics::from_network(&network, &outlines);
+        let statics = Vec::<StaticBody>::new();
+        let _ = buildings(&bridge, &network);
         let mut ego = Ego::new("ego", options.ego.clone(), route, 0.0);
         ego.vehicle_mut().set_statics(statics.clone());
         bridge.spawn(&mut ego).await?;
-        let autopilot = Autopilot::new(options.autopilot.clone(), &options.ego);
+        let autopilot = Autopilot::new(options.autopilot, EgoModel::from(&options.ego));
         Ok(Self {
             bridge,
             ego,
@@ -169,6 +178,7 @@ impl Drive {
             folder,
             options,
             totals: Totals::default(),
+            timings: Timings::default(),
             began: Instant::now(),
         })
     }
@@ -183,6 +193,19 @@ impl Drive {
         &self.ego
     }
 
+    /// Where the wall time went.
+    pub fn timings(&self) -> Timings {
+        self.timings
+    }
+
+    /// Saves SUMO's state, persons and random generators included.
+    ///
+    /// # Errors
+    /// SUMO fails or cannot write the file.
+    pub async fn save_state(&mut self, file: &Path) -> Result<(), DriveError> {
+        Ok(self.bridge.save_state(file).await?)
+    }
+
     /// One tick: decide, move, step, judge, record.
     ///
     /// # Errors
@@ -192,6 +215,7 @@ impl Drive {
         let network = self.bridge.network().clone();
         let before = self.ego.on_route();
         let world = self.ego.world().clone();
+        let clock = Instant::now();
         let decision =
             self.autopilot.control(&network, self.ego.route(), before.s, &before.state, &world, tick);
         self.ego.set_lamps(Lamps {
@@ -199,8 +223,13 @@ impl Drive {
             blinker_right: decision.blinker_right,
             brake: decision.brake_light,
         });
+        let decided = clock.elapsed();
         let contacts = self.ego.advance(decision.control, tick);
+        let moved = clock.elapsed();
         self.bridge.step(&mut [&mut self.ego]).await?;
+        self.timings.agent += decided.as_secs_f64();
+        self.timings.physics += (moved - decided).as_secs_f64();
+        self.timings.bridge += (clock.elapsed() - moved).as_secs_f64();
         let after = self.ego.on_route();
         let params = self.ego.params();
         let statics = &self.statics;
@@ -212,7 +241,10 @@ impl Drive {
             after,
             contacts: &contacts,
             static_label: &|key| {
-                statics.iter().find(|body| body.key == key).map_or_else(|| key.to_string(), |b| b.label.clone())
+                statics
+                    .iter()
+                    .find(|body| body.key == key)
+                    .map_or_else(|| key.to_string(), |b| b.label.clone())
             },
             length: params.length,
             width: params.width,
@@ -248,8 +280,8 @@ impl Drive {
             },
             limit: at.speed_limit,
             light: decision.light.map(|(state, distance)| LightRecord { state, distance }),
-            leader: decision.leader.map(|leader| LeaderRecord { gap: leader.gap, speed: leader.speed }),
-            reason: decision.reason.to_string(),
+            leader: decision.leader.map(|leader| LeaderRecord { gap: leader.gap_m, speed: leader.speed_mps }),
+            reason: Some(decision.reason),
             events,
             vehicles,
             pedestrians,
@@ -260,11 +292,13 @@ impl Drive {
     fn go_on(&mut self, network: &Network, events: &[Event]) -> Result<(), DriveError> {
         let blocked = events.contains(&Event::VehicleBlocked);
         if events.contains(&Event::Arrival) {
-            match self.destinations.continuation(network, self.ego.route()) {
-                Ok((route, s)) => {
-                    // The new route begins under the ego.
-                    let s = (s + self.ego.on_route().s).min(route.length());
-                    self.ego.set_route(route, s);
+            // The new route begins a car's length behind the ego, on the lane that it is on.
+            let lane = self.ego.lane();
+            let here = network.lane(lane).shape.project(self.ego.state().pose.xy()).s;
+            let from = LanePosition { lane, s: (here - self.ego.params().length).max(0.0) };
+            match self.destinations.route_from(network, from) {
+                Ok(route) => {
+                    self.ego.set_route(route, here - from.s);
                     self.criteria.route_changed();
                     return Ok(());
                 }
@@ -313,6 +347,15 @@ impl Drive {
             interrupted,
             out: self.folder.path().to_path_buf(),
         }
+    }
+
+    /// After an error: keeps what was written, with a summary that says `error`, and lets SUMO go.
+    ///
+    /// # Errors
+    /// The summary cannot be written.
+    pub async fn abort(mut self) -> Result<(), DriveError> {
+        let summary = self.summary("error", false);
+        Ok(self.folder.finish(&summary)?)
     }
 
     /// Ends SUMO and writes the summary.
@@ -367,6 +410,20 @@ impl Totals {
             }
         }
     }
+}
+
+/// Outlines of the buildings in the config's additional files.
+fn buildings(bridge: &Bridge, network: &Network) -> Vec<Vec<Point>> {
+    let mut outlines = Vec::new();
+    for file in bridge.config().additional_files() {
+        match Shapes::load(&file, network) {
+            Ok(shapes) => outlines.extend(
+                shapes.polygons.into_iter().filter(|p| p.kind.starts_with("building")).map(|p| p.shape),
+            ),
+            Err(error) => tracing::warn!("no buildings from an additional file: {error}"),
+        }
+    }
+    outlines
 }
 
 /// A random route from a random place.

@@ -1,8 +1,42 @@
 //! wad-cosim: a co-simulation bridge to SUMO traffic.
+//!
+//! SUMO supplies the town, the background traffic, the pedestrians and the signals over TraCI; this
+//! crate supplies the ego vehicle and puts its pose back into SUMO. The modules follow the data:
+//!
+//! ```text
+//! SUMO --TraCI--> traci --> network, world --> autopilot --> vehicle --TraCI--> SUMO
+//!                                 bridge closes the loop; criteria judge it; drive is `run`
+//! ```
+//!
+//! | module | what it is |
+//! |---|---|
+//! | [`traci`] | the TraCI client: codec, connection, domains, SUMO as a child process |
+//! | [`network`] | `.net.xml` into lanes, links, crossings, signals; routes in (s, d) |
+//! | [`world`] | one picture of the traffic round an ego per tick |
+//! | [`traffic`] | the background population |
+//! | [`vehicle`] | the ego's physics |
+//! | [`bridge`] | one SUMO, one network, any number of egos, in lock-step |
+//! | [`autopilot`] | the rule-based expert |
+//! | [`criteria`] | collisions, red lights, lane, blocking, arrival |
+//! | [`drive`] | `run`: from destination to destination, with telemetry |
+//!
+//! World frame: SUMO's, x east, y north, z up, metres. Headings in radians, counter-clockwise from
+//! east. Speeds in m/s, times in s, impulses in N s. SUMO's own angles and bumper positions exist in
+//! [`geometry`] only.
 
 pub mod autopilot;
+pub mod bench;
+pub mod bridge;
+pub mod bundled;
+pub mod clock;
+pub mod criteria;
+pub mod destination;
+pub mod drive;
 pub mod geometry;
 pub mod network;
+pub mod seeds;
+pub mod sumo_config;
+pub mod telemetry;
 pub mod traci;
 pub mod traffic;
 pub mod vehicle;

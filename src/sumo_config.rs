@@ -43,10 +43,11 @@ pub struct OptionSchema {
 impl OptionSchema {
     /// Asks the `sumo` (or `sumo-gui`) binary of an installation.
     pub fn query(install: &SumoInstall, gui: bool) -> Result<Self, ConfigError> {
-        let binary = install.binary(gui);
+        let program = if gui { "sumo-gui" } else { "sumo" };
+        let binary = install.program(program);
         let fail = |problem: String| ConfigError::Schema { binary: binary.clone(), problem };
-        let output = std::process::Command::new(&binary)
-            .env("SUMO_HOME", install.home())
+        let output = install
+            .command(program)
             .args(["--save-template", "/dev/stdout", "--save-template.commented", "true"])
             .output()
             .map_err(|e| fail(e.to_string()))?;
@@ -217,8 +218,7 @@ impl SumoConfig {
         overrides: &Overrides,
     ) -> Result<PathBuf, ConfigError> {
         let dir = &overrides.output_dir;
-        std::fs::create_dir_all(dir)
-            .map_err(|source| ConfigError::Write { path: dir.clone(), source })?;
+        std::fs::create_dir_all(dir).map_err(|source| ConfigError::Write { path: dir.clone(), source })?;
         let mut options = self.options.clone();
         for dropped in DROPPED {
             options.remove(*dropped);
@@ -317,8 +317,17 @@ fn absolute(folder: &Path, file: &str) -> String {
 /// Elements of additional files that write, with the attribute that names where.
 fn output_attribute(element: &str) -> Option<&'static str> {
     match element {
-        "e1Detector" | "inductionLoop" | "instantInductionLoop" | "e2Detector" | "laneAreaDetector"
-        | "e3Detector" | "entryExitDetector" | "edgeData" | "laneData" | "meanData" | "routeProbe"
+        "e1Detector"
+        | "inductionLoop"
+        | "instantInductionLoop"
+        | "e2Detector"
+        | "laneAreaDetector"
+        | "e3Detector"
+        | "entryExitDetector"
+        | "edgeData"
+        | "laneData"
+        | "meanData"
+        | "routeProbe"
         | "vTypeProbe" => Some("file"),
         "calibrator" => Some("output"),
         "timedEvent" => Some("dest"),
@@ -338,13 +347,13 @@ fn redirect_outputs(file: &Path, dir: &Path) -> Result<PathBuf, ConfigError> {
     } else {
         String::from_utf8_lossy(&bytes).into_owned()
     };
-    let writers = ["Detector", "ductionLoop", "edgeData", "laneData", "meanData", "Probe", "calibrator", "timedEvent"];
+    let writers =
+        ["Detector", "ductionLoop", "edgeData", "laneData", "meanData", "Probe", "calibrator", "timedEvent"];
     if !writers.iter().any(|w| text.contains(w)) {
         return Ok(file.to_path_buf());
     }
     let folder = file.parent().map(Path::to_path_buf).unwrap_or_default();
-    let malformed =
-        |problem: String| ConfigError::Malformed { path: file.to_path_buf(), problem };
+    let malformed = |problem: String| ConfigError::Malformed { path: file.to_path_buf(), problem };
     let mut reader = quick_xml::Reader::from_str(&text);
     let mut writer = quick_xml::Writer::new(Vec::with_capacity(text.len()));
     loop {
@@ -364,7 +373,11 @@ fn redirect_outputs(file: &Path, dir: &Path) -> Result<PathBuf, ConfigError> {
     Ok(path)
 }
 
-fn redirect_element(start: &BytesStart<'_>, folder: &Path, dir: &Path) -> Result<BytesStart<'static>, String> {
+fn redirect_element(
+    start: &BytesStart<'_>,
+    folder: &Path,
+    dir: &Path,
+) -> Result<BytesStart<'static>, String> {
     let name = start.name().0.to_string();
     let written = output_attribute(&name);
     let mut out = BytesStart::new(name);
@@ -392,9 +405,7 @@ fn for_each_element(
     let mut reader = quick_xml::Reader::from_str(text);
     let mut elements = 0usize;
     loop {
-        let event = reader
-            .read_event()
-            .map_err(|e| format!("{e} (at byte {})", reader.error_position()))?;
+        let event = reader.read_event().map_err(|e| format!("{e} (at byte {})", reader.error_position()))?;
         match event {
             Event::Eof => break,
             Event::Start(start) | Event::Empty(start) => {
@@ -402,7 +413,8 @@ fn for_each_element(
                 let mut attributes = BTreeMap::new();
                 for attribute in start.attributes() {
                     let attribute = attribute.map_err(|e| e.to_string())?;
-                    let value = attribute.normalized_value(XmlVersion::Implicit1_0).map_err(|e| e.to_string())?;
+                    let value =
+                        attribute.normalized_value(XmlVersion::Implicit1_0).map_err(|e| e.to_string())?;
                     attributes.insert(attribute.key.0.to_string(), value.into_owned());
                 }
                 visit(start.name().0, &attributes);
@@ -457,7 +469,8 @@ mod tests {
             set: vec![("seed".into(), "7".into())],
             ..Overrides::default()
         };
-        let effective = std::fs::read_to_string(config.write_effective(&schema, &overrides).unwrap()).unwrap();
+        let effective =
+            std::fs::read_to_string(config.write_effective(&schema, &overrides).unwrap()).unwrap();
         let inside = |name: &str| run.join(name).to_string_lossy().to_string();
         assert!(effective.contains(&inside("t.xml")), "{effective}");
         assert!(effective.contains(&inside("redirected-d.add.xml")), "{effective}");
@@ -465,7 +478,10 @@ mod tests {
         assert!(effective.contains(r#"<seed value="7"/>"#));
         let additional = std::fs::read_to_string(run.join("redirected-d.add.xml")).unwrap();
         assert!(additional.contains(&inside("d.xml")), "{additional}");
-        assert!(additional.contains(&dir.path().join("vss.xml").to_string_lossy().to_string()), "{additional}");
+        assert!(
+            additional.contains(&dir.path().join("vss.xml").to_string_lossy().to_string()),
+            "{additional}"
+        );
     }
 
     #[test]

@@ -2,6 +2,7 @@
 //!
 //! Telemetry holds nothing that depends on wall time, so equal seeds give equal bytes.
 
+use crate::autopilot::Reason;
 use crate::criteria::Event;
 use crate::network::RoadOption;
 use crate::vehicle::{Control, EgoState};
@@ -70,8 +71,8 @@ pub struct TickRecord {
     pub limit: f64,
     pub light: Option<LightRecord>,
     pub leader: Option<LeaderRecord>,
-    /// What the agent's decision was about.
-    pub reason: String,
+    /// What the autopilot's decision was about; None for other agents.
+    pub reason: Option<Reason>,
     pub events: Vec<Event>,
     /// Background vehicles and pedestrians in the network.
     pub vehicles: usize,
@@ -141,9 +142,7 @@ impl RunFolder {
     /// Hands what is buffered to the system.
     pub fn flush(&mut self) -> Result<(), WriteError> {
         self.unflushed = 0;
-        self.telemetry
-            .flush()
-            .map_err(|source| WriteError { path: self.telemetry_path.clone(), source })
+        self.telemetry.flush().map_err(|source| WriteError { path: self.telemetry_path.clone(), source })
     }
 
     /// Writes `summary.json`, whole or not at all.

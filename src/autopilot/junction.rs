@@ -8,7 +8,7 @@ use crate::network::{CrossingId, LaneId, LinkDirection, LinkId, Network, Route, 
 /// Spacing of the samples along both paths (m).
 const STEP: f64 = 0.75;
 /// How far upstream others are looked for (m).
-const UPSTREAM: f64 = 90.0;
+const UPSTREAM: f64 = 130.0;
 /// Half the width of a foe (m) and the air between (m).
 const FOE_HALF_WIDTH: f64 = 1.0;
 const AIR: f64 = 0.3;

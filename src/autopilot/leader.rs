@@ -15,14 +15,12 @@ pub struct Obstacle {
     pub key: u64,
     /// Its nearest point on the path (m on the route).
     pub near_s: f64,
-    /// Its farthest point on the path (m).
-    pub far_s: f64,
     /// Speed along the path (m/s), negative when it comes towards the ego.
     pub speed: f64,
     pub length: f64,
     /// Whether it only is about to come into the way.
     pub predicted: bool,
-    /// Whether it crosses the path rather than follows it.
+    /// Whether it crosses the path, or comes towards the ego, rather than goes its way.
     pub crossing: bool,
     /// When it will have left the path at its sideways speed (s); infinite when it stays.
     pub clear_time: f64,
@@ -121,26 +119,24 @@ pub fn find(
             continue;
         }
         corners(actor, &mut points);
-        let (mut near, mut far) = (f64::INFINITY, f64::NEG_INFINITY);
+        let mut near = f64::INFINITY;
         for point in &points {
             let p = path.locate(*point, centre.index);
             if p.d.abs() <= path.samples[p.index].half_width + params.side_margin && p.s > path.samples[0].s {
                 near = near.min(p.s);
-                far = far.max(p.s);
             }
         }
-        let crossing = cos.abs() < 0.7;
+        let crossing = cos < 0.7;
         if near.is_finite() {
             if near > ego_s {
                 obstacles.push(Obstacle {
                     key: actor.key,
                     near_s: near,
-                    far_s: far,
                     speed: here.along,
                     length: shape.length,
                     predicted: false,
                     crossing,
-                    clear_time: clear_time(&here, sample.half_width + params.side_margin),
+                    clear_time: clear_time(path, &here, actor, centre.index, 0.2),
                 });
             }
         } else if let Some(obstacle) = cut_in(path, &here, actor, ego_s, ego) {
@@ -152,12 +148,27 @@ pub fn find(
     (located, obstacles)
 }
 
-/// When a vehicle will have left the corridor of half width `half` (m) at its sideways speed (s).
-fn clear_time(v: &Located, half: f64) -> f64 {
-    if v.across.abs() < 1.0 {
+/// When a vehicle that goes on as it does will have left the swept corridor (s); infinite where it does
+/// not within three seconds.
+fn clear_time(path: &Path, v: &Located, actor: &Actor, hint: usize, margin: f64) -> f64 {
+    if v.across.abs() < 0.5 && v.along >= -0.5 {
         return f64::INFINITY;
     }
-    (half + v.half_across - v.d * v.across.signum()).max(0.0) / v.across.abs()
+    let velocity = direction(actor.pose.heading) * actor.speed;
+    let mut index = hint;
+    for k in 1..=12 {
+        let t = 0.25 * k as f64;
+        let on = path.locate(actor.pose.xy() + velocity * t, index);
+        index = on.index;
+        let sample = &path.samples[on.index];
+        let turn = actor.pose.heading - sample.heading;
+        let half = 0.5
+            * (actor.actor_type.length * turn.sin().abs() + actor.actor_type.width * turn.cos().abs());
+        if on.d.abs() > sample.half_width + margin + half {
+            return t;
+        }
+    }
+    f64::INFINITY
 }
 
 /// A vehicle beside the path that drifts into it within the next seconds.
@@ -179,7 +190,6 @@ fn cut_in(path: &Path, v: &Located, actor: &Actor, ego_s: f64, ego: &EgoModel) -
             return Some(Obstacle {
                 key: actor.key,
                 near_s: rear,
-                far_s: v.s + v.half_along,
                 speed: v.along,
                 length: actor.actor_type.length,
                 predicted: true,

@@ -14,6 +14,8 @@ mod pedestrians;
 mod right_of_way;
 mod speed;
 mod steering;
+#[cfg(test)]
+mod tests;
 
 pub use params::{AutopilotParams, EgoModel};
 
@@ -274,13 +276,14 @@ impl Autopilot {
         let mut leader: Option<Leader> = None;
         for obstacle in obstacles {
             let gap = obstacle.near_s - front_s;
-            if obstacle.crossing && obstacle.clear_time.is_finite() {
+            let passes = obstacle.crossing && obstacle.clear_time.is_finite();
+            if passes {
                 let arrive = time_to_cover(gap - 0.5, speed, 1.5, profile.target.max(3.0));
                 if arrive > obstacle.clear_time + 0.5 {
                     continue;
                 }
             }
-            let other = if obstacle.crossing { obstacle.speed.min(0.5) } else { obstacle.speed };
+            let other = if passes { obstacle.speed.clamp(0.0, 0.5) } else { obstacle.speed };
             let then = gap - (speed - other) * latency;
             let mut a = follow(speed, then, other, profile.target.max(1.0), params);
             if obstacle.predicted {
@@ -389,7 +392,8 @@ impl Autopilot {
             }
             if let Some(hold) = outcome.hold {
                 let distance = hold.stop_s - front_s;
-                let margin = if hold.stop_s == plan.stop_s { params.stop_margin.min(0.7) } else { 0.3 };
+                let inside = plan.wait_s == Some(hold.stop_s);
+                let margin = if inside || hold.stop_s == plan.stop_s { params.stop_margin } else { 0.3 };
                 let a = self.stop(speed, distance - margin, latency);
                 choice.offer(a, Reason::Yield { distance });
                 yielding_at = yielding_at.or(Some(plan.link));

@@ -1,5 +1,6 @@
 //! What can be tuned, and what the autopilot must know of the vehicle that it drives.
 
+use crate::vehicle::{EgoParams, GRAVITY};
 use serde::{Deserialize, Serialize};
 
 /// The driven vehicle as the autopilot sees it.
@@ -52,6 +53,27 @@ impl Default for EgoModel {
             cornering_front: 10.0,
             cornering_rear: 12.0,
             drag: 0.00027,
+        }
+    }
+}
+
+impl From<&EgoParams> for EgoModel {
+    fn from(p: &EgoParams) -> Self {
+        Self {
+            length: p.length,
+            width: p.width,
+            wheelbase: p.wheelbase,
+            rear_axle_to_centre: 0.5 * p.wheelbase,
+            max_steer: p.max_steer_angle,
+            steer_rate: p.steer_rate,
+            max_brake: p.max_brake_force / p.mass,
+            max_drive: p.max_drive_force / p.mass,
+            power_per_mass: p.drive_power / p.mass,
+            rolling: p.rolling_resistance * GRAVITY,
+            engine_braking: p.engine_braking / p.mass,
+            cornering_front: p.cornering_stiffness_front,
+            cornering_rear: p.cornering_stiffness_rear,
+            drag: p.air_drag / p.mass,
         }
     }
 }

@@ -54,26 +54,35 @@ impl Path {
         params: &AutopilotParams,
         offset: impl Fn(f64, Point) -> f64,
     ) {
-        self.samples.clear();
         let from = (route_s - behind).max(0.0);
         let to = (route_s + ahead).min(route.length());
         let n = ((to - from) / STEP).floor().max(1.0) as usize;
-        for i in 0..=n {
+        let points = (0..=n).map(|i| {
             let s = from + i as f64 * STEP;
             let at = route.at(s);
             let point = at.pose.xy();
             let left = offset(s, point);
             let normal = Vector::new(-at.pose.heading.sin(), at.pose.heading.cos());
-            self.samples.push(Sample {
-                s,
-                point: point + normal * left,
-                z: at.pose.position.z,
-                tangent: Vector::x(),
-                heading: at.pose.heading,
-                curvature: 0.0,
-                limit: at.speed_limit * params.speed_factor,
-                half_width: 0.0,
-            });
+            (s, point + normal * left, at.pose.position.z, at.speed_limit * params.speed_factor)
+        });
+        self.set(points, ego);
+    }
+
+    /// A path through points [`STEP`] apart, each with its s (m), place, height (m) and speed limit (m/s).
+    pub fn set(&mut self, points: impl Iterator<Item = (f64, Point, f64, f64)>, ego: &EgoModel) {
+        self.samples.clear();
+        self.samples.extend(points.map(|(s, point, z, limit)| Sample {
+            s,
+            point,
+            z,
+            tangent: Vector::x(),
+            heading: 0.0,
+            curvature: 0.0,
+            limit,
+            half_width: 0.0,
+        }));
+        if self.samples.is_empty() {
+            return;
         }
         let last = self.samples.len() - 1;
         for i in 0..=last {

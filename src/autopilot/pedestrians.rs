@@ -5,8 +5,8 @@ use super::params::AutopilotParams;
 use super::path::Path;
 use super::speed::time_to_cover;
 use crate::geometry::{Point, Vector, direction};
-use crate::network::{EdgeKind, Network};
-use crate::world::{Actor, WorldState};
+use crate::network::{EdgeKind, LaneId, Network, VehicleClass};
+use crate::world::{Actor, SignalState, WorldState};
 
 /// Half the width of a pedestrian (m).
 const RADIUS: f64 = 0.3;
@@ -20,9 +20,6 @@ const KERB: f64 = 2.0;
 pub struct Halt {
     /// Where the front bumper is to stand (m on the route).
     pub stop_s: f64,
-    /// Where the pedestrian's way meets the path (m on the route).
-    pub meet_s: f64,
-    pub pedestrian: u64,
     /// Whether it is on (or about to step onto) a crossing.
     pub crossing: bool,
 }
@@ -53,7 +50,7 @@ pub fn judge(
         if (path.samples[hint].z - actor.pose.position.z).abs() > 3.0 {
             continue;
         }
-        let halt = walk(network, path, plans, actor, hint, ego, params);
+        let halt = walk(network, path, plans, world, actor, hint, ego, params);
         if let Some(halt) = halt
             && nearest.is_none_or(|n| halt.stop_s < n.stop_s)
         {
@@ -70,6 +67,7 @@ fn crossing_of<'a>(
     world_point: Point,
     velocity: Vector,
     actor: &Actor,
+    world: &WorldState,
 ) -> Option<(&'a CrossingZone, bool)> {
     let on_walkingarea =
         actor.lane.is_none_or(|l| matches!(network.edge(network.lane(l).edge).kind, EdgeKind::WalkingArea));
@@ -78,7 +76,12 @@ fn crossing_of<'a>(
         if actor.lane == Some(crossing.lane) || inside(&crossing.outline, world_point) {
             return Some((zone, false));
         }
-        if !on_walkingarea || velocity.norm() < 0.2 {
+        // Where cars go first, or while their light is red, pedestrians wait at the kerb.
+        let may_enter = match crossing.signal.and_then(|s| world.signal(s)) {
+            Some(state) => matches!(state, SignalState::GreenMajor | SignalState::GreenMinor),
+            None => zone.yields,
+        };
+        if !may_enter || !on_walkingarea || velocity.norm() < 0.2 {
             continue;
         }
         let line = &network.lane(crossing.lane).shape;
@@ -95,10 +98,22 @@ fn crossing_of<'a>(
     None
 }
 
+/// Whether `lane` is for pedestrians alone, off the road.
+fn is_footway(network: &Network, lane: LaneId) -> bool {
+    let lane = network.lane(lane);
+    match network.edge(lane.edge).kind {
+        EdgeKind::WalkingArea => true,
+        EdgeKind::Normal => !lane.permissions.allows(VehicleClass::Passenger),
+        EdgeKind::Internal | EdgeKind::Crossing | EdgeKind::Other => false,
+    }
+}
+
+#[allow(clippy::too_many_arguments)]
 fn walk(
     network: &Network,
     path: &Path,
     plans: &[LinkPlan],
+    world: &WorldState,
     actor: &Actor,
     hint: usize,
     ego: &Approach,
@@ -106,7 +121,7 @@ fn walk(
 ) -> Option<Halt> {
     let mut velocity = direction(actor.pose.heading) * actor.speed;
     let start = actor.pose.xy();
-    let zone = crossing_of(network, plans, start, velocity, actor);
+    let zone = crossing_of(network, plans, start, velocity, actor, world);
     if let Some((zone, true)) = zone {
         // About to step onto the crossing: it will walk along it.
         let line = &network.lane(network.crossing(zone.crossing).lane).shape;
@@ -116,8 +131,16 @@ fn walk(
             velocity = along.normalize() * actor.speed.max(1.0);
         }
     }
-    let horizon = params.pedestrian_horizon * if zone.is_some() { 2.0 } else { 1.0 };
-    let margin = RADIUS + if actor.speed > 0.2 { params.pedestrian_margin } else { 0.25 };
+    // Those on a sidewalk or at a kerb where they have to wait stop there.
+    let keeps_off = zone.is_none() && actor.lane.is_some_and(|l| is_footway(network, l));
+    let horizon = if zone.is_some() {
+        2.0 * params.pedestrian_horizon
+    } else if keeps_off {
+        0.9
+    } else {
+        params.pedestrian_horizon
+    };
+    let margin = RADIUS + if actor.speed > 0.2 && !keeps_off { params.pedestrian_margin } else { 0.25 };
     // When and where the walk is in the corridor.
     let (mut enter, mut leave) = (f64::INFINITY, f64::NEG_INFINITY);
     let (mut near_s, mut far_s) = (f64::INFINITY, f64::NEG_INFINITY);
@@ -166,5 +189,5 @@ fn walk(
         }
         None => own.max((ego.front_s + 0.3).min(near_s - RADIUS - 0.5)),
     };
-    Some(Halt { stop_s, meet_s: near_s, pedestrian: actor.key, crossing: zone.is_some() })
+    Some(Halt { stop_s, crossing: zone.is_some() })
 }

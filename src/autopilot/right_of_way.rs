@@ -51,14 +51,11 @@ pub struct Motion {
 pub struct Hold {
     /// Where the front bumper is to stand (m on the route).
     pub stop_s: f64,
-    /// Whom for.
-    pub foe: u64,
 }
 
 /// Someone to line up behind at a merge.
 #[derive(Clone, Copy, Debug)]
 pub struct Merging {
-    pub foe: u64,
     /// m and m/s.
     pub gap: f64,
     pub speed: f64,
@@ -131,7 +128,7 @@ pub fn judge(
                 }
                 // A red or yellow light holds those who can still stop.
                 let needed = actor.speed * actor.speed / (2.0 * (-x).max(0.3));
-                if stopped_by_light && needed < 4.5 {
+                if stopped_by_light && needed < 4.8 {
                     continue;
                 }
                 let top = lane.speed_limit.max(actor.speed);
@@ -183,7 +180,7 @@ fn consider(
         let gap = ours - theirs - length;
         let goes_first = in_zone || yields;
         if gap > 0.0 && goes_first && ego.front_s > plan.stop_s - 40.0 {
-            outcome.merging.push(Merging { foe: foe.actor.key, gap, speed });
+            outcome.merging.push(Merging { gap, speed });
             return;
         }
         if ego_in && ours < theirs {
@@ -194,7 +191,9 @@ fn consider(
         // Being in the way already, the best is to get out of it; what stands in the path is a leader.
         return;
     }
-    let inevitable = in_zone || !standing && speed * speed / (2.0 * to_enter.max(0.2)) > 4.5;
+    // It cannot stop any more, before the path or (being on its way there) before its line.
+    let braking_room = if foe.inside { to_enter } else { -foe.x };
+    let inevitable = in_zone || !standing && speed * speed / (2.0 * braking_room.max(0.2)) > 4.8;
     if !yields && !inevitable {
         return;
     }
@@ -218,7 +217,10 @@ fn consider(
     };
 
     let share = 1.0 - (1.0 - params.impatient_share) * ego.impatience;
-    let (before, after) = if !yields {
+    // Once in the junction it clears it rather than stand in the next one's way.
+    let entered = ego.front_s > plan.stop_s + 1.0
+        && plan.wait_s.is_none_or(|w| w > conflict.enter_s + 0.3 || ego.front_s > w + 0.3);
+    let (before, after) = if !yields || entered {
         (0.5, 0.2)
     } else if conflict.merge {
         let closing = (speed - ego.top.min(ego.speed + 4.0)).max(0.0);
@@ -245,11 +247,12 @@ fn consider(
     let stop_s = places.iter().flatten().copied().find(|&s| reachable(s)).or_else(|| {
         let room = last_chance - ego.front_s;
         let hard = ego.speed * ego.speed / (2.0 * room.max(0.1));
-        (room > 0.0 && hard < params.emergency_deceleration).then_some(last_chance)
+        let late = foe_enter < ego_enter;
+        (room > 0.0 && (hard < params.emergency_deceleration || late)).then_some(last_chance)
     });
     if let Some(stop_s) = stop_s
         && outcome.hold.is_none_or(|h| stop_s < h.stop_s)
     {
-        outcome.hold = Some(Hold { stop_s, foe: foe.actor.key });
+        outcome.hold = Some(Hold { stop_s });
     }
 }

@@ -47,6 +47,10 @@ pub fn slow_down(speed: f64, target: f64, distance: f64, deceleration: f64) -> f
 /// harder where the plan no longer fits.
 pub fn stop_in(speed: f64, distance: f64, deceleration: f64, hardest: f64) -> f64 {
     let distance = distance.max(0.0);
+    if speed < 0.1 && distance < 0.6 {
+        // Standing near enough.
+        return -0.5;
+    }
     if distance <= 0.02 {
         return -hardest.min((speed / 0.15).max(1.0));
     }
@@ -61,6 +65,8 @@ pub fn stop_in(speed: f64, distance: f64, deceleration: f64, hardest: f64) -> f6
     let planned = 1.5 * track(speed, allowed) - speed * slope;
     let needed = speed * speed / (2.0 * distance);
     let firm = if needed > 1.3 * deceleration { -1.1 * needed } else { f64::INFINITY };
+    // Late, it brakes as hard as it must, but does not hurry back to the plan.
+    let planned = if needed > deceleration { planned.max(-1.25 * needed) } else { planned };
     planned.min(firm).max(-hardest)
 }
 

@@ -26,7 +26,6 @@ impl Lamps {
 }
 
 /// An ego vehicle. Several may share one SUMO.
-#[derive(Debug)]
 pub struct Ego {
     /// Its id in SUMO.
     pub id: String,
@@ -197,7 +196,13 @@ impl Ego {
         vehicle::move_to_xy(
             batch,
             &self.id,
-            &vehicle::MoveToXy { x: front.x, y: front.y, angle_deg: angle, keep_route: 3, ..Default::default() },
+            &vehicle::MoveToXy {
+                x: front.x,
+                y: front.y,
+                angle_deg: angle,
+                keep_route: 3,
+                ..Default::default()
+            },
         );
     }
 
@@ -205,13 +210,15 @@ impl Ego {
     /// notice the ego at a junction only while its route goes on beyond it (eclipse-sumo/sumo issue 6140).
     fn sumo_edges(&self, network: &Network) -> Vec<String> {
         let from = self.route.edge_index_at(self.s);
-        let mut edges: Vec<_> = self.route.edges[from.min(self.route.edges.len().saturating_sub(1))..].to_vec();
+        let mut edges: Vec<_> =
+            self.route.edges[from.min(self.route.edges.len().saturating_sub(1))..].to_vec();
         if let Some(&last) = edges.last() {
-            let beyond = network.edge(last).lanes.iter().flat_map(|lane| &network.lane(*lane).outgoing).find(|link| {
-                let to = network.lane(network.link(**link).to);
-                network.edge(to.edge).kind == EdgeKind::Normal
-                    && to.permissions.allows(crate::destination::EGO_CLASS)
-            });
+            let beyond =
+                network.edge(last).lanes.iter().flat_map(|lane| &network.lane(*lane).outgoing).find(|link| {
+                    let to = network.lane(network.link(**link).to);
+                    network.edge(to.edge).kind == EdgeKind::Normal
+                        && to.permissions.allows(crate::destination::EGO_CLASS)
+                });
             if let Some(link) = beyond {
                 edges.push(network.lane(network.link(*link).to).edge);
             }

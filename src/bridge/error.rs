@@ -16,7 +16,9 @@ pub enum BridgeError {
     #[error(transparent)]
     Traci(#[from] traci::Error),
     #[error(transparent)]
-    Process(#[from] traci::process::ProcessError),
+    Launch(#[from] traci::LaunchError),
+    #[error(transparent)]
+    Install(#[from] traci::process::InstallError),
     #[error("the step length must be 1 to 1000 ms, found {found} ms; give another with --tick-ms")]
     Tick { found: f64 },
     #[error(
@@ -34,9 +36,6 @@ pub enum BridgeError {
 impl BridgeError {
     /// True where the user's input is at fault, not SUMO.
     pub fn is_input(&self) -> bool {
-        matches!(
-            self,
-            Self::Config(_) | Self::Network(_) | Self::Tick { .. } | Self::AttachedTick { .. }
-        )
+        matches!(self, Self::Config(_) | Self::Network(_) | Self::Tick { .. } | Self::AttachedTick { .. })
     }
 }

@@ -16,17 +16,17 @@ mod signals;
 pub use ego::{Ego, Lamps};
 pub use error::BridgeError;
 
-use crate::geometry::{Point, Pose};
+use crate::geometry::Point;
 use crate::network::Network;
 use crate::seeds;
 use crate::sumo_config::{OptionSchema, Overrides, SumoConfig};
 use crate::traci::process::{LaunchOptions, SumoInstall, SumoProcess};
 use crate::traci::{self, Batch, Replies, TcpClient, gui, person, simulation, vehicle};
-use crate::traffic::{Population, StepEvents, TrafficSpec};
+use crate::traffic::{self, Population, StepEvents, TrafficSpec};
 use observe::ActorCatalog;
 use serde::{Deserialize, Serialize};
 use signals::SignalWatch;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -74,7 +74,6 @@ impl BridgeOptions {
 pub const DEFAULT_TICK_MS: f64 = 167.0;
 
 /// A running co-simulation.
-#[derive(Debug)]
 pub struct Bridge {
     client: TcpClient,
     /// None where attached to somebody else's SUMO.
@@ -132,17 +131,19 @@ impl Bridge {
                 let effective = config.write_effective(&schema, &overrides(options, &config, tick_ms))?;
                 let launch = LaunchOptions {
                     gui: options.gui,
-                    log_file: options.output_dir.join("sumo.log"),
+                    log_file: Some(options.output_dir.join("sumo.log")),
                     ..LaunchOptions::config(effective)
                 };
-                let (process, client) = SumoProcess::launch(&install, launch).await?;
+                let (process, client) = SumoProcess::launch_with(&install, &launch).await?;
                 let begin = config.time("begin")?.unwrap_or(0.0) * 1000.0;
                 (client, Some(process), begin, tick_ms)
             }
         };
         client.set_timeout(Some(timeout));
         let population = options.traffic.counts(&config.name()).map(|counts| {
-            Population::new(Arc::clone(&network), counts, seeds::derive(options.seed, "traffic"))
+            let behaviour =
+                traffic::Options { alone: true, keep: vec!["ego".to_string()], ..Default::default() };
+            Population::new(Arc::clone(&network), counts, seeds::derive(options.seed, "traffic"), behaviour)
         });
         Ok(Self {
             client,
@@ -190,7 +191,7 @@ impl Bridge {
 
     /// Id of SUMO's process, None where attached.
     pub fn sumo_pid(&self) -> Option<u32> {
-        self.process.as_ref().and_then(SumoProcess::pid)
+        self.process.as_ref().map(SumoProcess::id)
     }
 
     /// Brings an ego into SUMO with its first step. The population appears round it.
@@ -198,23 +199,22 @@ impl Bridge {
     /// # Errors
     /// SUMO refuses the ego, or fails.
     pub async fn spawn(&mut self, ego: &mut Ego) -> Result<(), BridgeError> {
-        self.batch.clear();
         ego.insert(&self.network, &mut self.batch);
         observe::subscribe(&mut self.batch, &ego.id, self.sight);
         if !self.subscribed {
             self.subscribed = true;
             // Ids "" are the domain itself: how many of each there are.
-            self.batch.subscribe(vehicle::DOMAIN, "", &[vehicle::ID_COUNT.id()]);
-            self.batch.subscribe(person::DOMAIN, "", &[person::ID_COUNT.id()]);
+            self.batch.subscribe(vehicle::Vehicle, "", &[vehicle::ID_COUNT.id()]);
+            self.batch.subscribe(person::Person, "", &[person::ID_COUNT.id()]);
             if let Some(population) = &mut self.population {
                 population.define_types(&mut self.batch);
-                population.subscribe(&mut self.batch);
+                Population::subscribe(&mut self.batch);
                 population.populate(&mut self.batch, Some(ego.state().pose));
             }
         }
         if self.gui {
-            gui::track_vehicle(&mut self.batch, "View #0", &ego.id);
-            self.batch.set(gui::SET_ZOOM, "View #0", 800.0);
+            self.batch.set(gui::TRACK_VEHICLE, gui::MAIN_VIEW, &ego.id);
+            self.batch.set(gui::SET_ZOOM, gui::MAIN_VIEW, 800.0);
         }
         let replies = self.exchange(&mut [ego]).await?;
         if let Err(refusal) = replies.check() {
@@ -228,7 +228,6 @@ impl Bridge {
     /// # Errors
     /// SUMO died, hung, sent garbage or lost an ego.
     pub async fn step(&mut self, egos: &mut [&mut Ego]) -> Result<(), BridgeError> {
-        self.batch.clear();
         let replies = self.exchange(egos).await?;
         for refusal in replies.failures() {
             if let Some(ego) = egos.iter().find(|ego| ego.id == refusal.object) {
@@ -247,9 +246,6 @@ impl Bridge {
     async fn exchange(&mut self, egos: &mut [&mut Ego]) -> Result<Replies, BridgeError> {
         let observers: Vec<Point> = egos.iter().map(|ego| ego.state().pose.xy()).collect();
         self.signals.follow(&self.network, &observers, &mut self.batch);
-        if let Some(population) = &mut self.population {
-            population.commands(&mut self.batch);
-        }
         for ego in egos.iter_mut() {
             ego.report(&self.network, &mut self.batch);
         }
@@ -258,6 +254,8 @@ impl Bridge {
             Ok(replies) => replies,
             Err(error) => return Err(self.explain(error).await),
         };
+        // From here on the batch is the next tick's.
+        self.batch.clear();
         self.ticks += 1;
         let time = self.time();
         self.catalog.next_tick();
@@ -277,20 +275,34 @@ impl Bridge {
             world.traffic_lights.extend_from_slice(self.signals.states());
         }
         if let Some(population) = &mut self.population {
-            let poses: Vec<Pose> = egos.iter().map(|ego| ego.state().pose).collect();
-            let events = StepEvents::read(&subscriptions, time);
-            population.update(&events, poses.first().copied(), &[]);
+            let ego = egos.first();
+            let near: Vec<Point> = ego
+                .iter()
+                .flat_map(|ego| ego.world.vehicles.iter().chain(&ego.world.pedestrians))
+                .map(|actor| actor.pose.xy())
+                .collect();
+            let pose = ego.map(|ego| ego.state().pose);
+            let events = StepEvents::read(&replies).map_err(traci::Error::from)?;
+            population.update(&events, &replies, pose, &near, &mut self.batch);
         }
         Ok(replies)
     }
 
+    /// Saves SUMO's state, persons and random generators included.
+    ///
+    /// # Errors
+    /// SUMO fails or cannot write the file.
+    pub async fn save_state(&mut self, file: &Path) -> Result<(), BridgeError> {
+        Ok(self.client.save_state(&file.to_string_lossy()).await?)
+    }
+
     fn count(&mut self, subscriptions: &traci::Subscriptions<'_>, egos: usize) {
-        for object in subscriptions.objects(vehicle::DOMAIN) {
+        for object in subscriptions.objects(vehicle::Vehicle) {
             if let ("", Ok(count)) = (object.id(), object.value(vehicle::ID_COUNT)) {
                 self.counts.0 = (count.max(0) as usize).saturating_sub(egos);
             }
         }
-        for object in subscriptions.objects(person::DOMAIN) {
+        for object in subscriptions.objects(person::Person) {
             if let ("", Ok(count)) = (object.id(), object.value(person::ID_COUNT)) {
                 self.counts.1 = count.max(0) as usize;
             }
@@ -311,8 +323,9 @@ impl Bridge {
     /// SUMO did not take leave properly; it is gone all the same.
     pub async fn close(self) -> Result<(), BridgeError> {
         let closed = self.client.close().await;
-        if let Some(process) = self.process {
-            process.wait_or_kill(Duration::from_secs(5)).await;
+        if let Some(mut process) = self.process {
+            // Dropping it kills what is still there.
+            process.wait_at_most(Duration::from_secs(5)).await;
         }
         Ok(closed?)
     }
@@ -334,7 +347,12 @@ fn overrides(options: &BridgeOptions, config: &SumoConfig, tick_ms: f64) -> Over
         // Without it cars jump a lane within a tick; the sublane model has its own way.
         default.push(("lanechange.duration".to_string(), "2".to_string()));
     }
-    let mut set = own(&[("no-step-log", "true"), ("duration-log.disable", "true")]);
+    let mut set = own(&[
+        ("no-step-log", "true"),
+        ("duration-log.disable", "true"),
+        ("save-state.transportables", "true"),
+        ("save-state.rng", "true"),
+    ]);
     set.push(("step-length".to_string(), format!("{}", tick_ms / 1000.0)));
     set.push(("seed".to_string(), seeds::sumo(options.seed).to_string()));
     if options.gui {

@@ -44,9 +44,9 @@ struct Observed<'a> {
 /// Subscribes the ego `id` to everything within `sight` (m).
 pub fn subscribe(batch: &mut Batch, id: &str, sight: f64) {
     batch.subscribe_context(
-        vehicle::DOMAIN,
+        vehicle::Vehicle,
         id,
-        vehicle::DOMAIN,
+        vehicle::Vehicle,
         sight,
         &[
             vehicle::TYPE.id(),
@@ -60,9 +60,9 @@ pub fn subscribe(batch: &mut Batch, id: &str, sight: f64) {
         ],
     );
     batch.subscribe_context(
-        vehicle::DOMAIN,
+        vehicle::Vehicle,
         id,
-        person::DOMAIN,
+        person::Person,
         sight,
         &[
             person::TYPE.id(),
@@ -100,7 +100,7 @@ impl ActorCatalog {
         pedestrians.clear();
         let mut unknown: Vec<&str> = Vec::new();
         let results = replies.subscriptions();
-        for object in results.context(vehicle::DOMAIN, id, vehicle::DOMAIN).filter(|o| o.id() != id) {
+        for object in results.context(vehicle::Vehicle, id, vehicle::Vehicle).filter(|o| o.id() != id) {
             let position = object.value(vehicle::POSITION_3D)?;
             let observed = Observed {
                 id: object.id(),
@@ -115,7 +115,7 @@ impl ActorCatalog {
             };
             self.push(&observed, network, &mut unknown, vehicles);
         }
-        for object in results.context(vehicle::DOMAIN, id, person::DOMAIN) {
+        for object in results.context(vehicle::Vehicle, id, person::Person) {
             let position = object.value(person::POSITION_3D)?;
             let observed = Observed {
                 id: object.id(),

@@ -34,8 +34,7 @@ impl SignalWatch {
     /// Appends the changes of subscriptions that observers at these places need.
     pub fn follow(&mut self, network: &Network, observers: &[Point], batch: &mut Batch) {
         let near = |last: &Vec<Point>| {
-            last.len() == observers.len()
-                && last.iter().zip(observers).all(|(a, b)| (a - b).norm() < MOVED)
+            last.len() == observers.len() && last.iter().zip(observers).all(|(a, b)| (a - b).norm() < MOVED)
         };
         if self.last.as_ref().is_some_and(near) {
             return;
@@ -49,10 +48,10 @@ impl SignalWatch {
                 .fold(f64::INFINITY, f64::min);
             let watched = self.watched.contains(&id);
             if !watched && distance < self.sight + MOVED {
-                batch.subscribe(traffic_light::DOMAIN, &light.id, &[traffic_light::STATE.id()]);
+                batch.subscribe(traffic_light::TrafficLight, &light.id, &[traffic_light::STATE.id()]);
                 self.watched.push(id);
             } else if watched && distance > self.sight + KEEP {
-                batch.unsubscribe(traffic_light::DOMAIN, &light.id);
+                batch.unsubscribe(traffic_light::TrafficLight, &light.id);
                 self.watched.retain(|other| *other != id);
                 self.states[index] = None;
             }
@@ -61,7 +60,7 @@ impl SignalWatch {
 
     /// Reads what came with a step.
     pub fn read(&mut self, network: &Network, subscriptions: &Subscriptions<'_>) {
-        for object in subscriptions.objects(traffic_light::DOMAIN) {
+        for object in subscriptions.objects(traffic_light::TrafficLight) {
             let Some(id) = network.traffic_light_by_id(object.id()) else { continue };
             let Ok(state) = object.str(traffic_light::STATE) else { continue };
             let slot = &mut self.states[id.index()];

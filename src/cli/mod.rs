@@ -1,8 +1,10 @@
 //! The command line: one file per command. Here: what all commands share, which is
 //! exit codes, log level and printing.
 
+mod bench;
 mod doctor;
 mod exit;
+mod run;
 
 use clap::{ArgAction, Parser, Subcommand};
 use std::io::Write;
@@ -29,6 +31,10 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
+    /// Drive an ego vehicle under the rule-based autopilot through SUMO traffic.
+    Run(Box<run::Args>),
+    /// Measure speed, as a ratio to SUMO alone in the same run.
+    Bench(bench::Args),
     /// Check what this machine has for wad-cosim, and say what to do about what is missing.
     Doctor(doctor::Args),
 }
@@ -38,15 +44,26 @@ pub fn main() -> ExitCode {
     let cli = Cli::parse();
     start_log(cli.verbose, cli.quiet);
     let result = match cli.command {
+        Command::Run(args) => run::run(*args),
+        Command::Bench(args) => bench::run(args),
         Command::Doctor(args) => doctor::run(args),
     };
     match result {
         Ok(exit) => exit.into(),
         Err(error) => {
-            eprintln!("wad-cosim: {error:#}");
+            eprintln!("wad-cosim: {}", message(&error));
             Exit::of(&error).into()
         }
     }
+}
+
+/// The error and its causes in one text; a cause that the text quotes already is not said twice.
+fn message(error: &anyhow::Error) -> String {
+    error
+        .chain()
+        .map(ToString::to_string)
+        .reduce(|text, cause| if text.contains(&cause) { text } else { format!("{text}: {cause}") })
+        .unwrap_or_default()
 }
 
 /// Log to stderr: stdout belongs to results. `WAD_COSIM_LOG` (a tracing filter such as

@@ -163,7 +163,8 @@ fn default_folder(config: &std::path::Path, seed: u64) -> PathBuf {
     let mut copy = 1;
     while folder.exists() {
         copy += 1;
-        folder = base.with_file_name(format!("{}-{copy}", base.file_name().unwrap_or_default().to_string_lossy()));
+        folder =
+            base.with_file_name(format!("{}-{copy}", base.file_name().unwrap_or_default().to_string_lossy()));
     }
     folder
 }
@@ -184,7 +185,7 @@ fn tick_limit(args: &Args, drive: &Drive) -> anyhow::Result<Option<u64>> {
     Ok(seconds.map(|seconds| (seconds / bridge.tick()).round().max(0.0) as u64))
 }
 
-fn with_exit(error: DriveError) -> anyhow::Error {
+pub fn with_exit(error: DriveError) -> anyhow::Error {
     let exit = match &error {
         DriveError::Bridge(bridge) if bridge.is_input() => Exit::Input,
         DriveError::Bridge(BridgeError::Folder { .. }) | DriveError::Write(_) => Exit::Other,
@@ -226,7 +227,8 @@ impl StatusLine {
     fn new(plain: bool, limit: Option<u64>) -> Self {
         let bar = (!plain).then(|| {
             let bar = limit.map_or_else(ProgressBar::new_spinner, ProgressBar::new);
-            let template = if limit.is_some() { "{bar:20} {pos}/{len}  {msg}" } else { "{spinner} {pos}  {msg}" };
+            let template =
+                if limit.is_some() { "{bar:20} {pos}/{len}  {msg}" } else { "{spinner} {pos}  {msg}" };
             ProgressStyle::with_template(template).map_or(bar.clone(), |style| bar.with_style(style))
         });
         Self { bar, last: None }
@@ -267,9 +269,7 @@ impl StatusLine {
 
 fn describe_tick(status: &Status) -> String {
     let r = &status.record;
-    let light = r.light.map_or("-".to_string(), |l| {
-        format!("{} {:.0} m", serde_name(&l.state), l.distance)
-    });
+    let light = r.light.map_or("-".to_string(), |l| format!("{} {:.0} m", serde_name(&l.state), l.distance));
     let leader = r.leader.map_or("-".to_string(), |l| format!("{:.0} m", l.gap));
     format!(
         "{:7.1} s  {:5.1} km/h (limit {:.0})  light {light}  leader {leader}  route {:3.0} %  {}  {:.0} ticks/s",
@@ -277,7 +277,7 @@ fn describe_tick(status: &Status) -> String {
         r.ego.speed * 3.6,
         r.limit * 3.6,
         100.0 * r.route.s / r.route.length.max(1e-9),
-        r.reason,
+        r.reason.map_or(String::new(), |reason| reason_name(&reason)),
         status.ticks_per_second,
     )
 }
@@ -289,12 +289,19 @@ fn describe(event: &Event) -> String {
             serde_name(kind),
             serde_name(cause)
         ),
-        Event::RedLight { traffic_light, speed } => format!("ran the red light {traffic_light} at {speed:.1} m/s"),
+        Event::RedLight { traffic_light, speed } => {
+            format!("ran the red light {traffic_light} at {speed:.1} m/s")
+        }
         Event::OutsideLane { offset } => format!("outside the lane by {offset:.2} m"),
         Event::Sidewalk => "a wheel left the road".to_string(),
         Event::VehicleBlocked => "blocked without a reason; starting elsewhere".to_string(),
         Event::Arrival => "arrived; next destination".to_string(),
     }
+}
+
+fn reason_name(reason: &wad_cosim::autopilot::Reason) -> String {
+    let value = serde_json::to_value(reason).unwrap_or_default();
+    value.get("kind").and_then(|kind| kind.as_str()).unwrap_or_default().replace('_', " ")
 }
 
 fn serde_name(value: &impl serde::Serialize) -> String {

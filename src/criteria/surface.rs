@@ -45,8 +45,7 @@ pub fn on_road(network: &Network, point: Point, z: f64) -> bool {
         let junction = network.junction(id);
         polygon_contains(&junction.shape, point)
             && !junction.walkingareas.iter().any(|&area| {
-                let outline: Vec<Point> =
-                    network.lane(area).shape.points().iter().map(|p| p.xy()).collect();
+                let outline: Vec<Point> = network.lane(area).shape.points().iter().map(|p| p.xy()).collect();
                 polygon_contains(&outline, point)
             })
     })

@@ -45,6 +45,7 @@ pub(super) fn build(raw: RawNet, source: &Source<'_>) -> Result<Network, Network
         names: Names::default(),
         tree: LaneTree::default(),
         drivable: Vec::new(),
+        walks: PedestrianNetwork::default(),
     };
     junctions(&mut network, &raw);
     edges(&mut network, &raw, source)?;
@@ -60,6 +61,7 @@ pub(super) fn build(raw: RawNet, source: &Source<'_>) -> Result<Network, Network
     network.bounds = bounds(&network);
     network.tree = LaneTree::new(&network);
     network.drivable = VehicleClass::EVERY.iter().map(|&class| drivable(&network, class)).collect();
+    network.walks = PedestrianNetwork::new(&network, &raw.connections);
     Ok(network)
 }
 

@@ -5,7 +5,7 @@
 //! wiggles. Where the line is still tighter than a car can steer it is relaxed further, but never
 //! further from the lanes than a set distance.
 
-use super::{LaneId, LinkId, Network};
+use super::{LaneId, LinkDirection, LinkId, Network};
 use crate::geometry::{Polyline, wrap_angle};
 use nalgebra::Point3;
 
@@ -20,16 +20,29 @@ pub(super) enum Piece {
     Link { link: LinkId, via: usize, s: f64 },
 }
 
+impl Piece {
+    /// Its length (m) on the lanes.
+    pub fn length(&self, network: &Network) -> f64 {
+        match *self {
+            Self::Lane { from, to, .. } | Self::Change { from: (from, to), .. } => to - from,
+            Self::Link { link, .. } => network.link_length(link),
+        }
+    }
+}
+
 /// Distance between fine samples, and how many make one sample of the result.
 const FINE: f64 = 0.25;
 const STRIDE: usize = 4;
 /// Width of one of the four boxes whose convolution is the kernel (m); its reach is twice that.
 const BOX: f64 = 1.5;
-/// Curvature (1/m) that the line is brought down to where it may move, and how far it may (m).
+/// Where the line is tighter than this (1/m), about what a car can steer, it is relaxed.
 const CURVATURE: f64 = 0.22;
-const LEEWAY: f64 = 0.25;
-/// Rounds of relaxing at most.
-const ROUNDS: usize = 40;
+/// How far from the lanes' polylines relaxing may take the line (m), and the curvature (1/m) that is
+/// good enough then: the more the line has to leave its lane, the less is asked of it.
+const LEEWAYS: [(f64, f64); 4] = [(0.25, CURVATURE), (0.5, 0.28), (1.0, 0.3), (1.6, 0.3)];
+/// Rounds of relaxing with each leeway, and how far round a tight spot it reaches (m).
+const ROUNDS: usize = 12;
+const REACH: f64 = 9.0;
 /// How far the lanes before and behind the route shape its ends (m).
 const MARGIN: f64 = 6.0;
 
@@ -173,7 +186,8 @@ fn change(joined: &mut Joined, network: &Network, a: (LaneId, (f64, f64)), b: (L
 
 fn over_junction(joined: &mut Joined, network: &Network, link: LinkId, via: usize, s: f64) {
     let link = network.link(link);
-    if link.via.is_empty() {
+    // The polyline of a turn-around has far too few points for its tight arc.
+    if link.via.is_empty() || (via == 0 && s == 0.0 && link.direction == LinkDirection::TurnAround) {
         let (from, to) = (&network.lane(link.from).shape, &network.lane(link.to).shape);
         let (a, b) = (from.at(from.length()), to.at(0.0));
         return joined.curve((a.position, a.heading), (b.position, b.heading));
@@ -240,35 +254,58 @@ fn curvature(points: &[Point3<f64>], i: usize) -> f64 {
     if span < 1e-6 { 0.0 } else { a.perp(&b).atan2(a.dot(&b)) / span }
 }
 
-/// Smooths on where the line is tighter than [`CURVATURE`], no further than [`LEEWAY`] from `raw`.
+/// Smooths on round each tight spot, as little as will do.
 fn relax(points: &mut [Point3<f64>], raw: &[Point3<f64>], kernel: &[f64]) {
-    let reach = kernel.len();
-    for _ in 0..ROUNDS {
-        let mut weights = vec![0.0_f64; points.len()];
-        let mut tight = false;
-        for i in 0..points.len() {
+    let reach = (REACH / FINE) as usize;
+    let mut i = 0;
+    while i < points.len() {
+        if curvature(points, i).abs() <= CURVATURE {
+            i += 1;
+            continue;
+        }
+        // The spot goes on as long as the next tight sample is near.
+        let (first, mut last) = (i, i);
+        while i < points.len() && i <= last + reach {
             if curvature(points, i).abs() > CURVATURE {
-                tight = true;
-                let from = i.saturating_sub(reach);
-                for (j, weight) in weights.iter_mut().enumerate().take(i + reach + 1).skip(from) {
-                    *weight = weight.max(1.0 - i.abs_diff(j) as f64 / (reach + 1) as f64);
+                last = i;
+            }
+            i += 1;
+        }
+        let window = first.saturating_sub(reach)..(last + reach + 1).min(points.len());
+        let weight = |i: usize| {
+            let outside = first.saturating_sub(i).max(i.saturating_sub(last));
+            1.0 - outside as f64 / (reach + 1) as f64
+        };
+        let tightest =
+            |points: &[Point3<f64>]| window.clone().map(|i| curvature(points, i).abs()).fold(0.0, f64::max);
+        // Hairpins get tighter by smoothing: the best line found is kept.
+        let mut best = (tightest(points), points[window.clone()].to_vec());
+        for (leeway, enough) in LEEWAYS {
+            for _ in 0..ROUNDS {
+                if tightest(points) <= enough {
+                    break;
+                }
+                let before = points
+                    [window.start.saturating_sub(reach)..(window.end + reach).min(points.len())]
+                    .to_vec();
+                let offset = window.start.saturating_sub(reach);
+                for i in window.clone() {
+                    let old = points[i];
+                    let moved = old + (filtered(&before, i - offset, kernel) - old) * weight(i);
+                    let away = moved.xy() - raw[i].xy();
+                    let excess = (away.norm() / leeway).max(1.0);
+                    points[i] = Point3::new(raw[i].x + away.x / excess, raw[i].y + away.y / excess, moved.z);
                 }
             }
+            let tightness = tightest(points);
+            if tightness < best.0 {
+                best = (tightness, points[window.clone()].to_vec());
+            }
+            if tightness <= LEEWAYS[LEEWAYS.len() - 1].1 {
+                break;
+            }
         }
-        if !tight {
-            return;
-        }
-        let before = points.to_vec();
-        for (i, point) in points.iter_mut().enumerate().filter(|(i, _)| weights[*i] > 0.0) {
-            let moved = before[i] + (filtered(&before, i, kernel) - before[i]) * (0.5 * weights[i]);
-            let away = moved.xy() - raw[i].xy();
-            let excess = away.norm() / LEEWAY;
-            *point = if excess > 1.0 {
-                Point3::new(raw[i].x + away.x / excess, raw[i].y + away.y / excess, moved.z)
-            } else {
-                moved
-            };
-        }
+        points[window].copy_from_slice(&best.1);
     }
 }
 
@@ -288,6 +325,7 @@ fn sample(fine: &Fine, lead: f64, end: f64, starts: &[f64], shifts: &[Shift]) ->
         };
         let (h0, h1) = (heading(i), heading(i + 1));
         let k = curvature(points, i) * (1.0 - t) + curvature(points, i + 1) * t;
+        let k = k.clamp(-1.0, 1.0);
         (u, points[i] + (points[i + 1] - points[i]) * t, wrap_angle(h0 + t * wrap_angle(h1 - h0)), k)
     };
     for i in 0..=whole {

@@ -8,7 +8,10 @@ mod build;
 mod centre_line;
 mod error;
 mod parse;
+mod pedestrian;
 mod permissions;
+mod polygons;
+mod reach;
 mod requests;
 mod route;
 mod route_search;
@@ -17,9 +20,11 @@ mod xml;
 
 pub use error::NetworkError;
 pub use permissions::{Permissions, VehicleClass};
+pub use polygons::{PointOfInterest, Polygon, Shapes};
 pub use route::{RoadOption, Route, RouteError, RouteLink, RoutePoint, RouteSection};
 
 use crate::geometry::{Point, Polyline, Vector};
+use pedestrian::PedestrianNetwork;
 use spatial::LaneTree;
 use std::collections::HashMap;
 use std::path::Path;
@@ -239,6 +244,7 @@ pub struct Network {
     tree: LaneTree,
     /// By class: the lanes of roads that it may use.
     drivable: Vec<Vec<LaneId>>,
+    walks: PedestrianNetwork,
 }
 
 /// SUMO's ids.
@@ -295,6 +301,23 @@ impl Network {
     /// The traffic light with SUMO's id `id`.
     pub fn traffic_light_by_id(&self, id: &str) -> Option<TrafficLightId> {
         self.names.traffic_lights.get(id).copied()
+    }
+    /// The centre line of a link's internal lanes; in nets without them straight from lane to lane.
+    pub fn link_path(&self, id: LinkId) -> Polyline {
+        let link = self.link(id);
+        if link.via.is_empty() {
+            let (from, to) = (&self.lane(link.from).shape, &self.lane(link.to).shape);
+            return Polyline::new([from.at(from.length()).position, to.at(0.0).position]);
+        }
+        Polyline::new(link.via.iter().flat_map(|&l| self.lane(l).shape.points().iter().copied()))
+    }
+    /// How far it is over the junction on a link (m).
+    pub fn link_length(&self, id: LinkId) -> f64 {
+        let link = self.link(id);
+        if link.via.is_empty() {
+            return self.link_path(id).length();
+        }
+        link.via.iter().map(|&l| self.lane(l).shape.length()).sum()
     }
     /// Lanes of normal edges that `class` may use, in file order.
     pub fn drivable_lanes(&self, class: VehicleClass) -> &[LaneId] {

@@ -40,7 +40,6 @@ pub(super) struct RawJunction {
     pub point: Point3<f64>,
     pub shape: Vec<Point3<f64>>,
     pub incoming_lanes: Vec<String>,
-    pub internal_lanes: Vec<String>,
     pub requests: Vec<RawRequest>,
     pub position: u64,
 }
@@ -90,9 +89,9 @@ pub(super) fn parse(path: &Path, text: &str) -> Result<RawNet, NetworkError> {
     // The child of the root that the walk is in.
     let mut inside = Inside::Other;
     while let Some(step) = walk.next()? {
-        let Step::Open(depth, element) = step else { continue };
+        let Step::Open(element) = step else { continue };
         let at = At { path, walk: &walk, element: &element };
-        match (depth, element.name()) {
+        match (element.depth, element.name()) {
             (0, "net") => {
                 root_seen = true;
                 net.left_hand = matches!(element.read(["lefthand"]), [Some(v)] if is_true(&v));
@@ -325,8 +324,8 @@ fn lane(at: &At<'_>) -> Result<RawLane, NetworkError> {
 }
 
 fn junction(at: &At<'_>) -> Result<RawJunction, NetworkError> {
-    let [id, kind, x, y, z, incoming, internal, shape] =
-        at.element.read(["id", "type", "x", "y", "z", "incLanes", "intLanes", "shape"]);
+    let [id, kind, x, y, z, incoming, shape] =
+        at.element.read(["id", "type", "x", "y", "z", "incLanes", "shape"]);
     let id = at.need(id, "junction", "", "id")?;
     let x = at.need(x, "junction", &id, "x")?;
     let y = at.need(y, "junction", &id, "y")?;
@@ -339,7 +338,6 @@ fn junction(at: &At<'_>) -> Result<RawJunction, NetworkError> {
         point: Point3::new(at.number("junction", "x", &x)?, at.number("junction", "y", &y)?, z),
         shape: at.shape("junction", "shape", shape)?,
         incoming_lanes: words(incoming),
-        internal_lanes: words(internal),
         requests: Vec::new(),
         position: at.element.position,
         id,

@@ -10,6 +10,9 @@ use serde::{Deserialize, Serialize};
 /// The road option of a link holds from here before its stop line on (m).
 pub const APPROACH: f64 = 15.0;
 
+/// The longest route that is built (m).
+const LONGEST: f64 = 500_000.0;
+
 /// What the driver is to do at a waypoint (CARLA's RoadOption).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum RoadOption {
@@ -54,7 +57,7 @@ pub struct RouteLink {
 #[derive(Clone, Copy, Debug)]
 pub struct RoutePoint {
     pub pose: Pose,
-    /// 1/m, left positive.
+    /// 1/m, left positive; cut off at 1.
     pub curvature: f64,
     /// m/s.
     pub speed_limit: f64,
@@ -101,6 +104,12 @@ pub enum RouteError {
         "position {s:.2} m is off lane `{lane}`, which is {length:.2} m long; choose one from 0 to its length"
     )]
     OffLane { lane: String, s: f64, length: f64 },
+    /// Longer than anything that is driven.
+    #[error(
+        "the route is {kilometres:.0} km long, more than the {} km that are supported; choose a nearer destination",
+        LONGEST / 1000.0
+    )]
+    TooLong { kilometres: f64 },
     /// A crossing or walkingarea, or, as a destination, a lane inside a junction.
     #[error("lane `{lane}` is no lane of a road; choose a lane of a normal edge")]
     NotARoad { lane: String },
@@ -120,7 +129,7 @@ impl Network {
         to: LanePosition,
         class: VehicleClass,
     ) -> Result<Route, RouteError> {
-        Ok(Route::new(self, search(self, from, to, class)?, from, to, class))
+        Route::new(self, search(self, from, to, class)?, from, to, class)
     }
 
     /// Lengthens a route to a further destination. What was driven keeps its `s`, but for the last few
@@ -142,7 +151,7 @@ impl Network {
             }
         }
         pieces.extend(more);
-        *route = Route::new(self, pieces, route.from, to, route.class);
+        *route = Route::new(self, pieces, route.from, to, route.class)?;
         Ok(())
     }
 
@@ -172,7 +181,11 @@ impl Route {
         from: LanePosition,
         to: LanePosition,
         class: VehicleClass,
-    ) -> Self {
+    ) -> Result<Self, RouteError> {
+        let length: f64 = pieces.iter().map(|p| p.length(network)).sum();
+        if length > LONGEST {
+            return Err(RouteError::TooLong { kilometres: length / 1000.0 });
+        }
         let CentreLine { line, samples, starts } = centre_line(network, &pieces);
         let mut route = Self {
             edges: Vec::new(),
@@ -192,7 +205,7 @@ impl Route {
             route.add(network, *piece, starts[i], s_end);
         }
         route.pieces = pieces;
-        route
+        Ok(route)
     }
 
     fn add(&mut self, network: &Network, piece: Piece, s_start: f64, s_end: f64) {

@@ -53,7 +53,7 @@ fn fit(room: f64, count: usize, speed: f64, mode: Room) -> Option<Changes> {
         let length = wished * squeeze;
         return Some(Changes { lead: lead * squeeze, length, gap: gap * squeeze, cost: cost(length) });
     }
-    let shortest = if mode == Room::Tight { 8.0 } else { shortest };
+    let shortest = if mode == Room::Tight { 9.0 } else { shortest };
     let (lead, gap, tail) = (1.0, 1.0, 2.0);
     let length = ((room - lead - tail - (n - 1.0) * gap) / n).min(shortest.max(12.0));
     (length >= shortest).then(|| Changes { lead, length, gap, cost: cost(length) })

@@ -31,10 +31,10 @@ pub(super) fn read_text(path: &Path) -> Result<String, NetworkError> {
 
 /// A step of the walk through a document.
 pub(super) enum Step<'a> {
-    /// An element begins, at this depth (the root has 0).
-    Open(usize, Element<'a>),
-    /// An element that was at this depth has ended.
-    Close(usize),
+    /// An element begins.
+    Open(Element<'a>),
+    /// An element has ended.
+    Close,
 }
 
 /// Walks a document's elements in order.
@@ -59,22 +59,22 @@ impl<'a> Walk<'a> {
     /// The next step; None at the document's proper end.
     pub fn next(&mut self) -> Result<Option<Step<'a>>, NetworkError> {
         if std::mem::take(&mut self.pending_close) {
-            return Ok(Some(Step::Close(self.open.len())));
+            return Ok(Some(Step::Close));
         }
         loop {
             match self.reader.read_event() {
                 Ok(Event::Start(tag)) => {
                     let element = self.element(tag);
                     self.open.push(element.name().to_owned());
-                    return Ok(Some(Step::Open(self.open.len() - 1, element)));
+                    return Ok(Some(Step::Open(element)));
                 }
                 Ok(Event::Empty(tag)) => {
                     self.pending_close = true;
-                    return Ok(Some(Step::Open(self.open.len(), self.element(tag))));
+                    return Ok(Some(Step::Open(self.element(tag))));
                 }
                 Ok(Event::End(_)) => {
                     self.open.pop();
-                    return Ok(Some(Step::Close(self.open.len())));
+                    return Ok(Some(Step::Close));
                 }
                 Ok(Event::Eof) => {
                     return match self.open.pop() {
@@ -101,7 +101,7 @@ impl<'a> Walk<'a> {
     }
 
     fn element(&self, tag: BytesStart<'a>) -> Element<'a> {
-        Element { tag, position: self.reader.buffer_position() }
+        Element { tag, depth: self.open.len(), position: self.reader.buffer_position() }
     }
 
     fn truncated(&self, element: String) -> NetworkError {
@@ -119,6 +119,8 @@ impl<'a> Walk<'a> {
 /// An element's name and attributes.
 pub(super) struct Element<'a> {
     tag: BytesStart<'a>,
+    /// How many elements it lies in.
+    pub depth: usize,
     /// Byte position of its end, for [`Walk::line_of`].
     pub position: u64,
 }

@@ -6,7 +6,7 @@
 use super::actuators::Demand;
 use super::contacts::{Blow, ContactLog, Footprint};
 use super::statics::Statics;
-use super::surroundings::{EGO, GROUND, KERB, OBSTACLE, Owner, Surroundings, groups};
+use super::surroundings::{EGO, GROUND, KERB, OBSTACLE, Owner, Reach, Surroundings, WHEEL_RAY, groups};
 use super::tyres::Tyre;
 use super::{EgoParams, GRAVITY, MovingBody, PartnerKind};
 use crate::geometry::{self, Point, direction};
@@ -22,10 +22,25 @@ const TILT_RATE_TOUCHING: f32 = 1.0;
 /// Fastest climb (m/s), freely and while something is touched.
 const CLIMB: f32 = 3.0;
 const CLIMB_TOUCHING: f32 = 0.5;
-/// Fastest turn (rad/s) that a push by a moving body may leave.
-const PUSHED_YAW_RATE: f32 = 2.0;
+/// Fastest turn (rad/s) that a collision may give.
+const YAW_RATE_TOUCHING: f32 = 3.0;
 /// A body slower than this (m/s) counts as standing: touching it never adds energy.
 const STANDING: f32 = 0.05;
+
+/// A squeeze between two bodies that reports still believe, as a share of the ego's weight.
+const SQUEEZE: f64 = 2.0;
+
+/// One pair of touching colliders in one sub-step.
+struct Touch {
+    owner: Owner,
+    /// Sum of the solver's normal impulses (N s), and where they push the ego.
+    impulse: f32,
+    direction: Vector,
+    /// Where on the ego (m).
+    point: geometry::Vector,
+    /// m/s.
+    partner_speed: f32,
+}
 
 /// The ego's body, wheels and surroundings.
 pub(super) struct Chassis {
@@ -144,9 +159,8 @@ impl Chassis {
     }
 
     /// Brings in what is near, at a tick's begin.
-    pub(super) fn place(&mut self, params: &EgoParams, bodies: &[MovingBody], duration: f64) {
-        let motion = self.motion();
-        let shift = motion.pose.xy() - self.origin;
+    pub(super) fn place(&mut self, params: &EgoParams, bodies: &[MovingBody], reach: Reach) {
+        let shift = reach.ego - self.origin;
         if shift.norm() > ORIGIN_RADIUS {
             self.surroundings.clear_statics(&mut self.world);
             self.origin += shift;
@@ -159,10 +173,8 @@ impl Chassis {
             &mut self.world,
             bodies,
             self.origin,
-            motion.pose.xy(),
-            motion.velocity.norm(),
-            0.5 * params.length.hypot(params.width),
-            duration,
+            reach,
+            self.collider,
             params.body_friction as f32,
         );
     }
@@ -187,18 +199,25 @@ impl Chassis {
         let (speed, spin) = self.planar();
         self.world.integration_parameters.dt = dt as f32;
         self.world.step();
-        let touched = self.collect(statics, log);
-        self.bound(params, speed, spin, touched);
+        let touches = self.touches();
+        if touches.is_empty() {
+            self.bound(params, speed, spin, None);
+            return;
+        }
+        self.report(params, statics, &touches, speed, log);
+        self.release(params, &touches);
+        let fastest = touches.iter().map(|touch| touch.partner_speed).fold(0.0, f32::max);
+        self.bound(params, speed, spin, Some(fastest));
     }
 
     /// Rays and springs. The springs' force is upright to the surface, so on a kerb's flank it also
-    /// pushes along; that may slow the body (climbing costs energy) but never drives it.
+    /// pushes along; that may slow the body (climbing costs energy) but never drives or turns it.
     fn springs(&mut self, demand: &Demand, dt: f32) {
         for (wheel, angle) in self.vehicle.wheels_mut().iter_mut().zip(demand.wheel_angles) {
             wheel.steering = angle as f32;
         }
-        let before = self.world.bodies[self.body].linvel();
-        let filter = QueryFilter::new().groups(groups(EGO, GROUND | KERB));
+        let (before, spin) = self.planar();
+        let filter = QueryFilter::new().groups(groups(WHEEL_RAY, GROUND | KERB));
         let queries = self.world.broad_phase.as_query_pipeline_mut(
             self.world.narrow_phase.query_dispatcher(),
             &mut self.world.bodies,
@@ -207,12 +226,14 @@ impl Chassis {
         );
         self.vehicle.update_vehicle(dt, queries);
         if let Some(body) = self.world.bodies.get_mut(self.body) {
-            let after = body.linvel();
-            let gain = flat(after - before);
-            let way = flat(before).normalize_or_zero();
-            let driven = gain.dot(way);
+            let way = before.normalize_or_zero();
+            let driven = (flat(body.linvel()) - before).dot(way);
             if driven > 0.0 {
-                body.set_linvel(after - way * driven, true);
+                body.set_linvel(body.linvel() - way * driven, true);
+            }
+            let turn = body.angvel();
+            if (turn.z - spin) * spin > 0.0 {
+                body.set_angvel(Vector::new(turn.x, turn.y, spin), true);
             }
         }
     }
@@ -282,10 +303,9 @@ impl Chassis {
         (flat(body.linvel()), body.angvel().z)
     }
 
-    /// Reads the contacts of the last step. The fastest speed (m/s) of what was touched, None where
-    /// nothing was.
-    fn collect(&self, statics: &Statics, log: &mut ContactLog) -> Option<f32> {
-        let mut fastest = None;
+    /// What the body touched in the last step.
+    fn touches(&self) -> Vec<Touch> {
+        let mut touches = Vec::new();
         for pair in self.world.contact_pairs_with(self.collider) {
             if !pair.has_any_active_contact() {
                 continue;
@@ -293,34 +313,77 @@ impl Chassis {
             let first = pair.collider1 == self.collider;
             let other = if first { pair.collider2 } else { pair.collider1 };
             let Some(collider) = self.world.colliders.get(other) else { continue };
-            let speed = collider
+            let partner_speed = collider
                 .parent()
                 .and_then(|parent| self.world.bodies.get(parent))
                 .map_or(0.0, |parent| parent.linvel().length());
-            let (mut impulse, mut moment) = (0.0, Vector::ZERO);
-            for contact in pair.manifolds().iter().flat_map(|m| m.points.iter()) {
-                impulse += contact.data.impulse;
-                moment += contact.data.impulse * if first { contact.local_p1 } else { contact.local_p2 };
+            let (mut impulse, mut moment, mut push) = (0.0, Vector::ZERO, Vector::ZERO);
+            for manifold in pair.manifolds() {
+                for contact in &manifold.points {
+                    impulse += contact.data.impulse;
+                    moment += contact.data.impulse * if first { contact.local_p1 } else { contact.local_p2 };
+                    push += contact.data.impulse * manifold.data.normal * if first { -1.0 } else { 1.0 };
+                }
             }
-            if impulse <= 0.0 {
-                continue;
+            if impulse > 0.0 {
+                // The collider's x and y are the ego's own.
+                let at = moment / impulse;
+                touches.push(Touch {
+                    owner: Owner::decode(collider.user_data),
+                    impulse,
+                    direction: push.normalize_or_zero(),
+                    point: geometry::Vector::new(f64::from(at.x), f64::from(at.y)),
+                    partner_speed,
+                });
             }
-            fastest = Some(speed.max(fastest.unwrap_or(0.0)));
-            // The collider's x and y are the ego's own.
-            let at = moment / impulse;
-            let point = geometry::Vector::new(f64::from(at.x), f64::from(at.y));
-            let (kind, key) = match Owner::decode(collider.user_data) {
+        }
+        touches
+    }
+
+    /// Logs the touches of the last step, before which the horizontal velocity was `before` (m/s).
+    fn report(
+        &self,
+        params: &EgoParams,
+        statics: &Statics,
+        touches: &[Touch],
+        before: Vector,
+        log: &mut ContactLog,
+    ) {
+        let dt = f64::from(self.world.integration_parameters.dt);
+        // The solver's impulses also hold what pushes an overlap apart. What a contact gave is no
+        // more than the body's momentum changed by, and a fair squeeze.
+        let change = f64::from((self.planar().0 - before).length());
+        let most = params.mass * (change + SQUEEZE * GRAVITY * dt);
+        for touch in touches {
+            let (kind, key) = match touch.owner {
                 Owner::Ground => continue,
                 Owner::Static(index) => (PartnerKind::Static, statics.bodies[index].key),
                 Owner::Moving(kind, key) => (kind, key),
             };
-            log.add(kind, key, f64::from(impulse), point);
+            log.add(kind, key, f64::from(touch.impulse).min(most), touch.point);
         }
-        fastest
+    }
+
+    /// A moving body cannot be stopped, so one that presses the ego against something is let through
+    /// it until they are apart again.
+    fn release(&mut self, params: &EgoParams, touches: &[Touch]) {
+        let hard = 0.5 * params.mass as f32;
+        for touch in touches {
+            let Owner::Moving(kind, key) = touch.owner else { continue };
+            let pressed = touch.partner_speed > STANDING
+                && touch.impulse > hard
+                && touches
+                    .iter()
+                    .any(|other| other.impulse > hard && other.direction.dot(touch.direction) < -0.5);
+            if pressed {
+                self.surroundings.let_through(&mut self.world, kind, key);
+            }
+        }
     }
 
     /// Keeps a collision within what a car does: no energy from standing bodies, no faster than what
-    /// pushes it, no flying, no spinning.
+    /// pushes it, no flying, no spinning. `speed` and `spin` are those before the step, `touched` the
+    /// speed of the fastest body touched (m/s).
     fn bound(&mut self, params: &EgoParams, speed: Vector, spin: f32, touched: Option<f32>) {
         let yaw_inertia = params.inertia()[2] as f32;
         let mass = params.mass as f32;
@@ -347,10 +410,12 @@ impl Chassis {
                 if now > most {
                     v = Vector::new(v.x * most / now, v.y * most / now, v.z);
                 }
-                let most = spin.abs().max(PUSHED_YAW_RATE);
-                turn.z = turn.z.clamp(-most, most);
             }
             None => {}
+        }
+        if touched.is_some() {
+            let most = spin.abs().max(YAW_RATE_TOUCHING);
+            turn.z = turn.z.clamp(-most, most);
         }
         v.z = v.z.min(climb);
         turn.x = turn.x.clamp(-tilt_rate, tilt_rate);
@@ -401,6 +466,19 @@ impl Chassis {
             body.set_linvel(Vector::ZERO, true);
             body.set_angvel(Vector::ZERO, true);
         }
+    }
+}
+
+#[cfg(test)]
+impl Chassis {
+    pub(super) fn simulated_colliders(&self) -> usize {
+        self.world.colliders.len()
+    }
+
+    pub(super) fn overturn(&mut self) {
+        let body = &mut self.world.bodies[self.body];
+        let turned = *body.rotation() * Rotation::from_rotation_x(std::f32::consts::PI);
+        body.set_position(Pose::from_parts(Vector::new(0.0, 0.0, 1.5), turned), true);
     }
 }
 

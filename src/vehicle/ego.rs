@@ -4,7 +4,7 @@ use super::actuators::Actuators;
 use super::chassis::{Chassis, Motion};
 use super::contacts::{ContactLog, PedestrianStrikes};
 use super::statics::Statics;
-use super::surroundings::within_reach;
+use super::surroundings::Reach;
 use super::{Contact, Control, EgoParams, EgoState, MovingBody, PartnerKind, StaticBody};
 use crate::geometry::{Pose, direction};
 
@@ -99,9 +99,18 @@ impl EgoVehicle {
         let last_good = self.state.pose;
         let before = self.state.speed;
 
-        let (pedestrians, movers): (Vec<_>, Vec<_>) =
-            self.reachable(bodies, duration_s).partition(|body| body.kind == PartnerKind::Pedestrian);
-        self.chassis.place(&self.params, &movers, duration_s);
+        let reach = Reach {
+            ego: self.state.pose.xy(),
+            speed: self.state.velocity.norm(),
+            radius: 0.5 * self.params.length.hypot(self.params.width),
+            duration: duration_s,
+        };
+        let (pedestrians, movers): (Vec<_>, Vec<_>) = bodies
+            .iter()
+            .copied()
+            .filter(|body| reach.covers(body))
+            .partition(|body| body.kind == PartnerKind::Pedestrian);
+        self.chassis.place(&self.params, &movers, reach);
         let mut log = ContactLog::default();
         let mut speed = before;
         for i in 0..sub_steps {
@@ -122,17 +131,6 @@ impl EgoVehicle {
         log.finish()
     }
 
-    /// The bodies that can touch the ego within the tick.
-    fn reachable<'a>(
-        &self,
-        bodies: &'a [MovingBody],
-        duration: f64,
-    ) -> impl Iterator<Item = MovingBody> + use<'a> {
-        let (ego, speed) = (self.state.pose.xy(), self.state.velocity.norm());
-        let radius = 0.5 * self.params.length.hypot(self.params.width);
-        bodies.iter().filter(move |b| within_reach(b, ego, speed, radius, duration)).copied()
-    }
-
     /// Puts an ego that overturned, fell out of the world or lost its numbers back on its wheels.
     fn recover(&mut self, last_good: Pose, duration: f64) {
         let motion = self.chassis.motion();
@@ -147,6 +145,19 @@ impl EgoVehicle {
             self.chassis.set_upright(motion.pose);
             self.overturned = 0.0;
         }
+    }
+}
+
+#[cfg(test)]
+impl EgoVehicle {
+    /// Colliders in the physics world.
+    pub(super) fn simulated_colliders(&self) -> usize {
+        self.chassis.simulated_colliders()
+    }
+
+    /// Turns it on its roof.
+    pub(super) fn overturn(&mut self) {
+        self.chassis.overturn();
     }
 }
 

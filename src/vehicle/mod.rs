@@ -10,6 +10,11 @@ pub mod statics;
 mod surroundings;
 mod tyres;
 
+#[cfg(test)]
+mod collision_tests;
+#[cfg(test)]
+mod driving_tests;
+
 pub use ego::EgoVehicle;
 pub use params::{EgoParams, GRAVITY};
 pub use statics::{StaticBody, StaticKind};

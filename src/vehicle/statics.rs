@@ -1,6 +1,7 @@
 //! What stands still beside the road: buildings, poles, kerbs.
 
 use super::outline::convex_pieces;
+use super::surroundings::OBSTACLE_SPAN;
 use crate::geometry::Point;
 use rapier3d::prelude::{Rotation, SharedShape, Vector};
 use rstar::primitives::{GeomWithData, Rectangle};
@@ -36,6 +37,9 @@ pub struct StaticBody {
 /// Horizontal run of a kerb's flank (m): a wheel of 0.32 m radius rises over 0.13 m in 0.26 m,
 /// and a ray, which has no radius, is given that ramp by the kerb instead.
 const KERB_RAMP: f64 = 0.25;
+
+/// What begins lower than this (m) stands on the ground.
+const FOOT: f64 = 0.5;
 
 /// A convex piece of a body, ready for the physics world.
 pub(super) struct Piece {
@@ -91,9 +95,13 @@ impl Statics {
 fn piece(index: usize, body: &StaticBody, outline: &[Point]) -> Option<Piece> {
     let centre =
         Point::from(outline.iter().map(|p| p.coords).sum::<crate::geometry::Vector>() / outline.len() as f64);
-    let half_height = 0.5 * (body.top - body.bottom);
-    let height = 0.5 * (body.top + body.bottom);
     let kerb = body.kind == StaticKind::Kerb;
+    let (bottom, top) = if kerb || body.bottom > FOOT {
+        (body.bottom, body.top)
+    } else {
+        (OBSTACLE_SPAN.0, OBSTACLE_SPAN.1.max(body.top))
+    };
+    let (half_height, height) = (0.5 * (top - bottom), 0.5 * (top + bottom));
     if !kerb && let Some((length, width, heading)) = as_rectangle(outline) {
         let shape = SharedShape::cuboid(0.5 * length as f32, 0.5 * width as f32, half_height as f32);
         let rotation = Rotation::from_rotation_z(heading as f32);

@@ -19,6 +19,11 @@ pub(super) const GROUND: Group = Group::GROUP_1;
 pub(super) const KERB: Group = Group::GROUP_2;
 pub(super) const OBSTACLE: Group = Group::GROUP_3;
 pub(super) const EGO: Group = Group::GROUP_4;
+pub(super) const WHEEL_RAY: Group = Group::GROUP_5;
+
+/// Obstacles reach from here to there (m), however high they are: a collision is then always pushed
+/// out sideways, never up or down.
+pub(super) const OBSTACLE_SPAN: (f64, f64) = (-5.0, 10.0);
 
 /// Whom a collider belongs to, kept in its user data.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -60,6 +65,34 @@ struct Mover {
     size: [f64; 3],
     /// Still near in the present tick.
     present: bool,
+    /// Let through the ego until they are apart.
+    ghost: bool,
+}
+
+/// Which moving bodies the ego can meet within a tick.
+#[derive(Clone, Copy)]
+pub(super) struct Reach {
+    /// The ego's centre (m), speed (m/s) and bounding radius (m).
+    pub(super) ego: Point,
+    pub(super) speed: f64,
+    pub(super) radius: f64,
+    /// The tick (s).
+    pub(super) duration: f64,
+}
+
+impl Reach {
+    /// Whether a body is usable and can come within [`REACH_MARGIN`] of the ego.
+    pub(super) fn covers(&self, body: &MovingBody) -> bool {
+        let numbers = [body.pose.position.x, body.pose.position.y, body.pose.heading, body.speed];
+        let sizes = [body.length, body.width, body.height];
+        if numbers.iter().any(|n| !n.is_finite()) || sizes.iter().any(|&s| !(s > 0.0 && s < 100.0)) {
+            return false;
+        }
+        let own_radius = 0.5 * body.length.hypot(body.width);
+        let way = (self.speed.abs() + body.speed.abs()) * self.duration;
+        let reach = self.radius + own_radius + REACH_MARGIN + way;
+        (body.pose.xy() - self.ego).norm_squared() <= reach * reach
+    }
 }
 
 /// What surrounds the ego in the physics world.
@@ -78,7 +111,7 @@ impl Surroundings {
         let slab = ColliderBuilder::cuboid(1000.0, 1000.0, 5.0)
             .translation(Vector::new(0.0, 0.0, -5.0))
             .friction(0.5)
-            .collision_groups(groups(GROUND, EGO))
+            .collision_groups(groups(GROUND, EGO | WHEEL_RAY))
             .user_data(Owner::Ground.encode());
         world.colliders.insert(slab);
     }
@@ -127,7 +160,7 @@ impl Surroundings {
                 .position(Pose::from_parts(translation, piece.rotation))
                 .friction(friction)
                 // Nothing collides with a kerb: only the wheels' rays see it.
-                .collision_groups(if kerb { groups(KERB, Group::NONE) } else { groups(OBSTACLE, EGO) })
+                .collision_groups(if kerb { groups(KERB, WHEEL_RAY) } else { groups(OBSTACLE, EGO) })
                 .user_data(Owner::Static(piece.body).encode());
             self.statics.insert(index, world.colliders.insert(collider));
             changed = true;
@@ -135,25 +168,22 @@ impl Surroundings {
         changed
     }
 
-    /// Puts the moving bodies that `ego` (m, at `speed` m/s and of bounding radius `radius` m) can
-    /// meet within `duration` (s) where they are at the tick's begin, and takes the others out.
-    #[allow(clippy::too_many_arguments)]
+    /// Puts the moving bodies that the ego can meet where they are at the tick's begin, and takes the
+    /// others out.
     pub(super) fn place_movers(
         &mut self,
         world: &mut PhysicsWorld,
         bodies: &[MovingBody],
         origin: Point,
-        ego: Point,
-        speed: f64,
-        radius: f64,
-        duration: f64,
+        reach: Reach,
+        ego: ColliderHandle,
         friction: f32,
     ) {
         for mover in self.movers.values_mut() {
             mover.present = false;
         }
         for body in bodies {
-            if !within_reach(body, ego, speed, radius, duration) {
+            if !reach.covers(body) {
                 continue;
             }
             let size = [body.length, body.width, body.height];
@@ -168,6 +198,7 @@ impl Surroundings {
                 body: insert_mover(world, body, friction),
                 size,
                 present: false,
+                ghost: false,
             });
             if mover.present {
                 continue; // The same key twice in one tick: the first stands.
@@ -180,6 +211,11 @@ impl Surroundings {
                 let rotation = Rotation::from_rotation_z(body.pose.heading as f32);
                 rigid.set_position(Pose::from_parts(translation, rotation), true);
                 rigid.set_linvel(Vector::new(velocity.x as f32, velocity.y as f32, 0.0), true);
+                if mover.ghost {
+                    let position = *rigid.position();
+                    let collider = rigid.colliders().first().copied();
+                    mover.ghost = !solid_again(world, ego, collider, &position);
+                }
             }
         }
         self.movers.retain(|_, mover| {
@@ -191,10 +227,23 @@ impl Surroundings {
     }
 }
 
+impl Surroundings {
+    /// Lets a moving body through the ego until they are apart.
+    pub(super) fn let_through(&mut self, world: &mut PhysicsWorld, kind: PartnerKind, key: u64) {
+        let Some(mover) = self.movers.get_mut(&(kind as u8, key)) else { return };
+        mover.ghost = true;
+        let handle = world.bodies.get(mover.body).and_then(|rigid| rigid.colliders().first().copied());
+        if let Some(collider) = handle.and_then(|handle| world.colliders.get_mut(handle)) {
+            collider.set_collision_groups(groups(OBSTACLE, Group::NONE));
+        }
+    }
+}
+
 fn insert_mover(world: &mut PhysicsWorld, body: &MovingBody, friction: f32) -> RigidBodyHandle {
     let half = |size: f64| 0.5 * size as f32;
-    let collider = ColliderBuilder::cuboid(half(body.length), half(body.width), half(body.height))
-        .translation(Vector::new(0.0, 0.0, half(body.height)))
+    let (low, high) = OBSTACLE_SPAN;
+    let collider = ColliderBuilder::cuboid(half(body.length), half(body.width), half(high - low))
+        .translation(Vector::new(0.0, 0.0, half(high + low)))
         .friction(friction)
         .collision_groups(groups(OBSTACLE, EGO))
         .user_data(Owner::Moving(body.kind, body.key).encode());
@@ -202,16 +251,23 @@ fn insert_mover(world: &mut PhysicsWorld, body: &MovingBody, friction: f32) -> R
     world.insert(rigid, collider).0
 }
 
-/// Whether a body is usable and can come within [`REACH_MARGIN`] of the ego during the tick.
-pub(super) fn within_reach(body: &MovingBody, ego: Point, speed: f64, radius: f64, duration: f64) -> bool {
-    let numbers = [body.pose.position.x, body.pose.position.y, body.pose.heading, body.speed];
-    let sizes = [body.length, body.width, body.height];
-    if numbers.iter().any(|n| !n.is_finite()) || sizes.iter().any(|&s| !(s > 0.0 && s < 100.0)) {
+/// Lets a ghost collide again once it has left the ego. True when it has.
+fn solid_again(
+    world: &mut PhysicsWorld,
+    ego: ColliderHandle,
+    ghost: Option<ColliderHandle>,
+    position: &Pose,
+) -> bool {
+    let (Some(ghost), Some(ego)) = (ghost, world.colliders.get(ego)) else { return true };
+    let Some(shape) = world.colliders.get(ghost).map(|c| c.shared_shape().clone()) else { return true };
+    let overlap = rapier3d::parry::query::intersection_test(ego.position(), ego.shape(), position, &*shape);
+    if overlap.is_ok_and(|found| found.intersecting) {
         return false;
     }
-    let own_radius = 0.5 * body.length.hypot(body.width);
-    let reach = radius + own_radius + REACH_MARGIN + (speed.abs() + body.speed.abs()) * duration;
-    (body.pose.xy() - ego).norm_squared() <= reach * reach
+    if let Some(collider) = world.colliders.get_mut(ghost) {
+        collider.set_collision_groups(groups(OBSTACLE, EGO));
+    }
+    true
 }
 
 #[cfg(test)]

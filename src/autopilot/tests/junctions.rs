@@ -1,0 +1,150 @@
+//! Lights, gaps in cross traffic, full junctions.
+
+use super::drive::*;
+use crate::autopilot::Reason;
+
+#[test]
+fn it_stands_before_the_line_at_red_and_goes_at_green() {
+    let network = net();
+    for start_speed in [0.0, 8.0, 13.9] {
+        let mut setup = Setup::new(&network, ("WC_1", 5.0), ("EF_1", 150.0), start_speed);
+        setup.light = Box::new(|_| Some(SIDE_GREEN));
+        setup.seconds = 45.0;
+        let report = setup.run();
+        assert_eq!(report.red_runs, 0, "{report:?}");
+        assert!(report.speed < 0.1 && report.to_line > 0.5 && report.to_line < 1.5, "{report:?}");
+        assert!(report.hardest > -3.2, "{report:?}");
+        assert!(report.last.is_some_and(|d| d.held && d.brake_light), "{report:?}");
+    }
+    let mut setup = Setup::new(&network, ("WC_1", 5.0), ("EF_1", 150.0), 10.0);
+    setup.light = Box::new(|t| Some(if t < 30.0 { SIDE_GREEN } else { MAIN_GREEN }));
+    setup.seconds = 90.0;
+    let report = setup.run();
+    assert!(report.red_runs == 0 && report.seconds < 70.0, "{report:?}");
+}
+
+#[test]
+fn no_moment_of_yellow_makes_it_run_a_red() {
+    let network = net();
+    for onset in 0..45 {
+        let onset = f64::from(onset) * 0.4;
+        let mut setup = Setup::new(&network, ("WC_1", 5.0), ("EF_1", 150.0), 13.5);
+        setup.light = Box::new(move |t| {
+            Some(match t - onset {
+                x if x < 0.0 => MAIN_GREEN,
+                x if x < 3.0 => MAIN_YELLOW,
+                _ => SIDE_GREEN,
+            })
+        });
+        setup.seconds = 30.0;
+        let report = setup.run();
+        assert_eq!(report.red_runs, 0, "onset {onset}: {report:?}");
+        assert!(report.hardest > -4.5, "onset {onset}: {report:?}");
+    }
+}
+
+#[test]
+fn a_light_out_of_sight_is_not_passed() {
+    let network = net();
+    let mut setup = Setup::new(&network, ("WC_1", 5.0), ("EF_1", 150.0), 13.5);
+    setup.light = Box::new(|_| None);
+    setup.seconds = 40.0;
+    let report = setup.run();
+    assert!(report.speed < 0.1 && report.to_line > 0.3, "{report:?}");
+}
+
+/// Oncoming cars every `period` s at 13 m/s, from `first` s on, until 60 s.
+fn stream<'a>(
+    setup: &mut Setup<'a>,
+    lanes: &'static [&'static str],
+    first: f64,
+    period: f64,
+    last: f64,
+    from: f64,
+) {
+    for k in 0..20u32 {
+        let start = first + period * f64::from(k);
+        if start > last {
+            break;
+        }
+        setup.vehicles.push(Box::new(move |network, t, _| {
+            let x = from + 13.0 * (t - start);
+            if x < 0.0 { None } else { car(network, u64::from(k) + (first * 1000.0) as u64 * 100, lanes, x, 13.0) }
+        }));
+    }
+}
+
+#[test]
+fn a_left_turn_lets_oncoming_traffic_pass() {
+    let network = net();
+    for phase in 0..12 {
+        let phase = f64::from(phase) * 0.5;
+        let mut setup = Setup::new(&network, ("WC_2", 60.0), ("CN_1", 60.0), 10.0);
+        stream(&mut setup, &["EC_2", ":C_4_1", "CW_2"], phase, 6.0, 50.0, 0.0);
+        setup.seconds = 100.0;
+        let report = setup.run();
+        assert_eq!(report.contacts, 0, "{phase}: {report:?}");
+        assert!(report.nearest > 0.9, "{phase}: {report:?}");
+        assert!(report.seconds < 90.0, "{phase}: {report:?}");
+    }
+}
+
+#[test]
+fn a_side_road_lets_the_main_road_pass() {
+    let network = net();
+    for to in ["EC_2", "EF_1"] {
+        for phase in 0..12 {
+            let phase = f64::from(phase) * 0.6;
+            let mut setup = Setup::new(&network, ("GE_1", 60.0), (to, 100.0), 8.0);
+            stream(&mut setup, &["CE_1", ":E_6_0", "EF_1"], phase, 7.0, 60.0, 20.0);
+            stream(&mut setup, &["FE_2", ":E_0_1", "EC_2"], phase + 1.0, 7.0, 60.0, 20.0);
+            setup.seconds = 110.0;
+            let report = setup.run();
+            assert_eq!(report.contacts, 0, "{to} {phase}: {report:?}");
+            assert!(report.nearest > 1.0, "{to} {phase}: {report:?}");
+            assert!(report.seconds < 100.0, "{to} {phase}: {report:?}");
+        }
+    }
+}
+
+#[test]
+fn one_who_runs_the_red_light_is_not_driven_into() {
+    let network = net();
+    for phase in 0..10 {
+        let phase = f64::from(phase) * 0.4;
+        let mut setup = Setup::new(&network, ("SC_1", 60.0), ("CN_1", 60.0), 8.0);
+        setup.light = Box::new(|_| Some(SIDE_GREEN));
+        setup.vehicles.push(Box::new(move |network, t, _| {
+            let x = 115.0 + 7.0 * (t + phase);
+            car(network, 1, &["WC_1", ":C_11_0", "CE_1"], x, 7.0)
+        }));
+        setup.seconds = 40.0;
+        let report = setup.run();
+        assert_eq!(report.contacts, 0, "{phase}: {report:?}");
+    }
+}
+
+#[test]
+fn a_full_exit_keeps_it_out_of_the_junction() {
+    let network = net();
+    let mut setup = Setup::new(&network, ("WC_1", 60.0), ("CE_1", 100.0), 12.0);
+    setup.vehicles.push(Box::new(|network, t, _| {
+        let x = if t < 25.0 { 8.0 } else { 8.0 + 8.0 * (t - 25.0) };
+        car(network, 1, &["CE_1", ":E_6_0", "EF_1"], x, if t < 25.0 { 0.0 } else { 8.0 })
+    }));
+    setup.seconds = 20.0;
+    let report = setup.run();
+    assert!(report.speed < 0.1 && report.to_line > 0.3 && report.to_line < 2.0, "{report:?}");
+    assert!(matches!(report.last.map(|d| d.reason), Some(Reason::JunctionBlocked { .. })), "{report:?}");
+}
+
+#[test]
+fn a_jam_that_stands_on_the_main_road_does_not_hold_it_for_ever() {
+    let network = net();
+    // One with right of way stands at its line and never goes.
+    let mut setup = Setup::new(&network, ("GE_1", 60.0), ("EC_2", 100.0), 8.0);
+    setup.vehicles.push(Box::new(|network, _, _| car(network, 1, &["CE_1"], 130.0, 0.0)));
+    setup.seconds = 60.0;
+    let report = setup.run();
+    assert!(report.seconds < 55.0, "{report:?}");
+}

@@ -1,0 +1,129 @@
+//! `wad-cosim bench`: what things cost.
+
+use super::{Exit, print, run};
+use anyhow::Context;
+use wad_cosim::bench::{BenchError, BridgeBench, BridgeRow};
+use wad_cosim::bridge::BridgeOptions;
+use wad_cosim::bundled;
+use wad_cosim::drive::DriveOptions;
+
+/// Measure speed, as a ratio to SUMO alone in the same run.
+#[derive(clap::Args, Debug)]
+pub struct Args {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(clap::Subcommand, Debug)]
+enum What {
+    /// The bridge against SUMO alone: pose in, step, everything within 100 m decoded.
+    Bridge(BridgeArgs),
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  wad-cosim bench bridge
+  wad-cosim bench bridge --populations 70/100 --repeat 9 --json
+  wad-cosim bench bridge my.sumocfg --populations 0/0,200/0";
+
+/// The bridge against SUMO alone.
+#[derive(clap::Args, Debug)]
+#[command(after_help = EXAMPLES)]
+struct BridgeArgs {
+    /// Config or bundled town.
+    #[arg(default_value = "town5")]
+    config: String,
+    /// VEHICLES/PEDESTRIANS, separated by commas.
+    #[arg(long, value_delimiter = ',', default_value = "0/0,20/50,70/100,100/250,500/500", value_parser = population)]
+    populations: Vec<(usize, usize)>,
+    /// Ticks per stretch.
+    #[arg(long, default_value_t = 600)]
+    ticks: u64,
+    /// Stretches per population; the median counts.
+    #[arg(long, default_value_t = 5)]
+    repeat: usize,
+    /// Seed of the traffic.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Print one JSON object as the last line of stdout; everything else goes to stderr.
+    #[arg(long)]
+    json: bool,
+}
+
+fn population(text: &str) -> Result<(usize, usize), String> {
+    let wrong = || format!("`{text}` is not VEHICLES/PEDESTRIANS, e.g. 70/100");
+    let (vehicles, pedestrians) = text.split_once('/').ok_or_else(wrong)?;
+    Ok((vehicles.trim().parse().map_err(|_| wrong())?, pedestrians.trim().parse().map_err(|_| wrong())?))
+}
+
+/// Runs the command.
+pub fn run(args: Args) -> anyhow::Result<Exit> {
+    let What::Bridge(args) = args.what;
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .context("cannot start the asynchronous runtime")?;
+    runtime.block_on(bridge(args))
+}
+
+async fn bridge(args: BridgeArgs) -> anyhow::Result<Exit> {
+    let config = bundled::resolve(&args.config).map_err(|e| Exit::Input.because(e))?;
+    let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
+    let bench = BridgeBench {
+        base: DriveOptions {
+            bridge: BridgeOptions { seed: args.seed, ..BridgeOptions::new(config, scratch.path()) },
+            route: None,
+            ego: Default::default(),
+            autopilot: Default::default(),
+            criteria: Default::default(),
+            out: scratch.path().to_path_buf(),
+        },
+        populations: args.populations.clone(),
+        warm_up: 60,
+        ticks: args.ticks.max(1),
+        repeat: args.repeat,
+        scratch: scratch.path().to_path_buf(),
+    };
+    let mut rows = Vec::new();
+    let header = format!(
+        "{:>9} {:>12} {:>14} {:>10} {:>6} {:>11} {:>13} {:>9}",
+        "vehicles",
+        "pedestrians",
+        "sumo alone ms",
+        "bridge ms",
+        "ratio",
+        "physics ms",
+        "autopilot ms",
+        "in sight"
+    );
+    let say = |line: &str| if args.json { eprintln!("{line}") } else { println!("{line}") };
+    say(&header);
+    for &(vehicles, pedestrians) in &bench.populations {
+        let mut progress =
+            |turn: usize| tracing::info!("{vehicles}/{pedestrians}: turn {turn} of {}", args.repeat);
+        let row = bench.row(vehicles, pedestrians, &mut progress).await.map_err(|error| match error {
+            BenchError::Drive(error) => run::with_exit(error),
+            other => Exit::Sumo.because(other),
+        })?;
+        say(&line(&row));
+        rows.push(row);
+    }
+    if args.json {
+        print(&format!("{}\n", serde_json::json!({ "rows": rows })))?;
+    }
+    Ok(Exit::Done)
+}
+
+fn line(r: &BridgeRow) -> String {
+    format!(
+        "{:>9} {:>12} {:>14.3} {:>10.3} {:>6.2} {:>11.3} {:>13.3} {:>9.1}",
+        r.vehicles,
+        r.pedestrians,
+        r.sumo_alone_ms,
+        r.bridge_ms,
+        r.ratio,
+        r.physics_ms,
+        r.autopilot_ms,
+        r.actors_in_sight
+    )
+}

@@ -1,0 +1,269 @@
+//! The background pedestrians: where they start, how far they walk, and what becomes of them.
+
+use super::Options;
+use super::draw::between;
+use super::events::StepEvents;
+use super::fleet::draw_walker;
+use super::places::point_on;
+use super::schedule::Schedule;
+use super::vehicles::Scene;
+use super::walks::{Walk, Walks};
+use crate::geometry::{Point, Pose};
+use crate::network::{EdgeId, Network};
+use crate::traci::{Batch, Color, Position2D, RemoveReason, Replies, Ticket, person};
+use rand_chacha::ChaCha8Rng;
+use std::collections::HashMap;
+use std::sync::Arc;
+
+/// Random places tried for one pedestrian.
+const DRAWS: usize = 64;
+/// A walk is followed up when at most this share of it can be done, less a margin (s).
+const FOLLOW_UP: f64 = 0.85;
+const FOLLOW_UP_MARGIN: f64 = 10.0;
+/// A pedestrian this much beyond the sight distance (m) may come into sight before the next tick.
+const SIGHT_MARGIN: f64 = 5.0;
+
+/// A pedestrian that was given to SUMO.
+#[derive(Debug)]
+struct Member {
+    id: String,
+    serial: u64,
+    /// Walking speed (m/s).
+    speed: f64,
+    /// Where its last walk ends: edge and SUMO lane_position (m).
+    end: (EdgeId, f64),
+    departed: bool,
+}
+
+/// Getters in flight about one pedestrian.
+#[derive(Debug)]
+struct Look {
+    slot: usize,
+    serial: u64,
+    stages: Ticket<i32>,
+    position: Ticket<Position2D>,
+}
+
+#[derive(Debug)]
+pub(super) struct Pedestrians {
+    network: Arc<Network>,
+    options: Options,
+    rng: ChaCha8Rng,
+    walks: Walks,
+    members: Vec<Option<Member>>,
+    /// Slots by SUMO's id; looked up only, never walked through.
+    slots: HashMap<String, usize>,
+    pending: Vec<usize>,
+    vacant: Vec<usize>,
+    schedule: Schedule,
+    looks: Vec<Look>,
+    next_serial: u64,
+}
+
+impl Pedestrians {
+    pub fn new(network: Arc<Network>, options: Options, rng: ChaCha8Rng) -> Self {
+        let walks = Walks::new(&network);
+        Self {
+            network,
+            options,
+            rng,
+            walks,
+            members: Vec::new(),
+            slots: HashMap::new(),
+            pending: Vec::new(),
+            vacant: Vec::new(),
+            schedule: Schedule::default(),
+            looks: Vec::new(),
+            next_serial: 0,
+        }
+    }
+
+    /// Whether the net has sidewalks that lead anywhere.
+    pub fn possible(&self) -> bool {
+        !self.walks.is_empty()
+    }
+
+    /// Number of pedestrians that have departed.
+    pub fn alive(&self) -> usize {
+        self.members.iter().flatten().filter(|m| m.departed).count()
+    }
+
+    pub fn owns(&self, id: &str) -> bool {
+        self.slots.contains_key(id)
+    }
+
+    /// Puts `count` pedestrians on the sidewalks; returns how many found a place.
+    pub fn populate(&mut self, count: usize, ego: Option<Pose>, batch: &mut Batch) -> usize {
+        let avoid = self.options.avoid;
+        for placed in 0..count {
+            let Some((edge, at)) = self.draw_place(|point| avoid.allows_at_start(ego, point)) else {
+                return placed;
+            };
+            let slot = self.members.len();
+            self.members.push(None);
+            self.insert(slot, edge, at, 0.0, batch);
+        }
+        count
+    }
+
+    /// Follows one step: see [`super::Population::update`].
+    pub fn update(&mut self, events: &StepEvents<'_>, replies: &Replies, scene: Scene<'_>, batch: &mut Batch) {
+        for id in &events.arrived_persons {
+            if let Some(slot) = self.slots.get(*id).copied() {
+                if std::env::var_os("WADDBG").is_some() { eprintln!("arrived {id} {}", scene.time); }
+                self.vacate(slot);
+            }
+        }
+        self.note_departures(events);
+        self.read_looks(replies, scene, batch);
+        for slot in std::mem::take(&mut self.vacant) {
+            if !self.replace(slot, scene, batch) {
+                self.vacant.push(slot);
+            }
+        }
+        while let Some((slot, serial)) = self.schedule.due(scene.time) {
+            let Some(member) = self.members[slot].as_ref().filter(|m| m.serial == serial) else { continue };
+            self.looks.push(Look {
+                slot,
+                serial,
+                stages: batch.get(person::STAGES_REMAINING, &member.id),
+                position: batch.get(person::POSITION, &member.id),
+            });
+        }
+    }
+
+    fn note_departures(&mut self, events: &StepEvents<'_>) {
+        if self.pending.is_empty() {
+            return;
+        }
+        for id in &events.departed_persons {
+            let member = self.slots.get(*id).and_then(|&slot| self.members[slot].as_mut());
+            if let Some(member) = member {
+                member.departed = true;
+            }
+        }
+        for slot in std::mem::take(&mut self.pending) {
+            // SUMO lets persons depart at once; one that did not was refused and does not exist.
+            if self.members[slot].as_ref().is_some_and(|m| !m.departed) {
+                self.vacate(slot);
+            }
+        }
+    }
+
+    fn vacate(&mut self, slot: usize) {
+        if let Some(member) = self.members[slot].take() {
+            self.slots.remove(&member.id);
+            self.vacant.push(slot);
+        }
+    }
+
+    /// A random place on a sidewalk where `allowed` lets somebody stand.
+    fn draw_place(&mut self, allowed: impl Fn(Point) -> bool) -> Option<(EdgeId, f64)> {
+        for _ in 0..DRAWS {
+            let (edge, at) = self.walks.draw_start(&mut self.rng)?;
+            let lane = self.walks.lane(edge)?;
+            if allowed(point_on(&self.network, lane, at)) {
+                return Some((edge, at));
+            }
+        }
+        None
+    }
+
+    /// Fills a slot out of the ego's sight, or as far from it as a few dozen draws come.
+    fn replace(&mut self, slot: usize, scene: Scene<'_>, batch: &mut Batch) -> bool {
+        let avoid = self.options.avoid;
+        let hidden = |p| !avoid.in_sight(scene.ego, p) && avoid.clear_of(scene.near, p);
+        let mut place = self.draw_place(hidden);
+        if place.is_none()
+            && let Some(ego) = scene.ego
+        {
+            let mut furthest = avoid.start;
+            for _ in 0..DRAWS {
+                let Some((edge, at)) = self.walks.draw_start(&mut self.rng) else { break };
+                let Some(lane) = self.walks.lane(edge) else { continue };
+                let distance = (ego.xy() - point_on(&self.network, lane, at)).norm();
+                if distance > furthest {
+                    furthest = distance;
+                    place = Some((edge, at));
+                }
+            }
+        }
+        let Some((edge, at)) = place else { return false };
+        self.insert(slot, edge, at, scene.time, batch);
+        true
+    }
+
+    /// Adds a pedestrian with a walk of its own.
+    fn insert(&mut self, slot: usize, edge: EdgeId, at: f64, time: f64, batch: &mut Batch) {
+        let (kind, [r, g, b]) = draw_walker(&mut self.rng);
+        let speed = kind.speed.draw(&mut self.rng);
+        let Some(walk) = self.draw_walk(edge, at) else { return };
+        let serial = self.next_serial;
+        self.next_serial += 1;
+        let id = format!("wad_p{serial}");
+        let edge_id = &self.network.edge(edge).id;
+        if std::env::var_os("WADDBG").is_some() { let n: Vec<_> = walk.edges.iter().map(|&e| (self.network.edge(e).id.as_str(), self.network.lane(self.network.edge(e).lanes[0]).length)).collect(); eprintln!("{id} {time} v={speed:.2} {walk:?} {n:?} due {}", follow_up(&walk, speed)); }
+        let add = person::Add { edge: edge_id, position: walk.from, person_type: kind.id, ..Default::default() };
+        person::add(batch, &id, &add);
+        self.append(&id, speed, &walk, batch);
+        batch.set(person::SET_COLOR, &id, Color::rgb(r, g, b));
+        self.schedule.at(time + follow_up(&walk, speed), slot, serial);
+        self.slots.insert(id.clone(), slot);
+        let end = end_of(&walk, edge);
+        self.members[slot] = Some(Member { id, serial, speed, end, departed: false });
+        self.pending.push(slot);
+    }
+
+    fn draw_walk(&mut self, edge: EdgeId, at: f64) -> Option<Walk> {
+        let (shortest, longest) = self.options.walk_length;
+        let wanted = between(&mut self.rng, shortest, longest);
+        self.walks.walk(&mut self.rng, &self.network, edge, at, wanted)
+    }
+
+    fn append(&self, id: &str, speed: f64, walk: &Walk, batch: &mut Batch) {
+        let edges: Vec<&str> = walk.edges.iter().map(|&e| self.network.edge(e).id.as_str()).collect();
+        let stage =
+            person::WalkingStage { edges: &edges, arrival_position: walk.to, speed, ..Default::default() };
+        person::append_walking_stage(batch, id, &stage);
+    }
+
+    fn read_looks(&mut self, replies: &Replies, scene: Scene<'_>, batch: &mut Batch) {
+        let avoid = self.options.avoid;
+        for Look { slot, serial, stages, position } in std::mem::take(&mut self.looks) {
+            let Some(member) = self.members[slot].as_ref().filter(|m| m.serial == serial) else { continue };
+            let (Ok(stages), Ok(position)) = (replies.get(stages), replies.get(position)) else {
+                self.schedule.at(scene.time + 1.0, slot, serial);
+                continue;
+            };
+            if stages > 1 {
+                // It was held up: its last walk has not begun.
+                self.schedule.at(scene.time + 20.0, slot, serial);
+                continue;
+            }
+            let here = Point::new(position.x, position.y);
+            let seen = scene.ego.is_some_and(|ego| (ego.xy() - here).norm() < avoid.sight + SIGHT_MARGIN);
+            if !seen {
+                person::remove(batch, &member.id, RemoveReason::Vaporized);
+                self.vacate(slot);
+                continue;
+            }
+            let (edge, at) = member.end;
+            let Some(walk) = self.draw_walk(edge, at) else { continue };
+            let Some(member) = &mut self.members[slot] else { continue };
+            member.end = end_of(&walk, edge);
+            let (id, speed) = (member.id.clone(), member.speed);
+            self.append(&id, speed, &walk, batch);
+            self.schedule.at(scene.time + follow_up(&walk, speed), slot, serial);
+        }
+    }
+}
+
+/// Where a walk from `first` ends.
+fn end_of(walk: &Walk, first: EdgeId) -> (EdgeId, f64) {
+    (walk.edges.last().copied().unwrap_or(first), walk.to)
+}
+
+/// How long (s) a walk lasts at the least, with a margin.
+fn follow_up(walk: &Walk, speed: f64) -> f64 {
+    (FOLLOW_UP * walk.length / speed - FOLLOW_UP_MARGIN).max(1.0)
+}

@@ -1,0 +1,69 @@
+//! Edges lately seen empty: places where a replacement gets onto the road at once.
+//!
+//! One edge's vehicle count is asked per tick, and only while few fresh answers are at hand.
+
+use crate::network::{EdgeId, Network};
+use crate::traci::{Batch, Replies, Ticket, edge};
+use std::collections::VecDeque;
+
+/// An answer older than this (s) says nothing any more.
+const FRESH: f64 = 2.0;
+/// Enough answers at hand.
+const ENOUGH: usize = 6;
+/// For so long (s) an edge that was used is not used again.
+const REST: f64 = 4.0;
+
+#[derive(Debug)]
+pub(super) struct Reserve {
+    /// Edges with the time (s) at which they were empty, oldest first.
+    empty: VecDeque<(EdgeId, f64)>,
+    asked: Option<(EdgeId, f64, Ticket<i32>)>,
+    /// By edge: when it was last used (s).
+    used: Vec<f64>,
+}
+
+impl Reserve {
+    pub fn new(edges: usize) -> Self {
+        Self { empty: VecDeque::new(), asked: None, used: vec![f64::NEG_INFINITY; edges] }
+    }
+
+    /// Takes in the answer that came with the step that ended at `time` (s).
+    pub fn read(&mut self, replies: &Replies, time: f64) {
+        while self.empty.front().is_some_and(|&(_, seen)| time - seen > FRESH) {
+            self.empty.pop_front();
+        }
+        if let Some((edge, seen, ticket)) = self.asked.take()
+            && replies.get(ticket).is_ok_and(|count| count == 0)
+        {
+            self.empty.retain(|&(e, _)| e != edge);
+            self.empty.push_back((edge, seen));
+        }
+    }
+
+    /// Whether another answer is wanted.
+    pub fn wants_more(&self) -> bool {
+        self.empty.len() < ENOUGH && self.asked.is_none()
+    }
+
+    /// Asks about an edge at `time` (s).
+    pub fn ask(&mut self, network: &Network, edge: EdgeId, time: f64, batch: &mut Batch) {
+        let ticket = batch.get(edge::LAST_STEP_VEHICLE_NUMBER, &network.edge(edge).id);
+        self.asked = Some((edge, time, ticket));
+    }
+
+    /// Edges seen empty, the last seen first, with the time (s).
+    pub fn fresh(&self, time: f64) -> Vec<(EdgeId, f64)> {
+        let usable = |&&(edge, seen): &&(EdgeId, f64)| time - seen <= FRESH && !self.is_used(edge, time);
+        self.empty.iter().rev().filter(usable).copied().collect()
+    }
+
+    /// Notes that somebody was put on an edge.
+    pub fn used(&mut self, edge: EdgeId, time: f64) {
+        self.used[edge.index()] = time;
+    }
+
+    /// Whether somebody was put there a moment ago.
+    pub fn is_used(&self, edge: EdgeId, time: f64) -> bool {
+        time - self.used[edge.index()] < REST
+    }
+}
