@@ -1,5 +1,6 @@
 //! The integration tests: one binary, so that the heavy libraries are linked once.
 //! Each module talks to a real SUMO.
 
+mod autopilot;
 mod network;
 mod traci;
