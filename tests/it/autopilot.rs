@@ -310,12 +310,20 @@ async fn drive(seed: u64, ticks: u64, additional: &[PathBuf]) -> Score {
         let decision = pilot.control(&network, &route, route_s, &state, &world, TICK);
         if let Some(from) = &trace {
             let from: u64 = from.parse().unwrap_or(0);
-            if tick >= from && tick < from + 60 {
+            let short = matches!(decision.reason, Reason::Crossing { .. } | Reason::Pedestrian { .. });
+            if from == 9999 && (state.acceleration < -4.5 || short && tick % 6 == 0) || tick >= from && tick < from + 60 {
                 println!(
                     "{tick} s {route_s:.1} v {:.2} a {:.2} d {:.2} at {:.1},{:.1} {:?} light {:?} leader {:?}",
                     state.speed, decision.acceleration, on.d, state.pose.position.x, state.pose.position.y,
                     decision.reason, decision.light, decision.leader
                 );
+                for p in &world.pedestrians {
+                    let local = state.pose.to_local(p.pose.xy());
+                    if short && local.x > 0.0 && local.x < 15.0 && local.y.abs() < 9.0 {
+                        println!("      {} at {:.1},{:.1} v {:.2} turned {:.0} lane {:?}", p.id, local.x, local.y, p.speed,
+                            (p.pose.heading - state.pose.heading).to_degrees(), p.lane.map(|l| network.lane(l).id.clone()));
+                    }
+                }
             }
         }
         last = Some(decision);
