@@ -66,7 +66,8 @@ fn long_route(network: &Network, rng: &mut Rng, from: LanePosition) -> Route {
 }
 
 async fn drive(seed: u64, ticks: u64, additional: &[PathBuf]) -> Score {
-    let net_path = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/town5/town5.net.xml");
+    let town = std::env::var("LIVE_TOWN").unwrap_or("town5".into());
+    let net_path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("sumo_nets/{town}/{town}.net.xml"));
     let types = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/vtypes.add.xml");
     let network = Network::load(&net_path).unwrap();
     let trace = std::env::var("LIVE_TRACE").ok();
@@ -77,6 +78,7 @@ async fn drive(seed: u64, ticks: u64, additional: &[PathBuf]) -> Score {
         .option("collision.check-junctions", true)
         .option("collision.mingap-factor", 0)
         .option("no-warnings", true)
+        .option("ignore-route-errors", true)
         .option("additional-files", types.display());
     if !additional.is_empty() {
         let list: Vec<String> = additional.iter().map(|p| p.display().to_string()).collect();
