@@ -313,12 +313,27 @@ async fn drive(seed: u64, ticks: u64, additional: &[PathBuf]) -> Score {
         if let Some(from) = &trace {
             let from: u64 = from.parse().unwrap_or(0);
             let short = matches!(decision.reason, Reason::Crossing { .. } | Reason::Pedestrian { .. });
-            if from == 9999 && (state.acceleration < -4.5 || short && tick % 6 == 0) || tick >= from && tick < from + 60 {
+            if from == 8888 && tick % 30 == 0 || from == 9999 && (state.acceleration < -4.5 || short && tick % 6 == 0) || tick >= from && tick < from + 60 {
                 println!(
                     "{tick} s {route_s:.1} v {:.2} a {:.2} d {:.2} at {:.1},{:.1} {:?} light {:?} leader {:?}",
                     state.speed, decision.acceleration, on.d, state.pose.position.x, state.pose.position.y,
                     decision.reason, decision.light, decision.leader
                 );
+                if tick == 900 {
+                    for v in &world.vehicles {
+                        let local = state.pose.to_local(v.pose.xy());
+                        if local.norm() < 22.0 {
+                            println!("   {} at {:.1},{:.1} v {:.2} turned {:.0} lane {:?} pos {:.1} signals {:?} len {:.1}", v.id, local.x, local.y, v.speed,
+                                (v.pose.heading - state.pose.heading).to_degrees(), v.lane.map(|l| network.lane(l).id.clone()), v.lane_position, v.signals, v.actor_type.length);
+                        }
+                    }
+                    let mut batch = Batch::new();
+                    let road = batch.get(vehicle::LANE_ID, "ego");
+                    let route = batch.get(vehicle::ROUTE, "ego");
+                    let index = batch.get(vehicle::ROUTE_INDEX, "ego");
+                    let r = client.send(&batch).await.unwrap();
+                    println!("ego on {:?} {:?} {:?}", r.get(road), r.get(route), r.get(index));
+                }
                 for p in &world.pedestrians {
                     let local = state.pose.to_local(p.pose.xy());
                     if short && local.x > 0.0 && local.x < 15.0 && local.y.abs() < 9.0 {
