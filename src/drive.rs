@@ -162,8 +162,7 @@ impl Drive {
             }
             None => first_route(&network, &mut destinations)?,
         };
-        let statics = Vec::<StaticBody>::new();
-        let _ = buildings(&bridge, &network);
+        let statics = statics::from_network(&network, &polygons(&bridge, &network));
         let mut ego = Ego::new("ego", options.ego.clone(), route, 0.0);
         ego.vehicle_mut().set_statics(statics.clone());
         bridge.spawn(&mut ego).await?;
