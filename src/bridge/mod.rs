@@ -17,7 +17,7 @@ pub use ego::{Ego, Lamps};
 pub use error::BridgeError;
 
 use crate::geometry::Point;
-use crate::network::Network;
+use crate::network::{LaneId, Network};
 use crate::seeds;
 use crate::sumo_config::{OptionSchema, Overrides, SumoConfig};
 use crate::traci::process::{LaunchOptions, SumoInstall, SumoProcess};
@@ -269,7 +269,8 @@ impl Bridge {
         }
         self.counts.1 = replies.get(persons).unwrap_or_default().max(0) as usize;
         for ego in egos.iter_mut() {
-            let Ego { id, world, .. } = &mut **ego;
+            let Ego { id, world, previous, .. } = &mut **ego;
+            std::mem::swap(world, previous);
             let actors = (&mut world.vehicles, &mut world.pedestrians);
             let observed = self.catalog.observe(&mut self.client, &self.network, &replies, id, actors).await;
             if let Err(error) = observed {
@@ -292,6 +293,28 @@ impl Bridge {
             population.update(&events, &replies, pose, &near, &mut self.batch);
         }
         Ok(replies)
+    }
+
+    /// Whether no vehicle is on any of these lanes.
+    ///
+    /// # Errors
+    /// SUMO fails.
+    pub async fn is_free(&mut self, lanes: &[LaneId]) -> Result<bool, BridgeError> {
+        let mut batch = Batch::new();
+        let counts: Vec<_> = lanes
+            .iter()
+            .map(|lane| batch.get(traci::lane::LAST_STEP_VEHICLE_NUMBER, &self.network.lane(*lane).id))
+            .collect();
+        let replies = match self.client.send(&batch).await {
+            Ok(replies) => replies,
+            Err(error) => return Err(self.explain(error).await),
+        };
+        for count in counts {
+            if replies.get(count).map_err(traci::Error::from)? > 0 {
+                return Ok(false);
+            }
+        }
+        Ok(true)
     }
 
     /// Saves SUMO's state, persons and random generators included.

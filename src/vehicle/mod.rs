@@ -29,6 +29,7 @@ mod collision_tests;
 mod driving_tests;
 
 pub use ego::EgoVehicle;
+pub use roadside::from_network as statics_from_network;
 pub use params::{EgoParams, GRAVITY};
 pub use statics::{StaticBody, StaticKind};
 
