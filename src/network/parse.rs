@@ -425,7 +425,8 @@ mod tests {
         );
         assert!(matches!(error("no xml at all"), NetworkError::Xml { line: 1, .. }));
         assert!(matches!(error(""), NetworkError::Xml { .. }));
-        assert!(matches!(error("<net>\n<edge></lane>\n</net>"), NetworkError::Xml { line: 2, .. }));
+        let crossed = error("<net>\n<edge id=\"e\"></lane>\n</net>");
+        assert!(matches!(crossed, NetworkError::Xml { line: 2, .. }), "{crossed}");
         let cut = &good[..good.find("<junction id=\"C\"").unwrap()];
         assert!(matches!(error(cut), NetworkError::Truncated { element, .. } if element == "net"));
         let cut = &good[..good.find("ab_1").unwrap()];
@@ -438,9 +439,13 @@ mod tests {
         }
         let missing = error(&good.replace("speed=\"10\" length=\"960\"", "length=\"960\""));
         assert!(matches!(missing, NetworkError::Missing { attribute: "speed", .. }), "{missing}");
-        let dangling = [("to=\"C\"", "junction"), ("from=\"ca\" to", "edge"), ("incLanes=\"bc_0\"", "lane")];
-        for (what, which) in dangling {
-            let text = good.replacen(what, &what.replace(['C', 'c'], "q"), 1);
+        let dangling = [
+            ("to=\"C\"", "to=\"q\"", "junction"),
+            ("from=\"ca\" to", "from=\"q\" to", "edge"),
+            ("incLanes=\"bc_0\"", "incLanes=\"q\"", "lane"),
+        ];
+        for (good_part, bad_part, which) in dangling {
+            let text = good.replacen(good_part, bad_part, 1);
             let found = error(&text);
             assert!(
                 matches!(found, NetworkError::DanglingReference { kind, .. } if kind == which),

@@ -57,7 +57,7 @@ fn a_lane_change_is_long_gentle_and_done_well_before_the_stop_line() {
     assert!(route.links[0].stop_s - change.s_end > 20.0);
     assert_eq!(network.lane(change.lane).id, "ab_1");
     assert_eq!(network.lane(change.from_lane.unwrap()).id, "ab_0");
-    for s in (change.s_start as usize)..(change.s_end as usize) {
+    for s in (change.s_start as usize + 2)..(change.s_end as usize) {
         assert!(route.at(s as f64).curvature.abs() < 0.03);
         // Both lanes' centres and what lies between are in the corridor.
         let y = route.at(s as f64).pose.position.y;
