@@ -5,7 +5,7 @@ use crate::bridge::{Bridge, BridgeError, BridgeOptions, Ego, Lamps};
 use crate::criteria::{Cause, Criteria, CriteriaParams, Event, Situation};
 use crate::destination::{self, DestinationError, Destinations};
 use crate::network::{LanePosition, Network, Polygon, Route, Shapes};
-use crate::seeds;
+use crate::{cpu_time, seeds};
 use crate::telemetry::{
     FolderError, LeaderRecord, LightRecord, RouteRecord, RunFolder, TickRecord, WriteError,
 };
@@ -120,6 +120,8 @@ pub struct Drive {
 pub struct Timings {
     /// Pose in, SUMO's step, the new world decoded.
     pub bridge: f64,
+    /// CPU time of that on our side.
+    pub bridge_cpu: f64,
     pub physics: f64,
     pub agent: f64,
 }
@@ -220,7 +222,10 @@ impl Drive {
         let decided = clock.elapsed();
         let contacts = self.ego.advance(decision.control, tick);
         let moved = clock.elapsed();
+        let cpu = cpu_time::of_thread();
         self.bridge.step(&mut [&mut self.ego]).await?;
+        let cpu = cpu_time::of_thread().zip(cpu).map_or(0.0, |(after, before)| after - before);
+        self.timings.bridge_cpu += cpu;
         self.timings.agent += decided.as_secs_f64();
         self.timings.physics += (moved - decided).as_secs_f64();
         self.timings.bridge += (clock.elapsed() - moved).as_secs_f64();
