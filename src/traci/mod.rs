@@ -68,6 +68,7 @@ pub mod subscription;
 #[cfg(test)]
 mod tests;
 pub mod types;
+pub mod value;
 pub mod variable;
 
 pub use batch::{Batch, Ticket};
@@ -81,4 +82,5 @@ pub use process::{Input, LaunchError, LaunchOptions, PostMortem, SumoInstall, Su
 pub use replies::Replies;
 pub use subscription::{Filter, ObjectResults, Subscriptions};
 pub use types::{Color, GeoPosition, Position2D, Position3D, RoadPosition};
+pub use value::Value;
 pub use variable::{Domain, Query, Setter, Variable, VariableId};

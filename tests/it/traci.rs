@@ -1,6 +1,7 @@
 //! The TraCI client against a real SUMO.
 
 mod process;
+mod setters;
 mod subscriptions;
 mod variables;
 
@@ -93,6 +94,20 @@ async fn vehicles_move_and_sumo_ends_on_close() {
     client.close().await.unwrap();
     let status = sumo.wait_at_most(Duration::from_secs(10)).await.unwrap();
     assert!(status.success(), "{}", sumo.post_mortem());
+}
+
+/// Puts a few things in, so that every domain has an object.
+async fn furnish(client: &mut TcpClient) {
+    let mut batch = Batch::new();
+    let walk =
+        person::WalkingStage { edges: &["A1B1", "B1C1"], arrival_position: 30.0, ..Default::default() };
+    person::add(&mut batch, "walker", &person::Add { edge: "A1B1", position: 10.0, ..Default::default() });
+    person::append_walking_stage(&mut batch, "walker", &walk);
+    let square = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0)].map(|(x, y)| Position2D { x, y });
+    polygon::add(&mut batch, "park", &polygon::Add { shape: &square, fill: true, ..Default::default() });
+    poi::add(&mut batch, "tree", &poi::Add { position: square[1], ..Default::default() });
+    send(client, &batch).await;
+    steps(client, 4).await;
 }
 
 /// Puts the ego on A1B1, as the bridge does.

@@ -1,6 +1,6 @@
 //! Bytes written by hand from the protocol's documentation.
 
-use crate::traci::codec::{Decode, DecodeError, Encode, Value};
+use crate::traci::codec::{Decode, DecodeError, Encode};
 use crate::traci::domains::{KeyValue, vehicle::Leader};
 use crate::traci::*;
 
