@@ -15,8 +15,7 @@ const DRAWS: usize = 4;
 pub(super) struct Walk {
     /// Normal edges in order, as SUMO wants them.
     pub edges: Vec<EdgeId>,
-    /// Where it begins and ends on the first and last edge (m, SUMO lane_position).
-    pub from: f64,
+    /// Where it ends on the last edge (m, SUMO lane_position).
     pub to: f64,
     /// At least so long (m): ways over junctions are left out.
     pub length: f64,
@@ -100,7 +99,7 @@ impl Walks {
                 _ => (whole - part, before + part),
             },
         };
-        Some(Walk { edges, from, to, length: length.max(0.0) })
+        Some(Walk { edges, to, length: length.max(0.0) })
     }
 }
 
