@@ -181,8 +181,7 @@ impl<'a> Setup<'a> {
             }
             report.hardest = report.hardest.min(state.acceleration);
             report.last = Some(decision);
-            let bodies: Vec<MovingBody> =
-                world.vehicles.iter().chain(&world.pedestrians).map(body).collect();
+            let bodies: Vec<MovingBody> = world.vehicles.iter().chain(&world.pedestrians).map(body).collect();
             report.contacts += ego.tick(decision.control, self.tick_s, &bodies).len();
         }
         report
@@ -210,10 +209,10 @@ fn distance(ego: &Pose, model: &EgoModel, other: &Actor) -> f64 {
     if (ego.xy() - other.pose.xy()).norm() > 25.0 {
         return f64::INFINITY;
     }
-    let boxes = [(ego, (model.length, model.width)), (
-        &other.pose,
-        (other.actor_type.length, other.actor_type.width),
-    )];
+    let boxes = [
+        (ego, (model.length, model.width)),
+        (&other.pose, (other.actor_type.length, other.actor_type.width)),
+    ];
     let mut nearest = f64::INFINITY;
     for (a, b) in [(boxes[0], boxes[1]), (boxes[1], boxes[0])] {
         for p in outline(a.0, a.1) {

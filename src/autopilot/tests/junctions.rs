@@ -69,7 +69,11 @@ fn stream<'a>(
         }
         setup.vehicles.push(Box::new(move |network, t, _| {
             let x = from + 13.0 * (t - start);
-            if x < 0.0 { None } else { car(network, u64::from(k) + (first * 1000.0) as u64 * 100, lanes, x, 13.0) }
+            if x < 0.0 {
+                None
+            } else {
+                car(network, u64::from(k) + (first * 1000.0) as u64 * 100, lanes, x, 13.0)
+            }
         }));
     }
 }
