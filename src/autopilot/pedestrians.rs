@@ -73,7 +73,8 @@ fn crossing_of<'a>(
         actor.lane.is_none_or(|l| matches!(network.edge(network.lane(l).edge).kind, EdgeKind::WalkingArea));
     for zone in plans.iter().flat_map(|p| &p.crossings) {
         let crossing = network.crossing(zone.crossing);
-        if actor.lane == Some(crossing.lane) || actor.lane.is_none() && inside(&crossing.outline, world_point) {
+        if actor.lane == Some(crossing.lane) || actor.lane.is_none() && inside(&crossing.outline, world_point)
+        {
             return Some((zone, false));
         }
         // Where cars go first, or while their light is red, pedestrians wait at the kerb.
@@ -161,9 +162,7 @@ fn walk(
             leave = t;
             near_s = near_s.min(on.s);
             far_s = far_s.max(on.s);
-        } else if enter.is_finite() {
-            break;
-        } else if actor.speed * (horizon - t) + half < on.d.abs() {
+        } else if enter.is_finite() || actor.speed * (horizon - t) + half < on.d.abs() {
             break;
         }
     }
