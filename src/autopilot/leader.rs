@@ -162,8 +162,8 @@ fn clear_time(path: &Path, v: &Located, actor: &Actor, hint: usize, margin: f64)
         index = on.index;
         let sample = &path.samples[on.index];
         let turn = actor.pose.heading - sample.heading;
-        let half = 0.5
-            * (actor.actor_type.length * turn.sin().abs() + actor.actor_type.width * turn.cos().abs());
+        let half =
+            0.5 * (actor.actor_type.length * turn.sin().abs() + actor.actor_type.width * turn.cos().abs());
         if on.d.abs() > sample.half_width + margin + half {
             return t;
         }

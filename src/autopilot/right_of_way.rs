@@ -6,6 +6,9 @@ use super::speed::time_to_cover;
 use crate::network::{LaneId, LinkDirection, Network};
 use crate::world::{Actor, SignalState, VehicleSignals, WorldState};
 
+/// How far beyond the place where it should stand a vehicle may come to rest without harm (m).
+const LINE_SLACK: f64 = 1.0;
+
 /// Vehicles by the lane that SUMO maps them to.
 #[derive(Clone, Debug, Default)]
 pub struct ByLane {
@@ -127,7 +130,7 @@ pub fn judge(
                     continue;
                 }
                 // A red or yellow light holds those who can still stop.
-                let needed = actor.speed * actor.speed / (2.0 * (-x).max(0.3));
+                let needed = actor.speed * actor.speed / (2.0 * ((-x).max(0.0) + LINE_SLACK));
                 if stopped_by_light && needed < 4.8 {
                     continue;
                 }
@@ -193,7 +196,8 @@ fn consider(
     }
     // It cannot stop any more, before the path or (being on its way there) before its line.
     let braking_room = if foe.inside { to_enter } else { -foe.x };
-    let inevitable = in_zone || !standing && speed * speed / (2.0 * braking_room.max(0.2)) > 4.8;
+    let needed = speed * speed / (2.0 * (braking_room.max(0.0) + LINE_SLACK));
+    let inevitable = in_zone || needed > 4.8;
     if !yields && !inevitable {
         return;
     }

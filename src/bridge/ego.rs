@@ -32,6 +32,8 @@ pub struct Ego {
     pub(super) vehicle: EgoVehicle,
     pub(super) route: Route,
     pub(super) world: WorldState,
+    /// The world before the last step.
+    pub(super) previous: WorldState,
     /// Its centre and front bumper on the route.
     s: f64,
     d: f64,
@@ -40,7 +42,6 @@ pub struct Ego {
     shown_lamps: Option<Lamps>,
     /// The route has changed since SUMO heard of it.
     route_is_news: bool,
-    inserted: bool,
 }
 
 /// Route projection window behind and ahead of the last place (m).
@@ -53,19 +54,21 @@ impl Ego {
         let pose = route.at(start).pose;
         let flat = Pose::new(pose.position.x, pose.position.y, 0.0, pose.heading);
         let front_s = start + 0.5 * params.length;
-        Self {
+        let mut ego = Self {
             id: id.to_string(),
             vehicle: EgoVehicle::new(params, flat, 0.0),
             route,
             world: WorldState::default(),
+            previous: WorldState::default(),
             s: start,
             d: 0.0,
             front_s,
             lamps: Lamps::default(),
             shown_lamps: None,
             route_is_news: true,
-            inserted: false,
-        }
+        };
+        ego.locate();
+        ego
     }
 
     /// Puts it down elsewhere, standing, on another route.
@@ -93,6 +96,16 @@ impl Ego {
         &self.world
     }
 
+    /// What it saw before the last tick: what its last control was chosen from.
+    pub fn previous_world(&self) -> &WorldState {
+        &self.previous
+    }
+
+    /// The physics behind it.
+    pub fn vehicle(&self) -> &EgoVehicle {
+        &self.vehicle
+    }
+
     /// What it is made of.
     pub fn params(&self) -> &EgoParams {
         self.vehicle.params()
@@ -105,9 +118,7 @@ impl Ego {
 
     /// Its motion; the pose's height is the road's.
     pub fn state(&self) -> EgoState {
-        let mut state = self.vehicle.state();
-        state.pose.position.z += self.route.at(self.s).pose.position.z;
-        state
+        self.vehicle.state()
     }
 
     /// Its motion and its place on the route.
@@ -126,7 +137,7 @@ impl Ego {
             move |actor: &Actor| MovingBody {
                 key: actor.key,
                 kind,
-                pose: Pose::new(actor.pose.position.x, actor.pose.position.y, 0.0, actor.pose.heading),
+                pose: actor.pose,
                 speed: actor.speed,
                 length: actor.actor_type.length,
                 width: actor.actor_type.width,
@@ -145,6 +156,7 @@ impl Ego {
         let pose = self.vehicle.state().pose;
         let centre = self.route.project_near(pose.xy(), self.s, BACK, AHEAD);
         (self.s, self.d) = (centre.s, centre.d);
+        self.vehicle.set_elevation(Some(self.route.at(self.s).pose.position.z));
         let bumper = pose.advanced(0.5 * self.params().length);
         self.front_s = self.route.project_near(bumper.xy(), self.s, 0.0, AHEAD).s;
     }
@@ -177,7 +189,6 @@ impl Ego {
         batch.set(vehicle::SET_SPEED_MODE, &self.id, 0);
         batch.set(vehicle::SET_LANE_CHANGE_MODE, &self.id, 0);
         self.route_is_news = false;
-        self.inserted = true;
     }
 
     /// Appends its pose, and route and lamps where they changed, to the next step's message.

@@ -17,7 +17,7 @@ pub use ego::{Ego, Lamps};
 pub use error::BridgeError;
 
 use crate::geometry::Point;
-use crate::network::Network;
+use crate::network::{LaneId, Network};
 use crate::seeds;
 use crate::sumo_config::{OptionSchema, Overrides, SumoConfig};
 use crate::traci::process::{LaunchOptions, SumoInstall, SumoProcess};
@@ -184,7 +184,7 @@ impl Bridge {
         (self.begin_ms + self.ticks as f64 * self.tick_ms) / 1000.0
     }
 
-    /// Background vehicles and pedestrians in the network.
+    /// Background vehicles after the last step, and pedestrians before it, in the network.
     pub fn counts(&self) -> (usize, usize) {
         self.counts
     }
@@ -203,9 +203,8 @@ impl Bridge {
         observe::subscribe(&mut self.batch, &ego.id, self.sight);
         if !self.subscribed {
             self.subscribed = true;
-            // Ids "" are the domain itself: how many of each there are.
+            // Id "" is the domain itself: how many there are.
             self.batch.subscribe(vehicle::Vehicle, "", &[vehicle::ID_COUNT.id()]);
-            self.batch.subscribe(person::Person, "", &[person::ID_COUNT.id()]);
             if let Some(population) = &mut self.population {
                 population.define_types(&mut self.batch);
                 Population::subscribe(&mut self.batch);
@@ -249,6 +248,8 @@ impl Bridge {
         for ego in egos.iter_mut() {
             ego.report(&self.network, &mut self.batch);
         }
+        // SUMO drops a subscription to the persons' number, so it is asked for before the step.
+        let persons = self.batch.get(person::ID_COUNT, "");
         self.batch.step();
         let replies = match self.client.send(&self.batch).await {
             Ok(replies) => replies,
@@ -261,9 +262,15 @@ impl Bridge {
         self.catalog.next_tick();
         let subscriptions = replies.subscriptions();
         self.signals.read(&self.network, &subscriptions);
-        self.count(&subscriptions, egos.len());
+        for object in subscriptions.objects(vehicle::Vehicle) {
+            if let ("", Ok(count)) = (object.id(), object.value(vehicle::ID_COUNT)) {
+                self.counts.0 = (count.max(0) as usize).saturating_sub(egos.len());
+            }
+        }
+        self.counts.1 = replies.get(persons).unwrap_or_default().max(0) as usize;
         for ego in egos.iter_mut() {
-            let Ego { id, world, .. } = &mut **ego;
+            let Ego { id, world, previous, .. } = &mut **ego;
+            std::mem::swap(world, previous);
             let actors = (&mut world.vehicles, &mut world.pedestrians);
             let observed = self.catalog.observe(&mut self.client, &self.network, &replies, id, actors).await;
             if let Err(error) = observed {
@@ -288,25 +295,34 @@ impl Bridge {
         Ok(replies)
     }
 
+    /// Whether no vehicle is on any of these lanes.
+    ///
+    /// # Errors
+    /// SUMO fails.
+    pub async fn is_free(&mut self, lanes: &[LaneId]) -> Result<bool, BridgeError> {
+        let mut batch = Batch::new();
+        let counts: Vec<_> = lanes
+            .iter()
+            .map(|lane| batch.get(traci::lane::LAST_STEP_VEHICLE_NUMBER, &self.network.lane(*lane).id))
+            .collect();
+        let replies = match self.client.send(&batch).await {
+            Ok(replies) => replies,
+            Err(error) => return Err(self.explain(error).await),
+        };
+        for count in counts {
+            if replies.get(count).map_err(traci::Error::from)? > 0 {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+
     /// Saves SUMO's state, persons and random generators included.
     ///
     /// # Errors
     /// SUMO fails or cannot write the file.
     pub async fn save_state(&mut self, file: &Path) -> Result<(), BridgeError> {
         Ok(self.client.save_state(&file.to_string_lossy()).await?)
-    }
-
-    fn count(&mut self, subscriptions: &traci::Subscriptions<'_>, egos: usize) {
-        for object in subscriptions.objects(vehicle::Vehicle) {
-            if let ("", Ok(count)) = (object.id(), object.value(vehicle::ID_COUNT)) {
-                self.counts.0 = (count.max(0) as usize).saturating_sub(egos);
-            }
-        }
-        for object in subscriptions.objects(person::Person) {
-            if let ("", Ok(count)) = (object.id(), object.value(person::ID_COUNT)) {
-                self.counts.1 = count.max(0) as usize;
-            }
-        }
     }
 
     /// A broken connection's error with SUMO's end and its last log lines, where SUMO was our child.

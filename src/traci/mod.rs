@@ -11,6 +11,8 @@ mod port;
 pub mod process;
 pub mod replies;
 pub mod subscription;
+#[cfg(test)]
+mod tests;
 pub mod types;
 pub mod variable;
 

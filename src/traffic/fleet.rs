@@ -85,8 +85,13 @@ const CAR_COLOURS: &[(u32, Rgb)] = &[
     (1, [212, 176, 36]),
     (1, [204, 92, 30]),
 ];
-const VAN_COLOURS: &[(u32, Rgb)] =
-    &[(55, [238, 238, 234]), (15, [176, 180, 184]), (10, [44, 60, 98]), (10, [214, 178, 52]), (10, [92, 150, 162])];
+const VAN_COLOURS: &[(u32, Rgb)] = &[
+    (55, [238, 238, 234]),
+    (15, [176, 180, 184]),
+    (10, [44, 60, 98]),
+    (10, [214, 178, 52]),
+    (10, [92, 150, 162]),
+];
 const TRUCK_COLOURS: &[(u32, Rgb)] =
     &[(40, [232, 232, 228]), (20, [44, 96, 72]), (20, [176, 40, 34]), (20, [42, 66, 116])];
 const FIRE_COLOURS: &[(u32, Rgb)] = &[(1, [186, 24, 22])];
@@ -137,31 +142,98 @@ pub const FLEET: &[Model] = &[
     car("wad_car_estate", "passenger/wagon", 80, [4.61, 1.82, 1.56], 2.5),
     car("wad_car_suv", "passenger/wagon", 80, [4.86, 1.94, 1.72], 2.6),
     car("wad_car_coupe", "passenger/sedan", 40, [4.18, 1.84, 1.36], 3.2),
-    Model { kind: ActorKind::Van, speed_factor: VAN_SPEED, palette: VAN_COLOURS, max_speed: 36.0,
-        ..car("wad_van_camper", "passenger/van", 40, [4.48, 1.80, 2.05], 1.9) },
-    Model { kind: ActorKind::Van, class: VehicleClass::Delivery, speed_factor: VAN_SPEED, palette: VAN_COLOURS,
-        max_speed: 40.0, ..car("wad_van_delivery", "delivery", 50, [5.92, 1.99, 2.56], 1.9) },
-    Model { kind: ActorKind::Truck, class: VehicleClass::Truck, speed_factor: HEAVY_SPEED, palette: TRUCK_COLOURS,
-        decel: 4.0, emergency_decel: 7.0, max_speed: 25.0,
-        ..car("wad_truck_box", "truck", 30, [7.20, 2.40, 3.10], 1.3) },
-    Model { kind: ActorKind::Truck, class: VehicleClass::Truck, speed_factor: HEAVY_SPEED, palette: FIRE_COLOURS,
-        decel: 4.0, emergency_decel: 7.0, max_speed: 28.0,
-        ..car("wad_truck_fire", "truck", 10, [8.47, 2.50, 3.40], 1.4) },
-    Model { kind: ActorKind::Bus, class: VehicleClass::Bus, speed_factor: HEAVY_SPEED, palette: BUS_COLOURS,
-        decel: 4.0, emergency_decel: 7.0, max_speed: 24.0,
-        ..car("wad_bus", "bus", 20, [10.27, 2.50, 3.10], 1.2) },
-    Model { kind: ActorKind::Motorcycle, class: VehicleClass::Motorcycle, palette: BIKE_COLOURS, decel: 6.0,
-        min_gap: 2.0, ..car("wad_motorcycle_cruiser", "motorcycle", 40, [2.35, 0.85, 1.60], 4.0) },
-    Model { kind: ActorKind::Motorcycle, class: VehicleClass::Motorcycle, palette: BIKE_COLOURS, decel: 6.0,
-        min_gap: 2.0, ..car("wad_motorcycle_sport", "motorcycle", 30, [2.04, 0.80, 1.55], 4.5) },
-    Model { kind: ActorKind::Motorcycle, class: VehicleClass::Motorcycle, palette: BIKE_COLOURS, decel: 5.0,
-        min_gap: 2.0, max_speed: 25.0, ..car("wad_motorcycle_scooter", "moped", 30, [1.80, 0.75, 1.65], 2.4) },
-    Model { kind: ActorKind::Bicycle, class: VehicleClass::Bicycle, speed_factor: CITY_BIKE_SPEED, palette: BIKE_COLOURS,
-        decel: 3.0, emergency_decel: 5.0, max_speed: 7.0, min_gap: 1.0,
-        ..car("wad_bicycle_city", "bicycle", 40, [1.84, 0.60, 1.75], 1.0) },
-    Model { kind: ActorKind::Bicycle, class: VehicleClass::Bicycle, speed_factor: ROAD_BIKE_SPEED, palette: BIKE_COLOURS,
-        decel: 3.5, emergency_decel: 5.5, max_speed: 8.0, min_gap: 1.0,
-        ..car("wad_bicycle_road", "bicycle", 30, [1.65, 0.55, 1.70], 1.2) },
+    Model {
+        kind: ActorKind::Van,
+        speed_factor: VAN_SPEED,
+        palette: VAN_COLOURS,
+        max_speed: 36.0,
+        ..car("wad_van_camper", "passenger/van", 40, [4.48, 1.80, 2.05], 1.9)
+    },
+    Model {
+        kind: ActorKind::Van,
+        class: VehicleClass::Delivery,
+        speed_factor: VAN_SPEED,
+        palette: VAN_COLOURS,
+        max_speed: 40.0,
+        ..car("wad_van_delivery", "delivery", 50, [5.92, 1.99, 2.56], 1.9)
+    },
+    Model {
+        kind: ActorKind::Truck,
+        class: VehicleClass::Truck,
+        speed_factor: HEAVY_SPEED,
+        palette: TRUCK_COLOURS,
+        decel: 4.0,
+        emergency_decel: 7.0,
+        max_speed: 25.0,
+        ..car("wad_truck_box", "truck", 30, [7.20, 2.40, 3.10], 1.3)
+    },
+    Model {
+        kind: ActorKind::Truck,
+        class: VehicleClass::Truck,
+        speed_factor: HEAVY_SPEED,
+        palette: FIRE_COLOURS,
+        decel: 4.0,
+        emergency_decel: 7.0,
+        max_speed: 28.0,
+        ..car("wad_truck_fire", "truck", 10, [8.47, 2.50, 3.40], 1.4)
+    },
+    Model {
+        kind: ActorKind::Bus,
+        class: VehicleClass::Bus,
+        speed_factor: HEAVY_SPEED,
+        palette: BUS_COLOURS,
+        decel: 4.0,
+        emergency_decel: 7.0,
+        max_speed: 24.0,
+        ..car("wad_bus", "bus", 20, [10.27, 2.50, 3.10], 1.2)
+    },
+    Model {
+        kind: ActorKind::Motorcycle,
+        class: VehicleClass::Motorcycle,
+        palette: BIKE_COLOURS,
+        decel: 6.0,
+        min_gap: 2.0,
+        ..car("wad_motorcycle_cruiser", "motorcycle", 40, [2.35, 0.85, 1.60], 4.0)
+    },
+    Model {
+        kind: ActorKind::Motorcycle,
+        class: VehicleClass::Motorcycle,
+        palette: BIKE_COLOURS,
+        decel: 6.0,
+        min_gap: 2.0,
+        ..car("wad_motorcycle_sport", "motorcycle", 30, [2.04, 0.80, 1.55], 4.5)
+    },
+    Model {
+        kind: ActorKind::Motorcycle,
+        class: VehicleClass::Motorcycle,
+        palette: BIKE_COLOURS,
+        decel: 5.0,
+        min_gap: 2.0,
+        max_speed: 25.0,
+        ..car("wad_motorcycle_scooter", "moped", 30, [1.80, 0.75, 1.65], 2.4)
+    },
+    Model {
+        kind: ActorKind::Bicycle,
+        class: VehicleClass::Bicycle,
+        speed_factor: CITY_BIKE_SPEED,
+        palette: BIKE_COLOURS,
+        decel: 3.0,
+        emergency_decel: 5.0,
+        max_speed: 7.0,
+        min_gap: 1.0,
+        ..car("wad_bicycle_city", "bicycle", 40, [1.84, 0.60, 1.75], 1.0)
+    },
+    Model {
+        kind: ActorKind::Bicycle,
+        class: VehicleClass::Bicycle,
+        speed_factor: ROAD_BIKE_SPEED,
+        palette: BIKE_COLOURS,
+        decel: 3.5,
+        emergency_decel: 5.5,
+        max_speed: 8.0,
+        min_gap: 1.0,
+        ..car("wad_bicycle_road", "bicycle", 30, [1.65, 0.55, 1.70], 1.2)
+    },
 ];
 
 /// A kind of pedestrian: one SUMO vehicle type.
@@ -220,7 +292,10 @@ const CLOTHES: &[(u32, Rgb)] = &[
 /// Draws a model among those that `possible` lets through (by its index in [`FLEET`]);
 /// None where none is possible.
 pub fn draw_model(rng: &mut ChaCha8Rng, possible: impl Fn(usize) -> bool) -> Option<usize> {
-    pick_weighted(rng, FLEET.iter().enumerate().map(|(i, m)| if possible(i) { f64::from(m.share) } else { 0.0 }))
+    pick_weighted(
+        rng,
+        FLEET.iter().enumerate().map(|(i, m)| if possible(i) { f64::from(m.share) } else { 0.0 }),
+    )
 }
 
 /// Draws a colour for a model.
@@ -284,9 +359,14 @@ mod tests {
             *seen.entry(format!("{:?}", model.kind)).or_insert(0) += 1;
         }
         let share = |kind: &str| f64::from(seen[kind]) / 20_000.0;
-        for (kind, expected) in
-            [("Car", 0.68), ("Van", 0.09), ("Truck", 0.04), ("Bus", 0.02), ("Motorcycle", 0.10), ("Bicycle", 0.07)]
-        {
+        for (kind, expected) in [
+            ("Car", 0.68),
+            ("Van", 0.09),
+            ("Truck", 0.04),
+            ("Bus", 0.02),
+            ("Motorcycle", 0.10),
+            ("Bicycle", 0.07),
+        ] {
             assert!((share(kind) - expected).abs() < 0.015, "{kind}: {}", share(kind));
         }
     }

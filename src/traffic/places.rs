@@ -174,7 +174,9 @@ mod tests {
 
     #[test]
     fn a_starting_vehicle_can_always_stop() {
-        for (limit, free, decel) in [(13.89, 8.0, 4.5), (25.0, 60.0, 4.0), (5.0, 0.5, 3.0), (13.89, 500.0, 4.5)] {
+        for (limit, free, decel) in
+            [(13.89, 8.0, 4.5), (25.0, 60.0, 4.0), (5.0, 0.5, 3.0), (13.89, 500.0, 4.5)]
+        {
             let v = start_speed(limit, free, 2.5, decel);
             assert!(v >= 0.0 && v <= 0.75 * limit);
             assert!(v == 0.0 || v + v * v / (2.0 * decel) < free - 2.5, "{v} m/s in {free} m");

@@ -90,6 +90,7 @@ pub(super) struct Vehicles {
     /// By edge: whether its one-edge route was defined.
     routes: Vec<bool>,
     next_serial: u64,
+    alive: usize,
 }
 
 impl Vehicles {
@@ -127,12 +128,13 @@ impl Vehicles {
             reserve: Reserve::new(edges),
             routes: vec![false; edges],
             next_serial: 0,
+            alive: 0,
         }
     }
 
-    /// Number of vehicles that SUMO was given and that have departed.
+    /// How many were in the network after the last step.
     pub fn alive(&self) -> usize {
-        self.members.iter().flatten().filter(|m| m.departed).count()
+        self.alive
     }
 
     pub fn owns(&self, id: &str) -> bool {
@@ -152,8 +154,7 @@ impl Vehicles {
             let found = [model, 0].into_iter().find_map(|model| {
                 let roads = &self.roads[self.model_roads[model]?];
                 let length = FLEET[model].length;
-                let (start, front) =
-                    occupancy.take(&mut self.rng, &network, roads, length, allowed)?;
+                let (start, front) = occupancy.take(&mut self.rng, &network, roads, length, allowed)?;
                 Some((model, start.lane, front))
             });
             let Some(found) = found else { break };
@@ -174,13 +175,20 @@ impl Vehicles {
     }
 
     /// Follows one step: see [`super::Population::update`].
-    pub fn update(&mut self, events: &StepEvents<'_>, replies: &Replies, scene: Scene<'_>, batch: &mut Batch) {
+    pub fn update(
+        &mut self,
+        events: &StepEvents<'_>,
+        replies: &Replies,
+        scene: Scene<'_>,
+        batch: &mut Batch,
+    ) {
         for id in &events.arrived {
             if let Some(slot) = self.slots.get(*id).copied() {
                 self.vacate(slot);
             }
         }
         self.note_departures(events, scene.time, batch);
+        self.alive = self.members.iter().flatten().filter(|m| m.departed).count();
         self.read_extensions(replies, scene.time);
         self.read_looks(replies, scene, batch);
         self.reserve.read(replies, scene.time);
@@ -307,7 +315,11 @@ impl Vehicles {
             let rear = point_on(network, start.lane, front - spec.length);
             let hidden = [point, rear].iter().all(|&p| !avoid.in_sight(scene.ego, p));
             if hidden && avoid.clear_of(scene.near, point) {
-                return Some(Place { lane: start.lane, front, free: network.lane(start.lane).length - front });
+                return Some(Place {
+                    lane: start.lane,
+                    front,
+                    free: network.lane(start.lane).length - front,
+                });
             }
         }
         let mut furthest: Option<(f64, Place)> = None;

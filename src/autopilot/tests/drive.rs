@@ -108,6 +108,8 @@ pub struct Setup<'a> {
     pub light: Box<dyn Fn(f64) -> Option<&'static str> + 'a>,
     pub tick_s: f64,
     pub seconds: f64,
+    /// Ends this far before the route's end (m).
+    pub before_end: f64,
 }
 
 /// All green for the main road, all red otherwise, as the net's own program has them.
@@ -126,6 +128,7 @@ impl<'a> Setup<'a> {
             light: Box::new(|_| Some(MAIN_GREEN)),
             tick_s: 0.167,
             seconds: 60.0,
+            before_end: 3.0,
         }
     }
 
@@ -166,7 +169,7 @@ impl<'a> Setup<'a> {
             for other in world.vehicles.iter().chain(&world.pedestrians) {
                 report.nearest = report.nearest.min(distance(&state.pose, &model, other));
             }
-            if on.s > self.route.length() - 3.0 {
+            if on.s > self.route.length() - self.before_end {
                 break;
             }
             let decision = pilot.control(self.network, &self.route, on.s, &state, &world, self.tick_s);
@@ -178,8 +181,7 @@ impl<'a> Setup<'a> {
             }
             report.hardest = report.hardest.min(state.acceleration);
             report.last = Some(decision);
-            let bodies: Vec<MovingBody> =
-                world.vehicles.iter().chain(&world.pedestrians).map(body).collect();
+            let bodies: Vec<MovingBody> = world.vehicles.iter().chain(&world.pedestrians).map(body).collect();
             report.contacts += ego.tick(decision.control, self.tick_s, &bodies).len();
         }
         report
@@ -207,10 +209,10 @@ fn distance(ego: &Pose, model: &EgoModel, other: &Actor) -> f64 {
     if (ego.xy() - other.pose.xy()).norm() > 25.0 {
         return f64::INFINITY;
     }
-    let boxes = [(ego, (model.length, model.width)), (
-        &other.pose,
-        (other.actor_type.length, other.actor_type.width),
-    )];
+    let boxes = [
+        (ego, (model.length, model.width)),
+        (&other.pose, (other.actor_type.length, other.actor_type.width)),
+    ];
     let mut nearest = f64::INFINITY;
     for (a, b) in [(boxes[0], boxes[1]), (boxes[1], boxes[0])] {
         for p in outline(a.0, a.1) {

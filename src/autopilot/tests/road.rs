@@ -127,7 +127,9 @@ fn a_full_lane_does_not_block_it_for_ever() {
         setup.vehicles.push(Box::new(move |network, t, _| {
             let start = 15.0 + 1.2 * (12 - k) as f64;
             let moving = (t - start).max(0.0);
-            let x = 100.0 + 7.2 * k as f64 + if moving < 5.0 { moving * moving } else { 25.0 + 10.0 * (moving - 5.0) };
+            let x = 100.0
+                + 7.2 * k as f64
+                + if moving < 5.0 { moving * moving } else { 25.0 + 10.0 * (moving - 5.0) };
             let speed = (2.0 * moving).min(10.0);
             car(network, k, &["WC_2", ":C_11_1", "CE_2", ":E_6_1", "EF_2"], x, speed)
         }));
