@@ -29,6 +29,7 @@ pub mod bench;
 pub mod bridge;
 pub mod bundled;
 pub mod clock;
+pub mod cores;
 pub mod cpu_time;
 pub mod criteria;
 pub mod destination;
