@@ -22,7 +22,7 @@ use crate::network::{LaneId, Network};
 use crate::seeds;
 use crate::sumo_config::{OptionSchema, Overrides, SumoConfig};
 use crate::traci::process::{LaunchOptions, SumoInstall, SumoProcess};
-use crate::traci::{self, Batch, Replies, TcpClient, gui, person, simulation, vehicle};
+use crate::traci::{self, Batch, Replies, TcpClient, gui, simulation, vehicle};
 use crate::traffic::{self, Population, StepEvents, TrafficSpec};
 use observe::ActorCatalog;
 use serde::{Deserialize, Serialize};
@@ -188,7 +188,7 @@ impl Bridge {
         (self.begin_ms + self.ticks as f64 * self.tick_ms) / 1000.0
     }
 
-    /// Background vehicles after the last step, and pedestrians before it, in the network.
+    /// Background vehicles and pedestrians in the network after the last step.
     pub fn counts(&self) -> (usize, usize) {
         self.counts
     }
@@ -209,9 +209,9 @@ impl Bridge {
             self.subscribed = true;
             // Id "" is the domain itself: how many there are.
             self.batch.subscribe(vehicle::Vehicle, "", &[vehicle::ID_COUNT.id()]);
+            StepEvents::subscribe(&mut self.batch);
             if let Some(population) = &mut self.population {
                 population.define_types(&mut self.batch);
-                Population::subscribe(&mut self.batch);
                 population.populate(&mut self.batch, Some(ego.state().pose));
             }
         }
@@ -244,8 +244,6 @@ impl Bridge {
         self.signals.follow(&self.network, &observers, &mut self.batch);
         let reported: Vec<_> =
             egos.iter_mut().map(|ego| ego.report(&self.network, &mut self.batch)).collect();
-        // SUMO drops a subscription to the persons' number, so it is asked for before the step.
-        let persons = self.batch.get(person::ID_COUNT, "");
         self.batch.step();
         let replies = match self.client.send(&self.batch).await {
             Ok(replies) => replies,
@@ -269,7 +267,9 @@ impl Bridge {
                 self.counts.0 = (count.max(0) as usize).saturating_sub(egos.len());
             }
         }
-        self.counts.1 = replies.get(persons).unwrap_or_default().max(0) as usize;
+        let events = StepEvents::read(&replies).map_err(traci::Error::from)?;
+        // SUMO's own number of persons counts those who have yet to depart.
+        self.counts.1 = (self.counts.1 + events.departed_persons.len()).saturating_sub(events.arrived_persons.len());
         for ego in egos.iter_mut() {
             let Ego { id, world, previous, .. } = &mut **ego;
             std::mem::swap(world, previous);
@@ -291,8 +291,9 @@ impl Bridge {
                 .map(|actor| actor.pose.xy())
                 .collect();
             let pose = ego.map(|ego| ego.state().pose);
-            let events = StepEvents::read(&replies).map_err(traci::Error::from)?;
             population.update(&events, &replies, pose, &near, &mut self.batch);
+            // Those that the population itself took out do not arrive.
+            self.counts.1 = population.alive().pedestrians;
         }
         Ok(replies)
     }
