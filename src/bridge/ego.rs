@@ -39,7 +39,6 @@ pub struct Ego {
     d: f64,
     front_s: f64,
     lamps: Lamps,
-    shown_lamps: Option<Lamps>,
     /// The route has changed since SUMO heard of it.
     route_is_news: bool,
 }
@@ -64,7 +63,6 @@ impl Ego {
             d: 0.0,
             front_s,
             lamps: Lamps::default(),
-            shown_lamps: None,
             route_is_news: true,
         };
         ego.locate();
@@ -191,7 +189,7 @@ impl Ego {
         self.route_is_news = false;
     }
 
-    /// Appends its pose, and route and lamps where they changed, to the next step's message.
+    /// Appends its pose and lamps, and its route where that changed, to the next step's message.
     pub(super) fn report(&mut self, network: &Network, batch: &mut Batch) {
         if self.route_is_news {
             let edges = self.sumo_edges(network);
@@ -199,10 +197,8 @@ impl Ego {
             batch.set(vehicle::SET_ROUTE, &self.id, &edges);
             self.route_is_news = false;
         }
-        if self.shown_lamps != Some(self.lamps) {
-            batch.set(vehicle::SET_SIGNALS, &self.id, self.lamps.to_sumo());
-            self.shown_lamps = Some(self.lamps);
-        }
+        // SUMO keeps them for one step only.
+        batch.set(vehicle::SET_SIGNALS, &self.id, self.lamps.to_sumo());
         let (front, angle) = self.vehicle.state().pose.to_sumo(self.params().length);
         vehicle::move_to_xy(
             batch,
