@@ -203,8 +203,18 @@ impl Bridge {
     /// # Errors
     /// SUMO refuses the ego, or fails.
     pub async fn spawn(&mut self, ego: &mut Ego) -> Result<(), BridgeError> {
-        ego.insert(&self.network, &mut self.batch);
-        observe::subscribe(&mut self.batch, &ego.id, self.sight);
+        self.spawn_all(&mut [ego]).await
+    }
+
+    /// Brings several egos into SUMO with one step; the population appears round the first.
+    ///
+    /// # Errors
+    /// SUMO refuses one of them, or fails.
+    pub async fn spawn_all(&mut self, egos: &mut [&mut Ego]) -> Result<(), BridgeError> {
+        for ego in egos.iter_mut() {
+            ego.insert(&self.network, &mut self.batch);
+            observe::subscribe(&mut self.batch, &ego.id, self.sight);
+        }
         if !self.subscribed {
             self.subscribed = true;
             // Id "" is the domain itself: how many there are.
@@ -212,18 +222,24 @@ impl Bridge {
             StepEvents::subscribe(&mut self.batch);
             if let Some(population) = &mut self.population {
                 population.define_types(&mut self.batch);
-                population.populate(&mut self.batch, Some(ego.state().pose));
+                population.populate(&mut self.batch, egos.first().map(|ego| ego.state().pose));
             }
         }
-        if self.gui {
+        if let (true, Some(ego)) = (self.gui, egos.first()) {
             self.batch.set(gui::TRACK_VEHICLE, gui::MAIN_VIEW, &ego.id);
             self.batch.set(gui::SET_ZOOM, gui::MAIN_VIEW, 800.0);
         }
-        let replies = self.exchange(&mut [ego]).await?;
+        let replies = self.exchange(egos).await?;
         if let Err(refusal) = replies.check() {
             return Err(traci::Error::from(refusal).into());
         }
         Ok(())
+    }
+
+    /// The connection, for what the bridge does not ask for itself. It must not step SUMO, and what it
+    /// sets holds from the next tick on.
+    pub fn client_mut(&mut self) -> &mut TcpClient {
+        &mut self.client
     }
 
     /// One SUMO step with the egos where their physics put them; each then has a new world.
@@ -269,12 +285,14 @@ impl Bridge {
         }
         let events = StepEvents::read(&replies).map_err(traci::Error::from)?;
         // SUMO's own number of persons counts those who have yet to depart.
-        self.counts.1 = (self.counts.1 + events.departed_persons.len()).saturating_sub(events.arrived_persons.len());
+        self.counts.1 =
+            (self.counts.1 + events.departed_persons.len()).saturating_sub(events.arrived_persons.len());
         for ego in egos.iter_mut() {
             let Ego { id, world, previous, .. } = &mut **ego;
             std::mem::swap(world, previous);
             let actors = (&mut world.vehicles, &mut world.pedestrians);
-            let observed = self.catalog.observe(&mut self.client, &self.network, &replies, id, tick, actors).await;
+            let observed =
+                self.catalog.observe(&mut self.client, &self.network, &replies, id, tick, actors).await;
             if let Err(error) = observed {
                 return Err(self.explain(error).await);
             }
