@@ -17,6 +17,7 @@ pub use ego::{Ego, Lamps};
 pub use error::BridgeError;
 
 use crate::cores::SharedCore;
+use crate::destination::EGO_CLASS;
 use crate::geometry::Point;
 use crate::network::{LaneId, Network};
 use crate::seeds;
@@ -110,6 +111,7 @@ impl Bridge {
             tracing::info!("{}: {option} is not an option of this SUMO, left out", config.path().display());
         }
         let network = Arc::new(Network::load(&config.net_file()?)?);
+        network.require_drivable(EGO_CLASS)?;
         let timeout = Duration::from_secs_f64(options.tick_timeout.max(0.001));
         let wanted = match options.tick_ms {
             Some(ms) => Some(ms),
