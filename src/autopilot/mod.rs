@@ -156,8 +156,7 @@ impl Autopilot {
         let params = self.params;
         let model = self.model;
         let speed = ego.speed.max(0.0);
-        // The mean delay of what is decided now, with the pedals' own lag.
-        let latency = 0.5 * tick_s + 0.1;
+        let latency = speed::latency(tick_s);
         let front_s = route_s + 0.5 * model.length;
         let rear_s = route_s - 0.5 * model.length;
 
@@ -172,7 +171,7 @@ impl Autopilot {
 
         let (located, obstacles) =
             leader::find(&self.path, route_s, world, &mut self.tracker, tick_s, &model, &params);
-        let profile = speed::profile(&self.path, route_s, speed, latency, &params);
+        let profile = speed::profile(&self.path, route_s, speed, tick_s, &params);
         let mut choice = Choice { acceleration: params.max_acceleration, reason: Reason::Free };
         let bound = if profile.curve { Reason::Curve } else { Reason::Limit };
         choice.offer(profile.acceleration.max(-4.5), bound);
@@ -225,7 +224,7 @@ impl Autopilot {
         }
         self.last_acceleration = acceleration;
         let mut control = self.pedals.press(acceleration, speed, tick_s, &model);
-        let wheel = steering::wheel_angle(&self.path, route_s, ego, &model, speed);
+        let wheel = steering::wheel_angle(&self.path, route_s, ego, &model, acceleration, tick_s);
         // At rest the wheels stay where they are.
         let wheel = if speed < 0.05 && control.throttle == 0.0 { ego.steer_angle } else { wheel };
         control.steer = (wheel / model.max_steer).clamp(-1.0, 1.0);
