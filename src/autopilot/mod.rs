@@ -84,7 +84,7 @@ pub struct Decision {
     pub leader: Option<Leader>,
     /// State of the next signal and the distance of its stop line from the front bumper (m).
     pub light: Option<(SignalState, f64)>,
-    /// Held by a light, a jam, right of way, a pedestrian or a missing gap, not by its own choice.
+    /// Held by a light, a jam (a leader slower than 2 m/s), right of way, a pedestrian or a full junction.
     pub held: bool,
     /// Indicators and brake lights to show.
     pub blinker_left: bool,
@@ -382,12 +382,20 @@ impl Autopilot {
                 impatience,
                 breaks_deadlock: waited >= params.patience_end,
                 yields,
+                signalled: network
+                    .link(plan.link)
+                    .signal
+                    .is_some_and(|s| world.signal(s) != Some(SignalState::Off)),
+                ends_standoff: waited >= right_of_way::STANDOFF,
             };
             let outcome = right_of_way::judge(network, plan, world, &by_lane, &motion, &params);
             for merging in &outcome.merging {
                 let gap = merging.gap - (speed - merging.speed) * latency;
                 let a = follow(speed, gap, merging.speed, profile.target.max(1.0), &params).max(-4.0);
                 choice.offer(a, Reason::Merge { gap: merging.gap, speed: merging.speed });
+                if merging.speed < 0.3 && front_s > plan.stop_s {
+                    yielding_at = yielding_at.or(Some(plan.link));
+                }
             }
             if let Some(hold) = outcome.hold {
                 let distance = hold.stop_s - front_s;
@@ -432,8 +440,12 @@ fn is_held(reason: &Reason) -> bool {
         | Reason::Yield { .. }
         | Reason::JunctionBlocked { .. }
         | Reason::Pedestrian { .. }
-        | Reason::Crossing { .. }
-        | Reason::LaneChange { .. } => true,
-        Reason::Free | Reason::Limit | Reason::Curve | Reason::RouteEnd { .. } | Reason::OffRoute => false,
+        | Reason::Crossing { .. } => true,
+        Reason::Free
+        | Reason::Limit
+        | Reason::Curve
+        | Reason::LaneChange { .. }
+        | Reason::RouteEnd { .. }
+        | Reason::OffRoute => false,
     }
 }
