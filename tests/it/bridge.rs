@@ -401,3 +401,30 @@ async fn it_drives_on_the_left_where_that_is_the_rule() {
         "{summary:?}"
     );
 }
+
+/// Ticks of half a second and a second, as SUMO's own demo configs have them.
+#[tokio::test]
+async fn long_ticks_keep_it_on_the_road() {
+    let net = SumoInstall::find().expect("SUMO").home().join("tools/game/A10KW.sumocfg");
+    for tick_ms in [500.0, 1000.0] {
+        let folder = tempfile::tempdir().expect("a folder");
+        let bridge =
+            BridgeOptions { tick_ms: Some(tick_ms), ..BridgeOptions::new(&net, folder.path().join("out")) };
+        let mut drive = Drive::start(DriveOptions {
+            bridge,
+            route: None,
+            ego: EgoParams::default(),
+            autopilot: AutopilotParams::default(),
+            criteria: wad_cosim::criteria::CriteriaParams::default(),
+            out: folder.path().join("out"),
+        })
+        .await
+        .expect("a drive");
+        for _ in 0..150 {
+            drive.tick().await.expect("a tick");
+        }
+        let summary = drive.finish("survived", false).await.expect("a summary");
+        assert!(summary.distance_m > 150.0, "{summary:?}");
+        assert_eq!((summary.outside_lane_ticks, summary.collisions_caused.vehicle), (0, 0), "{summary:?}");
+    }
+}
