@@ -390,7 +390,7 @@ async fn drive(seed: u64, ticks: u64, additional: &[PathBuf]) -> Score {
         standing = if state.speed < 0.1 && !by_light { standing + TICK } else { 0.0 };
         if standing > score.longest_stand {
             score.longest_stand = standing;
-            if standing > 60.0 && (standing / TICK) as u64 % 120 == 0 {
+            if standing > 60.0 && ((standing / TICK) as u64).is_multiple_of(120) {
                 println!(
                     "seed {seed} tick {tick}: standing {standing:.0} s at {:.1},{:.1}: {:?}",
                     state.pose.position.x, state.pose.position.y, decision.reason
