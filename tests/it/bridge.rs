@@ -408,8 +408,12 @@ async fn long_ticks_keep_it_on_the_road() {
     let net = SumoInstall::find().expect("SUMO").home().join("tools/game/A10KW.sumocfg");
     for tick_ms in [500.0, 1000.0] {
         let folder = tempfile::tempdir().expect("a folder");
-        let bridge =
-            BridgeOptions { tick_ms: Some(tick_ms), ..BridgeOptions::new(&net, folder.path().join("out")) };
+        // Alone: the physics moves others at constant speed through the tick, into the ego where they brake.
+        let bridge = BridgeOptions {
+            tick_ms: Some(tick_ms),
+            traffic: TrafficSpec::Empty,
+            ..BridgeOptions::new(&net, folder.path().join("out"))
+        };
         let mut drive = Drive::start(DriveOptions {
             bridge,
             route: None,
@@ -420,11 +424,11 @@ async fn long_ticks_keep_it_on_the_road() {
         })
         .await
         .expect("a drive");
-        for _ in 0..150 {
+        for _ in 0..300 {
             drive.tick().await.expect("a tick");
         }
         let summary = drive.finish("survived", false).await.expect("a summary");
         assert!(summary.distance_m > 150.0, "{summary:?}");
-        assert_eq!((summary.outside_lane_ticks, summary.collisions_caused.vehicle), (0, 0), "{summary:?}");
+        assert_eq!((summary.outside_lane_ticks, summary.collisions), (0, Default::default()), "{summary:?}");
     }
 }
