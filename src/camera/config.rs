@@ -67,6 +67,11 @@ impl CameraConfig {
         Self { width, height, fov_deg: 60.0, mount }
     }
 
+    /// Whether the vehicle that it is mounted on is in the picture: the camera is outside it.
+    pub fn shows_ego(&self) -> bool {
+        self.mount.forward.abs() > 2.5 || self.mount.up > 2.0
+    }
+
     /// Focal length in pixels.
     pub fn focal(&self) -> f64 {
         0.5 * self.width as f64 / (0.5 * self.fov_deg.to_radians()).tan()

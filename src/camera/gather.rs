@@ -28,10 +28,20 @@ pub struct Item<'a> {
 pub struct Geometry<'a> {
     pub items: Vec<Item<'a>>,
     pub tris: Vec<Tri>,
-    /// Instances in sight, for shadows and glows: instance, depth (m).
-    pub seen: Vec<(&'a Instance, f32)>,
+    /// Instances in sight, for shadows and glows.
+    pub seen: Vec<Seen<'a>>,
     /// Chunks in sight, nearest first: number, distance (m).
     pub chunks: Vec<(u32, f32)>,
+}
+
+/// An instance in sight.
+pub struct Seen<'a> {
+    pub instance: &'a Instance,
+    /// Of its middle (m).
+    pub depth: f32,
+    /// A road user, not a part of the town.
+    pub moving: bool,
+    pub lamps: Lamps,
 }
 
 /// Things farther than this (m) are not drawn.
@@ -47,6 +57,8 @@ pub struct Gather<'a, 'b> {
     pub vertices: &'b mut Vec<CamVertex>,
     /// Share of sun (0..1) at a world point.
     pub sun_at: &'b dyn Fn(&Point3<f64>) -> f32,
+    /// The ego is drawn too.
+    pub shows_ego: bool,
 }
 
 impl<'a> Gather<'a, '_> {
@@ -56,7 +68,8 @@ impl<'a> Gather<'a, '_> {
         self.vertices.clear();
         self.find_chunks(&mut out);
         let mut actors: Vec<(f32, &'a Instance)> = Vec::new();
-        for instance in &self.actors.instances {
+        let ego = self.actors.ego.iter().filter(|_| self.shows_ego);
+        for instance in self.actors.instances.iter().chain(ego) {
             if let Some(distance) = self.distance(instance) {
                 actors.push((distance, instance));
             }
@@ -68,7 +81,7 @@ impl<'a> Gather<'a, '_> {
         let mut looks = [14.0, 40.0, 75.0, 130.0].into_iter().peekable();
         for &(number, distance) in &chunks {
             while let Some((_, actor)) = actors.next_if(|actor| actor.0 < distance) {
-                self.instance(actor, &mut out);
+                self.instance(actor, true, &mut out);
             }
             if looks.next_if(|look| distance > *look).is_some() {
                 self.visibility.update_tiles();
@@ -76,7 +89,7 @@ impl<'a> Gather<'a, '_> {
             self.chunk(&self.scene.chunks[number as usize], distance, &mut out);
         }
         for (_, actor) in actors {
-            self.instance(actor, &mut out);
+            self.instance(actor, true, &mut out);
         }
         out.chunks = chunks;
         out
@@ -116,7 +129,7 @@ impl<'a> Gather<'a, '_> {
             self.mesh(mesh, &[Place { axes, origin: corner }], None, [1.0, 0.0], 1.0, out);
         }
         for instance in &chunk.instances {
-            self.instance(instance, out);
+            self.instance(instance, false, out);
         }
     }
 
@@ -128,14 +141,15 @@ impl<'a> Gather<'a, '_> {
             .then_some(centre[2] - radius)
     }
 
-    fn instance(&mut self, instance: &'a Instance, out: &mut Geometry<'a>) {
+    fn instance(&mut self, instance: &'a Instance, moving: bool, out: &mut Geometry<'a>) {
         let view = self.view;
         let model: &'a Model = &self.scene.library.models[instance.model.0 as usize];
         let (centre, radius) = placed_ball(view, model, instance);
         if !view.sees_ball(centre, radius) || centre[2] - radius > VIEW_DISTANCE {
             return;
         }
-        out.seen.push((instance, centre[2]));
+        let lamps = self.lamps(Some(instance));
+        out.seen.push(Seen { instance, depth: centre[2], moving, lamps });
         let pixels = view.focal * radius / centre[2].max(NEAR + radius * 0.5);
         let Some(level) = model.levels.iter().find(|level| pixels >= level.min_pixels) else { return };
         let (sin, cos) = (instance.pose.heading.sin() as f32, instance.pose.heading.cos() as f32);
@@ -149,7 +163,8 @@ impl<'a> Gather<'a, '_> {
         if self.is_hidden(place.origin, axes, &model.bounds) {
             return;
         }
-        let sun = (self.sun_at)(&instance.pose.position);
+        // What casts a shadow into the map itself is not darkened by it.
+        let sun = if moving { (self.sun_at)(&instance.pose.position) } else { 1.0 };
         if model.bones.is_empty() {
             self.mesh(&level.mesh, &[place], Some(instance), [cos, sin], sun, out);
         } else {

@@ -186,8 +186,8 @@ fn plane(corners: &[[f32; 3]], view: &View) -> Option<[f32; 3]> {
     let (a, c) = (corners[0], corners[corners.len() / 2]);
     let normal = cross(sub(corners[1], a), sub(c, a));
     let distance = dot(normal, a);
-    // From above only.
-    if distance >= -1e-9 {
+    // From above only; the camera's frame is left-handed.
+    if distance <= 1e-9 {
         return None;
     }
     let scale = 1.0 / (distance * view.focal);

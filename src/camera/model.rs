@@ -456,6 +456,8 @@ pub struct ActorFrame {
     /// The scene's time (s): rain falls and blinkers blink by it.
     pub time: f64,
     pub instances: Vec<Instance>,
+    /// The ego itself, seen only by cameras outside it.
+    pub ego: Option<Instance>,
     /// State strings of the traffic lights, as [`crate::world::WorldState::traffic_lights`] has them.
     pub traffic_lights: Vec<Option<std::sync::Arc<str>>>,
 }

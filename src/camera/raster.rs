@@ -136,7 +136,8 @@ multiversion! {
             }
             let normal = cross(sub(b.p, a.p), sub(c.p, a.p));
             let distance = dot(normal, a.p);
-            if distance >= 0.0 && !job.library.materials[triangle.material.0 as usize].double_sided {
+            // The camera's frame is left-handed: front faces have a positive distance.
+            if distance <= 0.0 && !job.library.materials[triangle.material.0 as usize].double_sided {
                 continue;
             }
             if distance.abs() < 1e-12 {

@@ -42,6 +42,8 @@ pub struct Surface {
     /// Light of sky and ground on it, and of the sun where no shadow falls.
     pub ambient: Rgb,
     pub sun: Rgb,
+    /// Ground: horizontal and low, so that shadows and puddles lie on it.
+    pub lies: bool,
 }
 
 /// What lights a frame.
@@ -82,6 +84,7 @@ impl Lighting<'_> {
         surface.albedo = albedo;
         let n = self.normal(item, corners[0], p[0]);
         surface.ambient = self.ambient(n);
+        surface.lies = n[2] > 0.7 && material.texture != Texture::Roof;
         let facing = dot(n, self.weather.sun).max(0.0);
         // Leaves let light through.
         let facing = if surface.kind == Kind::Leaves { 0.35 + 0.55 * facing } else { facing };
@@ -196,6 +199,7 @@ impl Lighting<'_> {
             albedo: m.albedo,
             ambient: self.ambient(up),
             sun: self.weather.sun_light.map(|c| c * self.weather.sun[2]),
+            lies: true,
             ..Surface::default()
         }
     }
