@@ -19,6 +19,7 @@ pub mod grid;
 mod ground_marks;
 pub mod model;
 mod noise;
+mod picture;
 mod raster;
 mod shade;
 mod shadow_map;
@@ -34,6 +35,7 @@ mod tests;
 pub use config::{CameraConfig, Mount};
 pub use cpu::CpuRenderer;
 pub use frame::{Frame, ObjectTruth, Outputs};
+pub use picture::Picture;
 pub use view::View;
 pub use weather::{Preset, Weather};
 
