@@ -6,6 +6,7 @@
 //! where the stretch begins, a run over the stretch less a run over its first ticks, so that start-up
 //! and loading cancel out.
 
+use crate::cpu_time;
 use crate::drive::{Drive, DriveError, DriveOptions};
 use crate::traci::process::{InstallError, SumoInstall};
 use crate::traffic::{Counts, TrafficSpec};
@@ -38,6 +39,11 @@ pub struct BridgeRow {
     pub bridge_ms: f64,
     /// Median of the ratios of the turns, not ratio of the medians.
     pub ratio: f64,
+    /// The same in CPU time, which other load on the machine hardly touches: SUMO's and ours together
+    /// against SUMO's alone.
+    pub sumo_alone_cpu_ms: f64,
+    pub bridge_cpu_ms: f64,
+    pub cpu_ratio: f64,
     pub physics_ms: f64,
     pub autopilot_ms: f64,
     /// Actors within sight of the ego, on average.
@@ -84,6 +90,9 @@ impl BridgeBench {
             sumo_alone_ms: median_of(&|t| t.alone),
             bridge_ms: median_of(&|t| t.bridge),
             ratio: median_of(&|t| t.bridge / t.alone),
+            sumo_alone_cpu_ms: median_of(&|t| t.alone_cpu),
+            bridge_cpu_ms: median_of(&|t| t.bridge_cpu),
+            cpu_ratio: median_of(&|t| t.bridge_cpu / t.alone_cpu),
             physics_ms: median_of(&|t| t.physics),
             autopilot_ms: median_of(&|t| t.autopilot),
             actors_in_sight: median_of(&|t| t.actors),
@@ -104,14 +113,15 @@ impl BridgeBench {
         let state = folder.join("state.xml.gz");
         drive.save_state(&state).await?;
         let begin = drive.bridge().time();
-        let before = drive.timings();
+        let sumo_cpu = |drive: &Drive| drive.bridge().sumo_pid().and_then(cpu_time::of_process).unwrap_or(f64::NAN);
+        let (before, cpu_before) = (drive.timings(), sumo_cpu(&drive));
         let mut actors = 0;
         for _ in 0..self.ticks {
             drive.tick().await?;
             let world = drive.ego().world();
             actors += world.vehicles.len() + world.pedestrians.len();
         }
-        let after = drive.timings();
+        let (after, cpu_after) = (drive.timings(), sumo_cpu(&drive));
         let tick = drive.bridge().tick();
         drive.finish("survived", false).await?;
         let install = SumoInstall::find()?;
@@ -120,8 +130,10 @@ impl BridgeBench {
         let (head, whole) = (time(HEAD)?, time(HEAD + self.ticks)?);
         let per_tick = |seconds: f64| 1000.0 * seconds / self.ticks as f64;
         Ok(Turn {
-            alone: per_tick(whole - head).max(1e-6),
+            alone: per_tick(whole.0 - head.0).max(1e-6),
             bridge: per_tick(after.bridge - before.bridge),
+            alone_cpu: per_tick(whole.1 - head.1).max(1e-6),
+            bridge_cpu: per_tick(after.bridge_cpu - before.bridge_cpu + cpu_after - cpu_before),
             physics: per_tick(after.physics - before.physics),
             autopilot: per_tick(after.agent - before.agent),
             actors: actors as f64 / self.ticks as f64,
@@ -133,14 +145,17 @@ impl BridgeBench {
 struct Turn {
     alone: f64,
     bridge: f64,
+    alone_cpu: f64,
+    bridge_cpu: f64,
     physics: f64,
     autopilot: f64,
     actors: f64,
 }
 
-/// Seconds that plain SUMO takes from the saved state until `end` (s).
-fn alone(install: &SumoInstall, config: &Path, state: &Path, end: f64) -> Result<f64, BenchError> {
-    let began = Instant::now();
+/// Wall and CPU seconds that plain SUMO takes from the saved state until `end` (s).
+fn alone(install: &SumoInstall, config: &Path, state: &Path, end: f64) -> Result<(f64, f64), BenchError> {
+    let cpu = || cpu_time::of_ended_children().unwrap_or(f64::NAN);
+    let (began, cpu_before) = (Instant::now(), cpu());
     let output = install
         .command("sumo")
         .arg("-c")
@@ -153,7 +168,7 @@ fn alone(install: &SumoInstall, config: &Path, state: &Path, end: f64) -> Result
     if !output.status.success() {
         return Err(BenchError::Alone(String::from_utf8_lossy(&output.stderr).trim().to_string()));
     }
-    Ok(began.elapsed().as_secs_f64())
+    Ok((began.elapsed().as_secs_f64(), cpu() - cpu_before))
 }
 
 /// The middle value.

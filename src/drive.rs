@@ -4,13 +4,12 @@ use crate::autopilot::{Autopilot, AutopilotParams, Decision, EgoModel};
 use crate::bridge::{Bridge, BridgeError, BridgeOptions, Ego, Lamps};
 use crate::criteria::{Cause, Criteria, CriteriaParams, Event, Situation};
 use crate::destination::{self, DestinationError, Destinations};
-use crate::geometry::Point;
-use crate::network::{LanePosition, Network, Route, Shapes};
-use crate::seeds;
+use crate::network::{LanePosition, Network, Polygon, Route, Shapes};
+use crate::{cpu_time, seeds};
 use crate::telemetry::{
     FolderError, LeaderRecord, LightRecord, RouteRecord, RunFolder, TickRecord, WriteError,
 };
-use crate::vehicle::{EgoParams, PartnerKind, StaticBody, statics};
+use crate::vehicle::{self, EgoParams, PartnerKind};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -109,7 +108,6 @@ pub struct Drive {
     autopilot: Autopilot,
     criteria: Criteria,
     destinations: Destinations,
-    statics: Vec<StaticBody>,
     folder: RunFolder,
     options: DriveOptions,
     totals: Totals,
@@ -122,6 +120,8 @@ pub struct Drive {
 pub struct Timings {
     /// Pose in, SUMO's step, the new world decoded.
     pub bridge: f64,
+    /// CPU time of that on our side.
+    pub bridge_cpu: f64,
     pub physics: f64,
     pub agent: f64,
 }
@@ -162,10 +162,8 @@ impl Drive {
             }
             None => first_route(&network, &mut destinations)?,
         };
-        let statics = Vec::<StaticBody>::new();
-        let _ = buildings(&bridge, &network);
         let mut ego = Ego::new("ego", options.ego.clone(), route, 0.0);
-        ego.vehicle_mut().set_statics(statics.clone());
+        ego.vehicle_mut().set_statics(vehicle::statics_from_network(&network, &polygons(&bridge, &network)));
         bridge.spawn(&mut ego).await?;
         let autopilot = Autopilot::new(options.autopilot, EgoModel::from(&options.ego));
         Ok(Self {
@@ -174,7 +172,6 @@ impl Drive {
             autopilot,
             criteria: Criteria::new(options.criteria),
             destinations,
-            statics,
             folder,
             options,
             totals: Totals::default(),
@@ -214,10 +211,9 @@ impl Drive {
         let tick = self.bridge.tick();
         let network = self.bridge.network().clone();
         let before = self.ego.on_route();
-        let world = self.ego.world().clone();
         let clock = Instant::now();
         let decision =
-            self.autopilot.control(&network, self.ego.route(), before.s, &before.state, &world, tick);
+            self.autopilot.control(&network, self.ego.route(), before.s, &before.state, self.ego.world(), tick);
         self.ego.set_lamps(Lamps {
             blinker_left: decision.blinker_left,
             blinker_right: decision.blinker_right,
@@ -226,25 +222,25 @@ impl Drive {
         let decided = clock.elapsed();
         let contacts = self.ego.advance(decision.control, tick);
         let moved = clock.elapsed();
+        let cpu = cpu_time::of_thread();
         self.bridge.step(&mut [&mut self.ego]).await?;
+        let cpu = cpu_time::of_thread().zip(cpu).map_or(0.0, |(after, before)| after - before);
+        self.timings.bridge_cpu += cpu;
         self.timings.agent += decided.as_secs_f64();
         self.timings.physics += (moved - decided).as_secs_f64();
         self.timings.bridge += (clock.elapsed() - moved).as_secs_f64();
         let after = self.ego.on_route();
         let params = self.ego.params();
-        let statics = &self.statics;
         let events = self.criteria.check(&Situation {
             network: &network,
             route: self.ego.route(),
-            world: &world,
+            world: self.ego.previous_world(),
             before,
             after,
             contacts: &contacts,
             static_label: &|key| {
-                statics
-                    .iter()
-                    .find(|body| body.key == key)
-                    .map_or_else(|| key.to_string(), |b| b.label.clone())
+                let bodies = self.ego.vehicle().statics();
+                bodies.get(key as usize).map_or_else(|| key.to_string(), |body| body.label.clone())
             },
             length: params.length,
             width: params.width,
@@ -412,18 +408,16 @@ impl Totals {
     }
 }
 
-/// Outlines of the buildings in the config's additional files.
-fn buildings(bridge: &Bridge, network: &Network) -> Vec<Vec<Point>> {
-    let mut outlines = Vec::new();
+/// The polygons of the config's additional files.
+fn polygons(bridge: &Bridge, network: &Network) -> Vec<Polygon> {
+    let mut polygons = Vec::new();
     for file in bridge.config().additional_files() {
         match Shapes::load(&file, network) {
-            Ok(shapes) => outlines.extend(
-                shapes.polygons.into_iter().filter(|p| p.kind.starts_with("building")).map(|p| p.shape),
-            ),
+            Ok(shapes) => polygons.extend(shapes.polygons),
             Err(error) => tracing::warn!("no buildings from an additional file: {error}"),
         }
     }
-    outlines
+    polygons
 }
 
 /// A random route from a random place.

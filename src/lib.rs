@@ -31,6 +31,8 @@ pub mod bridge;
 pub mod bundled;
 pub mod camera;
 pub mod clock;
+pub mod cores;
+pub mod cpu_time;
 pub mod criteria;
 pub mod destination;
 pub mod drive;

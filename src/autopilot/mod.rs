@@ -341,7 +341,7 @@ impl Autopilot {
                     Verdict::Go { yields: must } => yields = must,
                 }
                 let matters = !plan.conflicts.is_empty() || !plan.crossings.is_empty();
-                let can_stop = speed * speed / (2.0 * (distance - speed * latency).max(0.3)) < 4.0;
+                let can_stop = speed * speed / (2.0 * (distance - speed * latency).max(0.3)) < 3.0;
                 if matters && can_stop && distance < reach {
                     let room = leader::room_behind_queue(
                         obstacles,

@@ -73,7 +73,8 @@ fn crossing_of<'a>(
         actor.lane.is_none_or(|l| matches!(network.edge(network.lane(l).edge).kind, EdgeKind::WalkingArea));
     for zone in plans.iter().flat_map(|p| &p.crossings) {
         let crossing = network.crossing(zone.crossing);
-        if actor.lane == Some(crossing.lane) || inside(&crossing.outline, world_point) {
+        if actor.lane == Some(crossing.lane) || actor.lane.is_none() && inside(&crossing.outline, world_point)
+        {
             return Some((zone, false));
         }
         // Where cars go first, or while their light is red, pedestrians wait at the kerb.
@@ -98,13 +99,14 @@ fn crossing_of<'a>(
     None
 }
 
-/// Whether `lane` is for pedestrians alone, off the road.
-fn is_footway(network: &Network, lane: LaneId) -> bool {
+/// The kind of a lane that is for pedestrians alone, off the road; None for all others.
+fn footway(network: &Network, lane: LaneId) -> Option<EdgeKind> {
     let lane = network.lane(lane);
-    match network.edge(lane.edge).kind {
-        EdgeKind::WalkingArea => true,
-        EdgeKind::Normal => !lane.permissions.allows(VehicleClass::Passenger),
-        EdgeKind::Internal | EdgeKind::Crossing | EdgeKind::Other => false,
+    let kind = network.edge(lane.edge).kind;
+    match kind {
+        EdgeKind::WalkingArea => Some(kind),
+        EdgeKind::Normal => (!lane.permissions.allows(VehicleClass::Passenger)).then_some(kind),
+        EdgeKind::Internal | EdgeKind::Crossing | EdgeKind::Other => None,
     }
 }
 
@@ -131,16 +133,19 @@ fn walk(
             velocity = along.normalize() * actor.speed.max(1.0);
         }
     }
-    // Those on a sidewalk or at a kerb where they have to wait stop there.
-    let keeps_off = zone.is_none() && actor.lane.is_some_and(|l| is_footway(network, l));
-    let horizon = if zone.is_some() {
-        2.0 * params.pedestrian_horizon
-    } else if keeps_off {
-        0.9
-    } else {
-        params.pedestrian_horizon
+    // Those on a sidewalk, or at a kerb where they have to wait, stay there.
+    let footway = if zone.is_some() { None } else { actor.lane.and_then(|l| footway(network, l)) };
+    let horizon = match (zone, footway) {
+        (Some(_), _) => 2.0 * params.pedestrian_horizon,
+        (None, Some(EdgeKind::WalkingArea)) => 0.0,
+        (None, Some(_)) => 0.6,
+        (None, None) => params.pedestrian_horizon,
     };
-    let margin = RADIUS + if actor.speed > 0.2 && !keeps_off { params.pedestrian_margin } else { 0.25 };
+    let margin = match footway {
+        Some(_) => 0.3,
+        None if actor.speed > 0.2 => RADIUS + params.pedestrian_margin,
+        None => RADIUS + 0.25,
+    };
     // When and where the walk is in the corridor.
     let (mut enter, mut leave) = (f64::INFINITY, f64::NEG_INFINITY);
     let (mut near_s, mut far_s) = (f64::INFINITY, f64::NEG_INFINITY);
@@ -157,9 +162,7 @@ fn walk(
             leave = t;
             near_s = near_s.min(on.s);
             far_s = far_s.max(on.s);
-        } else if enter.is_finite() {
-            break;
-        } else if actor.speed * (horizon - t) + half < on.d.abs() {
+        } else if enter.is_finite() || actor.speed * (horizon - t) + half < on.d.abs() {
             break;
         }
     }

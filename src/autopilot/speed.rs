@@ -74,6 +74,10 @@ pub fn stop_in(speed: f64, distance: f64, deceleration: f64, hardest: f64) -> f6
 /// the ego): the intelligent driver model's interaction, and what physics needs in an emergency.
 pub fn follow(speed: f64, gap: f64, leader: f64, top: f64, params: &AutopilotParams) -> f64 {
     let closing = speed - leader;
+    if speed < 0.1 && leader.abs() < 0.3 && gap < params.min_gap + 0.8 {
+        // Standing behind one that stands.
+        return -0.5;
+    }
     let gap = gap.max(0.05);
     let (a, b) = (params.max_acceleration, params.comfortable_deceleration);
     let dynamic = speed * params.time_headway + speed * closing / (2.0 * (a * b).sqrt());

@@ -86,12 +86,13 @@ async fn bridge(args: BridgeArgs) -> anyhow::Result<Exit> {
     };
     let mut rows = Vec::new();
     let header = format!(
-        "{:>9} {:>12} {:>14} {:>10} {:>6} {:>11} {:>13} {:>9}",
+        "{:>9} {:>12} {:>14} {:>10} {:>6} {:>10} {:>11} {:>13} {:>9}",
         "vehicles",
         "pedestrians",
         "sumo alone ms",
         "bridge ms",
         "ratio",
+        "cpu ratio",
         "physics ms",
         "autopilot ms",
         "in sight"
@@ -116,12 +117,13 @@ async fn bridge(args: BridgeArgs) -> anyhow::Result<Exit> {
 
 fn line(r: &BridgeRow) -> String {
     format!(
-        "{:>9} {:>12} {:>14.3} {:>10.3} {:>6.2} {:>11.3} {:>13.3} {:>9.1}",
+        "{:>9} {:>12} {:>14.3} {:>10.3} {:>6.2} {:>10.2} {:>11.3} {:>13.3} {:>9.1}",
         r.vehicles,
         r.pedestrians,
         r.sumo_alone_ms,
         r.bridge_ms,
         r.ratio,
+        r.cpu_ratio,
         r.physics_ms,
         r.autopilot_ms,
         r.actors_in_sight

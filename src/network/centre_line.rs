@@ -5,6 +5,7 @@
 //! wiggles. Where the line is still tighter than a car can steer it is relaxed further, but never
 //! further from the lanes than a set distance.
 
+use super::smooth::{curvature, filtered, kernel, relax};
 use super::{LaneId, LinkDirection, LinkId, Network};
 use crate::geometry::{Polyline, wrap_angle};
 use nalgebra::Point3;
@@ -35,14 +36,6 @@ const FINE: f64 = 0.25;
 const STRIDE: usize = 4;
 /// Width of one of the four boxes whose convolution is the kernel (m); its reach is twice that.
 const BOX: f64 = 1.5;
-/// Where the line is tighter than this (1/m), about what a car can steer, it is relaxed.
-const CURVATURE: f64 = 0.22;
-/// How far from the lanes' polylines relaxing may take the line (m), and the curvature (1/m) that is
-/// good enough then: the more the line has to leave its lane, the less is asked of it.
-const LEEWAYS: [(f64, f64); 4] = [(0.25, CURVATURE), (0.5, 0.28), (1.0, 0.3), (1.6, 0.3)];
-/// Rounds of relaxing with each leeway, and how far round a tight spot it reaches (m).
-const ROUNDS: usize = 12;
-const REACH: f64 = 9.0;
 /// How far the lanes before and behind the route shape its ends (m).
 const MARGIN: f64 = 6.0;
 
@@ -204,19 +197,8 @@ struct Fine {
     behind: usize,
 }
 
-/// The kernel's weights for offsets 0, 1, 2, ... fine samples.
-fn kernel() -> Vec<f64> {
-    let reach = (2.0 * BOX / FINE) as usize;
-    let weight = |i: usize| {
-        let t = i as f64 * FINE / BOX;
-        if t < 1.0 { 2.0 / 3.0 - t * t + 0.5 * t * t * t } else { (2.0 - t).powi(3) / 6.0 }
-    };
-    let sum = weight(0) + 2.0 * (1..reach).map(weight).sum::<f64>();
-    (0..reach).map(|i| weight(i) / sum).collect()
-}
-
 fn smooth(base: &Polyline, lead: f64, end: f64) -> Fine {
-    let kernel = kernel();
+    let kernel = kernel(BOX, FINE);
     let behind = (MARGIN / FINE) as usize;
     let inside = ((end - lead) / FINE).ceil() as usize + 1;
     let at = |u: f64| {
@@ -228,85 +210,8 @@ fn smooth(base: &Polyline, lead: f64, end: f64) -> Fine {
     let raw: Vec<Point3<f64>> =
         (0..inside + 2 * behind).map(|i| at(lead + (i as f64 - behind as f64) * FINE)).collect();
     let mut points: Vec<Point3<f64>> = (0..raw.len()).map(|i| filtered(&raw, i, &kernel)).collect();
-    relax(&mut points, &raw, &kernel);
+    relax(&mut points, &raw, FINE);
     Fine { points, behind }
-}
-
-/// The kernel applied at sample `i`; near the ends it shrinks with what is there.
-fn filtered(points: &[Point3<f64>], i: usize, kernel: &[f64]) -> Point3<f64> {
-    let reach = (kernel.len() - 1).min(i).min(points.len() - 1 - i);
-    let mut sum = points[i].coords * kernel[0];
-    let mut total = kernel[0];
-    for (k, w) in kernel.iter().enumerate().take(reach + 1).skip(1) {
-        sum += (points[i - k].coords + points[i + k].coords) * *w;
-        total += 2.0 * w;
-    }
-    (sum / total).into()
-}
-
-/// Curvature (1/m) at sample `i`, over a metre.
-fn curvature(points: &[Point3<f64>], i: usize) -> f64 {
-    if i < 2 || i + 2 >= points.len() {
-        return 0.0;
-    }
-    let (a, b) = (points[i].xy() - points[i - 2].xy(), points[i + 2].xy() - points[i].xy());
-    let span = 0.5 * (a.norm() + b.norm());
-    if span < 1e-6 { 0.0 } else { a.perp(&b).atan2(a.dot(&b)) / span }
-}
-
-/// Smooths on round each tight spot, as little as will do.
-fn relax(points: &mut [Point3<f64>], raw: &[Point3<f64>], kernel: &[f64]) {
-    let reach = (REACH / FINE) as usize;
-    let mut i = 0;
-    while i < points.len() {
-        if curvature(points, i).abs() <= CURVATURE {
-            i += 1;
-            continue;
-        }
-        // The spot goes on as long as the next tight sample is near.
-        let (first, mut last) = (i, i);
-        while i < points.len() && i <= last + reach {
-            if curvature(points, i).abs() > CURVATURE {
-                last = i;
-            }
-            i += 1;
-        }
-        let window = first.saturating_sub(reach)..(last + reach + 1).min(points.len());
-        let weight = |i: usize| {
-            let outside = first.saturating_sub(i).max(i.saturating_sub(last));
-            1.0 - outside as f64 / (reach + 1) as f64
-        };
-        let tightest =
-            |points: &[Point3<f64>]| window.clone().map(|i| curvature(points, i).abs()).fold(0.0, f64::max);
-        // Hairpins get tighter by smoothing: the best line found is kept.
-        let mut best = (tightest(points), points[window.clone()].to_vec());
-        for (leeway, enough) in LEEWAYS {
-            for _ in 0..ROUNDS {
-                if tightest(points) <= enough {
-                    break;
-                }
-                let before = points
-                    [window.start.saturating_sub(reach)..(window.end + reach).min(points.len())]
-                    .to_vec();
-                let offset = window.start.saturating_sub(reach);
-                for i in window.clone() {
-                    let old = points[i];
-                    let moved = old + (filtered(&before, i - offset, kernel) - old) * weight(i);
-                    let away = moved.xy() - raw[i].xy();
-                    let excess = (away.norm() / leeway).max(1.0);
-                    points[i] = Point3::new(raw[i].x + away.x / excess, raw[i].y + away.y / excess, moved.z);
-                }
-            }
-            let tightness = tightest(points);
-            if tightness < best.0 {
-                best = (tightness, points[window.clone()].to_vec());
-            }
-            if tightness <= LEEWAYS[LEEWAYS.len() - 1].1 {
-                break;
-            }
-        }
-        points[window].copy_from_slice(&best.1);
-    }
 }
 
 fn sample(fine: &Fine, lead: f64, end: f64, starts: &[f64], shifts: &[Shift]) -> CentreLine {

@@ -15,7 +15,12 @@ mod reach;
 mod requests;
 mod route;
 mod route_search;
+#[cfg(test)]
+mod route_tests;
+mod smooth;
 mod spatial;
+#[cfg(test)]
+mod testing;
 mod xml;
 
 pub use error::NetworkError;

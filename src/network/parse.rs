@@ -380,3 +380,114 @@ fn connection(at: &At<'_>) -> Result<RawConnection, NetworkError> {
         to,
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::{net, parsed, text};
+    use super::super::*;
+
+    #[test]
+    fn elements_become_what_they_mean() {
+        let network = net();
+        assert_eq!((network.edges.len(), network.lanes.len(), network.links.len()), (5, 7, 6));
+        let edge = network.edge(network.edge_by_id("ab").unwrap());
+        assert_eq!((edge.name.as_str(), edge.priority, edge.kind), ("Main Street & Co", 2, EdgeKind::Normal));
+        let lane = |id: &str| network.lane(network.lane_by_id(id).unwrap());
+        assert_eq!((lane("ab_0").width, lane("bl_0").width), (3.2, 3.0));
+        assert!(lane("br_0").permissions.allows(VehicleClass::Bus));
+        assert!(!lane("br_0").permissions.allows(VehicleClass::Passenger));
+        assert_eq!(lane("bc_1").lane_position(100.0), 200.0);
+        assert_eq!(lane("bc_1").arc_length(200.0), 100.0);
+        let light = network.traffic_light(network.traffic_light_by_id("light").unwrap());
+        assert_eq!((light.signals, light.links.len()), (3, 3));
+        assert_eq!(network.bounds, (Point::new(-50.0, -300.0), Point::new(650.0, 300.0)));
+        assert!(!network.left_hand && !network.has_pedestrian_network());
+    }
+
+    #[test]
+    fn the_last_character_of_a_request_is_link_0() {
+        let network = net();
+        let left = &network.links[3];
+        assert_eq!((left.direction, left.request_index), (LinkDirection::Left, Some(3)));
+        assert_eq!((&left.must_yield_to[..], &left.foes[..]), (&[LinkId(0)][..], &[LinkId(0)][..]));
+        assert_eq!(network.links[0].foes, [LinkId(3)]);
+        assert!(network.links[0].must_yield_to.is_empty());
+        assert_eq!(network.links[1].signal, None);
+        assert_eq!(left.signal.unwrap().index, 2);
+    }
+
+    #[test]
+    fn each_fault_has_its_own_error() {
+        let good = text("");
+        let error = |text: &str| parsed(text).unwrap_err();
+        assert!(
+            matches!(error("<configuration/>"), NetworkError::NotANet { found, .. } if found == "configuration")
+        );
+        assert!(matches!(error("no xml at all"), NetworkError::Xml { line: 1, .. }));
+        assert!(matches!(error(""), NetworkError::Xml { .. }));
+        let crossed = error("<net>\n<edge id=\"e\"></lane>\n</net>");
+        assert!(matches!(crossed, NetworkError::Xml { line: 2, .. }), "{crossed}");
+        let cut = &good[..good.find("<junction id=\"C\"").unwrap()];
+        assert!(matches!(error(cut), NetworkError::Truncated { element, .. } if element == "net"));
+        let cut = &good[..good.find("ab_1").unwrap()];
+        assert!(matches!(error(cut), NetworkError::Truncated { element, line: 6, .. } if element == "edge"));
+        let bad = error(&good.replace("shape=\"310,-1.6 ", "shape=\"310 -1.6 "));
+        assert!(matches!(bad, NetworkError::BadValue { attribute: "shape", line: 9, .. }), "{bad}");
+        for value in ["nan", "inf", "1e300", "ten"] {
+            let bad = error(&good.replace("width=\"3\"", &format!("width=\"{value}\"")));
+            assert!(matches!(bad, NetworkError::BadValue { attribute: "width", .. }), "{bad}");
+        }
+        let missing = error(&good.replace("speed=\"10\" length=\"960\"", "length=\"960\""));
+        assert!(matches!(missing, NetworkError::Missing { attribute: "speed", .. }), "{missing}");
+        let dangling = [
+            ("to=\"C\"", "to=\"q\"", "junction"),
+            ("from=\"ca\" to", "from=\"q\" to", "edge"),
+            ("incLanes=\"bc_0\"", "incLanes=\"q\"", "lane"),
+        ];
+        for (good_part, bad_part, which) in dangling {
+            let text = good.replacen(good_part, bad_part, 1);
+            let found = error(&text);
+            assert!(
+                matches!(found, NetworkError::DanglingReference { kind, .. } if kind == which),
+                "{found}"
+            );
+        }
+        let lane = error(&good.replace("fromLane=\"1\" toLane=\"1\"", "fromLane=\"1\" toLane=\"9999999\""));
+        assert!(matches!(lane, NetworkError::DanglingReference { kind: "lane", .. }), "{lane}");
+        let absent = Network::load(Path::new("/no/such.net.xml")).unwrap_err();
+        assert!(matches!(absent, NetworkError::Io { .. }));
+    }
+
+    #[test]
+    fn gzip_is_told_by_its_first_bytes_and_damage_is_an_error() {
+        use std::io::Write;
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("plain.net.xml");
+        let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+        encoder.write_all(text("").as_bytes()).unwrap();
+        let packed = encoder.finish().unwrap();
+        std::fs::write(&path, &packed).unwrap();
+        assert_eq!(Network::load(&path).unwrap().lanes.len(), 7);
+        std::fs::write(&path, &packed[..packed.len() / 2]).unwrap();
+        assert!(matches!(Network::load(&path), Err(NetworkError::Compressed { .. })));
+    }
+
+    #[test]
+    fn latin_1_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("latin.net.xml");
+        let text = text("").replace("Main Street", "Hauptstra\u{df}e");
+        let bytes: Vec<u8> = text.chars().map(|c| u8::try_from(c as u32).unwrap()).collect();
+        std::fs::write(&path, bytes).unwrap();
+        assert!(Network::load(&path).unwrap().edges[0].name.starts_with("Hauptstra\u{df}e"));
+    }
+
+    #[test]
+    fn a_net_without_lanes_for_a_class_says_so() {
+        let network = parsed("<net></net>").unwrap();
+        let error = network.require_drivable(VehicleClass::Passenger).unwrap_err();
+        assert!(error.to_string().starts_with("no drivable lane for class passenger"), "{error}");
+        assert!(network.largest_component(VehicleClass::Passenger).is_empty());
+        assert_eq!(net().require_drivable(VehicleClass::Bus).unwrap().len(), 7);
+    }
+}

@@ -128,7 +128,8 @@ impl Network {
             let lane = self.edge(edge).lanes.first().map(|&l| self.lane(l));
             millimetres(lane.map_or(0.0, |l| l.shape.length()) + JUNCTION)
         };
-        (ends(from)?, ends(to)?);
+        ends(from)?;
+        ends(to)?;
         if from == to {
             return Some(vec![from]);
         }

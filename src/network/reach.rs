@@ -118,3 +118,27 @@ impl Network {
         largest
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::net;
+    use super::*;
+
+    #[test]
+    fn the_ring_is_the_largest_component_and_the_dead_end_is_not_in_it() {
+        let network = net();
+        let names =
+            |lanes: &[LaneId]| -> Vec<String> { lanes.iter().map(|&l| network.lane(l).id.clone()).collect() };
+        let ring = network.largest_component(VehicleClass::Passenger);
+        assert_eq!(names(&ring), ["ab_0", "ab_1", "bc_0", "bc_1", "ca_0"]);
+        // A bicycle may not use bc_1, so that it stays on the outer lane.
+        assert_eq!(
+            names(&network.largest_component(VehicleClass::Bicycle)),
+            ["ab_0", "ab_1", "bc_0", "ca_0"]
+        );
+        let reached = network.reachable_from(ring[0], VehicleClass::Passenger);
+        assert_eq!(reached.len(), 6, "all but the bus lane");
+        let dead_end = network.lane_by_id("bl_0").unwrap();
+        assert_eq!(network.reachable_from(dead_end, VehicleClass::Passenger), [dead_end]);
+    }
+}

@@ -46,11 +46,14 @@ fn fit(room: f64, count: usize, speed: f64, mode: Room) -> Option<Changes> {
     let wished = (3.0 * speed).max(25.0);
     let (lead, gap, tail) = (10.0, 5.0, 20.0);
     let total = lead + tail + n * wished + (n - 1.0) * gap;
-    let squeeze = (room / total).min(1.0);
-    let shortest = 12.0;
     let cost = |length: f64| n * (CHANGE_COST + TIGHT_CHANGE_COST * (1.0 - length / wished));
-    if wished * squeeze >= shortest {
-        let length = wished * squeeze;
+    // Where room is short all shrink alike, but the free way keeps two fifths of it.
+    let free = total - n * wished;
+    let squeezed = free.min((free * room / total).max(0.4 * room));
+    let length = wished.min((room - squeezed) / n);
+    let shortest = 12.0;
+    if length >= shortest {
+        let squeeze = squeezed / free;
         return Some(Changes { lead: lead * squeeze, length, gap: gap * squeeze, cost: cost(length) });
     }
     let shortest = if mode == Room::Tight { 9.0 } else { shortest };

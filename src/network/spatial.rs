@@ -63,3 +63,22 @@ impl Network {
         near
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::net;
+    use crate::geometry::Point;
+
+    #[test]
+    fn lanes_come_nearest_first_with_their_side() {
+        let network = net();
+        let near = network.lanes_near(Point::new(100.0, -2.0), None, 3.0);
+        let names: Vec<&str> = near.iter().map(|n| network.lane(n.lane).id.as_str()).collect();
+        assert_eq!(names, ["ab_1", "ab_0"]);
+        assert!((near[0].s - 100.0).abs() < 1e-9 && (near[0].d + 0.4).abs() < 1e-9);
+        assert!((near[1].d - 2.8).abs() < 1e-9);
+        assert_eq!(network.lanes_near(Point::new(100.0, -2.0), None, 1.0).len(), 1);
+        assert!(network.lanes_near(Point::new(100.0, -2.0), Some(4.0), 3.0).is_empty());
+        assert!(network.lanes_near(Point::new(f64::NAN, 0.0), None, 3.0).is_empty());
+    }
+}

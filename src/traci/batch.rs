@@ -169,7 +169,7 @@ impl Batch {
     }
 
     /// Subscribes to variables of object `id`: their values come with every step, until
-    /// the object leaves. Replaces an earlier subscription to the same object.
+    /// the object leaves. A second subscription to the same object adds its variables to the first.
     pub fn subscribe<D: Domain>(
         &mut self,
         _domain: D,
@@ -184,7 +184,9 @@ impl Batch {
         })
     }
 
-    /// Subscribes to variables of all objects of domain `context` within `radius` (m) of object `id`.
+    /// Subscribes to variables of all objects of domain `context` within `radius` (m) of object `id`,
+    /// itself included where it is one of them. A second one with the same object and context adds its
+    /// variables to the first. SUMO has none for traffic lights: subscribe to each.
     pub fn subscribe_context<D: Domain, C: Domain>(
         &mut self,
         _domain: D,

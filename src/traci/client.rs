@@ -50,26 +50,35 @@ impl Client<TcpStream> {
     /// # Errors
     /// Nobody listens there, or who does is not a SUMO of a known version.
     pub async fn attach(address: &str) -> Result<Self, Error> {
+        Self::attach_within(address, DEFAULT_TIMEOUT).await
+    }
+
+    /// Like [`Client::attach`], with another time limit: SUMO listens before it has loaded its network,
+    /// and answers after.
+    ///
+    /// # Errors
+    /// As [`Client::attach`], and no answer within `limit`.
+    pub async fn attach_within(address: &str, limit: Duration) -> Result<Self, Error> {
         let failed = |source| Error::Connect { address: address.to_owned(), source };
-        let stream = match tokio::time::timeout(DEFAULT_TIMEOUT, TcpStream::connect(address)).await {
+        let stream = match tokio::time::timeout(limit, TcpStream::connect(address)).await {
             Ok(stream) => stream.map_err(failed)?,
             Err(elapsed) => return Err(failed(elapsed.into())),
         };
         stream.set_nodelay(true).map_err(failed)?;
-        Self::handshake(stream, 1).await
+        Self::handshake(stream, 1, limit).await
     }
 }
 
 impl<S: AsyncRead + AsyncWrite + Unpin> Client<S> {
-    /// Speaks first on a fresh stream: asks for the version and takes place `order` (from 1)
-    /// among the server's clients.
+    /// Speaks first on a fresh stream: asks for the version, waiting at most `limit`, and takes place
+    /// `order` (from 1) among the server's clients.
     ///
     /// # Errors
     /// The other side is not a SUMO of a known version.
-    pub async fn handshake(stream: S, order: i32) -> Result<Self, Error> {
+    pub async fn handshake(stream: S, order: i32, limit: Duration) -> Result<Self, Error> {
         let version = Version { api: 0, software: String::new() };
         let connection = Connection::new(stream);
-        let mut client = Self { connection, timeout: Some(DEFAULT_TIMEOUT), version };
+        let mut client = Self { connection, timeout: Some(limit), version };
 
         let mut batch = Batch::new();
         let ticket = batch.control(Expect::Version, CMD_GET_VERSION, ["get", "version", ""], |_| ());
@@ -91,6 +100,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Client<S> {
         let words = ["set", "client", "order"];
         batch.control(Expect::Status, CMD_SET_ORDER, words, |out| out.extend(order.to_be_bytes()));
         client.send(&batch).await?.check()?;
+        client.timeout = Some(DEFAULT_TIMEOUT);
         Ok(client)
     }
 

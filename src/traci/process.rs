@@ -46,7 +46,7 @@ pub struct LaunchOptions {
     pub working_dir: Option<PathBuf>,
     /// Gets SUMO's stdout and stderr; overwritten. None for a temporary file that goes with the process.
     pub log_file: Option<PathBuf>,
-    /// How long SUMO may load before it listens. Large nets take a while.
+    /// How long SUMO may take until it answers. It loads the network before; large ones take a while.
     pub startup_timeout: Duration,
 }
 
@@ -135,7 +135,7 @@ pub enum LaunchError {
     #[error("SUMO did not start: {0}")]
     Exited(PostMortem),
     /// It neither listened nor ended.
-    #[error("SUMO did not listen within {:.0} s; its log ends with\n{log}", limit.as_secs_f64())]
+    #[error("SUMO was not ready within {:.0} s; its log ends with\n{log}", limit.as_secs_f64())]
     Startup { limit: Duration, log: String },
     /// It came up and does not speak TraCI as it should.
     #[error(transparent)]
@@ -221,11 +221,20 @@ impl SumoProcess {
             let mut process = Self::spawn(install, options, &arguments, port)?;
             match process.wait_for_listener(begin, options.startup_timeout).await {
                 Ok(()) => {
-                    let client = TcpClient::attach(&format!("127.0.0.1:{port}")).await;
-                    return match client {
-                        Ok(client) => Ok((process, client)),
-                        Err(error) => Err(process.explain(error).await.into()),
+                    let left = options.startup_timeout.saturating_sub(begin.elapsed());
+                    let client = TcpClient::attach_within(&format!("127.0.0.1:{port}"), left).await;
+                    let error = match client {
+                        Ok(client) => return Ok((process, client)),
+                        Err(error) => process.explain(error).await,
                     };
+                    // It listens before it loads: what it cannot load shows here.
+                    return Err(match error {
+                        Error::Died { post_mortem, .. } => LaunchError::Exited(post_mortem),
+                        Error::Timeout { .. } => {
+                            LaunchError::Startup { limit: options.startup_timeout, log: process.log_tail() }
+                        }
+                        error => error.into(),
+                    });
                 }
                 Err(LaunchError::Exited(end))
                     if end.log.contains("Address already in use") && attempt < PORT_ATTEMPTS => {}

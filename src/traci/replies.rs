@@ -108,6 +108,14 @@ impl Replies {
                     (NOT_IMPLEMENTED, true) => "this SUMO does not have this command".to_owned(),
                     (_, true) => "refused without a message".to_owned(),
                 };
+                // A refused variable subscription still lists what it could and could not read.
+                let response = command.command.wrapping_add(0x10);
+                let mut ahead = *reader;
+                if command.expect == Expect::Variables
+                    && frame(&mut ahead).is_ok_and(|(mut body, _)| body.u8() == Ok(response))
+                {
+                    *reader = ahead;
+                }
                 let object = batch.object(command).to_owned();
                 return Ok(Slot::Failed(CommandError { command: batch.words(command), object, message }));
             }

@@ -84,6 +84,13 @@ pub struct Query<D, T, P> {
     pub(super) param: P,
 }
 
+impl<D, T, P: Copy> Query<D, T, P> {
+    /// The variable without its parameter: what names the value among subscription results.
+    pub const fn variable(self) -> Variable<D, T> {
+        self.variable
+    }
+}
+
 impl<D, T> Query<D, T, f64> {
     /// This variable, with its parameter, in a list of variables to subscribe to.
     pub const fn id(self) -> VariableId<'static, D> {

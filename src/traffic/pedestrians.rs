@@ -7,7 +7,7 @@ use super::fleet::draw_walker;
 use super::places::point_on;
 use super::schedule::Schedule;
 use super::vehicles::Scene;
-use super::walks::{Walk, Walks};
+use super::walks::{Walk, Walks, sidewalk};
 use crate::geometry::{Point, Pose};
 use crate::network::{EdgeId, Network};
 use crate::traci::{Batch, Color, Position2D, RemoveReason, Replies, Ticket, person};
@@ -17,6 +17,8 @@ use std::sync::Arc;
 
 /// Random places tried for one pedestrian.
 const DRAWS: usize = 64;
+/// Walks in a row at the most.
+const LEGS: usize = 8;
 /// A walk is followed up when at most this share of it can be done, less a margin (s).
 const FOLLOW_UP: f64 = 0.85;
 const FOLLOW_UP_MARGIN: f64 = 10.0;
@@ -58,6 +60,7 @@ pub(super) struct Pedestrians {
     schedule: Schedule,
     looks: Vec<Look>,
     next_serial: u64,
+    alive: usize,
 }
 
 impl Pedestrians {
@@ -75,6 +78,7 @@ impl Pedestrians {
             schedule: Schedule::default(),
             looks: Vec::new(),
             next_serial: 0,
+            alive: 0,
         }
     }
 
@@ -83,9 +87,9 @@ impl Pedestrians {
         !self.walks.is_empty()
     }
 
-    /// Number of pedestrians that have departed.
+    /// How many were in the network after the last step.
     pub fn alive(&self) -> usize {
-        self.members.iter().flatten().filter(|m| m.departed).count()
+        self.alive
     }
 
     pub fn owns(&self, id: &str) -> bool {
@@ -116,13 +120,11 @@ impl Pedestrians {
     ) {
         for id in &events.arrived_persons {
             if let Some(slot) = self.slots.get(*id).copied() {
-                if std::env::var_os("WADDBG").is_some() {
-                    eprintln!("arrived {id} {}", scene.time);
-                }
                 self.vacate(slot);
             }
         }
         self.note_departures(events);
+        self.alive = self.members.iter().flatten().filter(|m| m.departed).count();
         self.read_looks(replies, scene, batch);
         for slot in std::mem::take(&mut self.vacant) {
             if !self.replace(slot, scene, batch) {
@@ -168,8 +170,8 @@ impl Pedestrians {
     /// A random place on a sidewalk where `allowed` lets somebody stand.
     fn draw_place(&mut self, allowed: impl Fn(Point) -> bool) -> Option<(EdgeId, f64)> {
         for _ in 0..DRAWS {
-            let (edge, at) = self.walks.draw_start(&mut self.rng)?;
-            let lane = self.walks.lane(edge)?;
+            let (edge, at) = self.walks.draw_start(&mut self.rng, &self.network)?;
+            let lane = sidewalk(&self.network, edge)?;
             if allowed(point_on(&self.network, lane, at)) {
                 return Some((edge, at));
             }
@@ -187,8 +189,8 @@ impl Pedestrians {
         {
             let mut furthest = avoid.start;
             for _ in 0..DRAWS {
-                let Some((edge, at)) = self.walks.draw_start(&mut self.rng) else { break };
-                let Some(lane) = self.walks.lane(edge) else { continue };
+                let Some((edge, at)) = self.walks.draw_start(&mut self.rng, &self.network) else { break };
+                let Some(lane) = sidewalk(&self.network, edge) else { continue };
                 let distance = (ego.xy() - point_on(&self.network, lane, at)).norm();
                 if distance > furthest {
                     furthest = distance;
@@ -205,47 +207,57 @@ impl Pedestrians {
     fn insert(&mut self, slot: usize, edge: EdgeId, at: f64, time: f64, batch: &mut Batch) {
         let (kind, [r, g, b]) = draw_walker(&mut self.rng);
         let speed = kind.speed.draw(&mut self.rng);
-        let Some(walk) = self.draw_walk(edge, at) else { return };
+        let walks = self.draw_walks(edge, at);
+        if walks.is_empty() {
+            self.vacant.push(slot);
+            return;
+        }
         let serial = self.next_serial;
         self.next_serial += 1;
         let id = format!("wad_p{serial}");
         let edge_id = &self.network.edge(edge).id;
-        if std::env::var_os("WADDBG").is_some() {
-            let n: Vec<_> = walk
-                .edges
-                .iter()
-                .map(|&e| {
-                    (
-                        self.network.edge(e).id.as_str(),
-                        self.network.lane(self.network.edge(e).lanes[0]).length,
-                    )
-                })
-                .collect();
-            eprintln!("{id} {time} v={speed:.2} {walk:?} {n:?} due {}", follow_up(&walk, speed));
-        }
-        let add =
-            person::Add { edge: edge_id, position: walk.from, person_type: kind.id, ..Default::default() };
+        let add = person::Add { edge: edge_id, position: at, person_type: kind.id, ..Default::default() };
         person::add(batch, &id, &add);
-        self.append(&id, speed, &walk, batch);
         batch.set(person::SET_COLOR, &id, Color::rgb(r, g, b));
-        self.schedule.at(time + follow_up(&walk, speed), slot, serial);
         self.slots.insert(id.clone(), slot);
-        let end = end_of(&walk, edge);
-        self.members[slot] = Some(Member { id, serial, speed, end, departed: false });
+        self.members[slot] = Some(Member { id, serial, speed, end: (edge, at), departed: false });
+        self.append(&walks, slot, time, batch);
         self.pending.push(slot);
     }
 
-    fn draw_walk(&mut self, edge: EdgeId, at: f64) -> Option<Walk> {
+    /// Walks one after the other from a place on; empty where nobody can walk.
+    fn draw_walks(&mut self, mut edge: EdgeId, mut at: f64) -> Vec<Walk> {
         let (shortest, longest) = self.options.walk_length;
-        let wanted = between(&mut self.rng, shortest, longest);
-        self.walks.walk(&mut self.rng, &self.network, edge, at, wanted)
+        let mut wanted = between(&mut self.rng, shortest, longest);
+        let mut walks = Vec::new();
+        while wanted > 0.0 && walks.len() < LEGS {
+            let Some(walk) = self.walks.walk(&mut self.rng, &self.network, edge, at, wanted) else { break };
+            wanted -= walk.length;
+            (edge, at) = end_of(&walk, edge);
+            walks.push(walk);
+        }
+        walks
     }
 
-    fn append(&self, id: &str, speed: f64, walk: &Walk, batch: &mut Batch) {
-        let edges: Vec<&str> = walk.edges.iter().map(|&e| self.network.edge(e).id.as_str()).collect();
-        let stage =
-            person::WalkingStage { edges: &edges, arrival_position: walk.to, speed, ..Default::default() };
-        person::append_walking_stage(batch, id, &stage);
+    /// Appends walks to a pedestrian's plan, and sees to it that it is looked at before they end.
+    fn append(&mut self, walks: &[Walk], slot: usize, time: f64, batch: &mut Batch) {
+        let Some(member) = &mut self.members[slot] else { return };
+        let mut edges: Vec<&str> = Vec::new();
+        for walk in walks {
+            edges.clear();
+            edges.extend(walk.edges.iter().map(|&e| self.network.edge(e).id.as_str()));
+            let stage = person::WalkingStage {
+                edges: &edges,
+                arrival_position: walk.to,
+                speed: member.speed,
+                ..Default::default()
+            };
+            person::append_walking_stage(batch, &member.id, &stage);
+            member.end = end_of(walk, member.end.0);
+        }
+        let length: f64 = walks.iter().map(|w| w.length).sum();
+        let lasts = (FOLLOW_UP * length / member.speed - FOLLOW_UP_MARGIN).max(1.0);
+        self.schedule.at(time + lasts, slot, member.serial);
     }
 
     fn read_looks(&mut self, replies: &Replies, scene: Scene<'_>, batch: &mut Batch) {
@@ -269,12 +281,8 @@ impl Pedestrians {
                 continue;
             }
             let (edge, at) = member.end;
-            let Some(walk) = self.draw_walk(edge, at) else { continue };
-            let Some(member) = &mut self.members[slot] else { continue };
-            member.end = end_of(&walk, edge);
-            let (id, speed) = (member.id.clone(), member.speed);
-            self.append(&id, speed, &walk, batch);
-            self.schedule.at(scene.time + follow_up(&walk, speed), slot, serial);
+            let walks = self.draw_walks(edge, at);
+            self.append(&walks, slot, scene.time, batch);
         }
     }
 }
@@ -282,9 +290,4 @@ impl Pedestrians {
 /// Where a walk from `first` ends.
 fn end_of(walk: &Walk, first: EdgeId) -> (EdgeId, f64) {
     (walk.edges.last().copied().unwrap_or(first), walk.to)
-}
-
-/// How long (s) a walk lasts at the least, with a margin.
-fn follow_up(walk: &Walk, speed: f64) -> f64 {
-    (FOLLOW_UP * walk.length / speed - FOLLOW_UP_MARGIN).max(1.0)
 }

@@ -51,6 +51,8 @@ pub(super) struct Chassis {
     vehicle: DynamicRayCastVehicleController,
     /// The physics world's origin (m).
     origin: Point,
+    /// Height of the road under the ego (m), where it is known.
+    elevation: Option<f64>,
 }
 
 /// The body's motion in double precision, world frame.
@@ -121,6 +123,7 @@ impl Chassis {
             body,
             collider,
             origin: pose.xy(),
+            elevation: None,
         }
     }
 
@@ -160,6 +163,7 @@ impl Chassis {
 
     /// Brings in what is near, at a tick's begin.
     pub(super) fn place(&mut self, params: &EgoParams, bodies: &[MovingBody], reach: Reach) {
+        self.elevation = reach.elevation;
         let shift = reach.ego - self.origin;
         if shift.norm() > ORIGIN_RADIUS {
             self.surroundings.clear_statics(&mut self.world);
@@ -190,7 +194,15 @@ impl Chassis {
     ) {
         let ego = self.motion().pose.xy();
         let friction = params.body_friction as f32;
-        if self.surroundings.refresh_statics(&mut self.world, statics, self.origin, ego, friction) {
+        let changed = self.surroundings.refresh_statics(
+            &mut self.world,
+            statics,
+            self.origin,
+            ego,
+            self.elevation,
+            friction,
+        );
+        if changed {
             self.world.detect_collisions(&(), &());
         }
         self.springs(demand, dt as f32);

@@ -28,11 +28,11 @@ fn block(key: u64, kind: StaticKind, centre: (f64, f64), size: (f64, f64), top: 
         .iter()
         .map(|(i, j)| Point::new(x + i * size.0, y + j * size.1))
         .collect();
-    StaticBody { key, label: format!("block {key}"), kind, outline, bottom: 0.0, top }
+    StaticBody { key, label: format!("block {key}"), kind, outline, bottom: 0.0, top, elevation: None }
 }
 
 fn wall_at(x: f64) -> StaticBody {
-    block(7, StaticKind::Building, (x + 5.0, 0.0), (10.0, 60.0), 8.0)
+    block(7, StaticKind::Building, (x + 5.0, 0.0), (10.0, 600.0), 8.0)
 }
 
 fn kerb_at(x: f64) -> StaticBody {
@@ -291,13 +291,39 @@ fn far_away_statics_are_there_when_the_ego_arrives() {
 }
 
 #[test]
+fn other_levels_are_passed_under() {
+    let bridge_kerb = StaticBody { elevation: Some(6.0), ..kerb_at(8.0) };
+    let pier =
+        StaticBody { elevation: Some(6.0), ..block(2, StaticKind::Pole, (12.0, 0.0), (0.3, 0.3), 6.0) };
+    let mut above = car(1, 16.0, 0.0, FRAC_PI_2, 0.0);
+    above.pose.position.z = 6.0;
+    for (elevation, free) in [(Some(0.2), true), (Some(5.0), false), (None, false)] {
+        let mut ego = ego(8.0);
+        ego.set_statics(vec![bridge_kerb.clone(), pier.clone()]);
+        ego.set_elevation(elevation);
+        let contacts = run(&mut ego, COAST, &mut [above], 30);
+        assert_eq!(contacts.is_empty(), free, "{elevation:?}: {contacts:?}");
+        assert_eq!(ego.state().pose.position.x > 15.0, free);
+        assert_eq!(ego.state().pose.position.z, elevation.unwrap_or(0.0));
+    }
+}
+
+#[test]
 fn an_l_shaped_building_has_room_in_its_corner() {
     let corner = [(10.0, -20.0), (30.0, -20.0), (30.0, 20.0), (20.0, 20.0), (20.0, -2.0), (10.0, -2.0)];
     let outline = corner.iter().map(|&(x, y)| Point::new(x, y)).collect();
     let mut ego = ego(8.0);
     let label = "l".to_owned();
     let kind = StaticKind::Building;
-    ego.set_statics(vec![StaticBody { key: 1, label, kind, outline, bottom: 0.0, top: 9.0 }]);
+    ego.set_statics(vec![StaticBody {
+        key: 1,
+        label,
+        kind,
+        outline,
+        bottom: 0.0,
+        top: 9.0,
+        elevation: None,
+    }]);
     let contacts = run(&mut ego, COAST, &mut [], 40);
     assert!(!contacts.is_empty());
     assert!((ego.state().pose.position.x + 2.35 - 20.0).abs() < 1.0, "{:?}", ego.state().pose);
@@ -359,7 +385,7 @@ fn body() -> impl Strategy<Value = MovingBody> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(150))]
+    #![proptest_config(ProptestConfig::with_cases(100))]
 
     #[test]
     fn no_crash_makes_the_ego_fly_spin_or_vanish(
@@ -409,12 +435,14 @@ proptest! {
         }
         let mut ego = ego(speed);
         ego.set_statics(vec![wall_at(45.0), block(2, StaticKind::Pole, pole, (0.3, 0.3), 6.0), kerb_at(kerb)]);
-        let mut before = energy(&ego);
+        let first = energy(&ego);
+        let mut before = first;
         for _ in 0..60 {
             run(&mut ego, Control { steer, ..COAST }, &mut bodies, 1);
             let now = energy(&ego);
-            // Roll and pitch swing the measured point by a few J.
-            prop_assert!(now <= before * 1.002 + 40.0, "{before} J became {now} J: {:?}", ego.state());
+            // The springs of a body that leans or stands on a kerb give back some of what they hold.
+            prop_assert!(now <= before * 1.002 + 250.0, "{before} J became {now} J: {:?}", ego.state());
+            prop_assert!(now <= first * 1.002, "{first} J at first became {now} J: {:?}", ego.state());
             before = now;
         }
     }

@@ -15,7 +15,7 @@ const OVERTURNED_FOR: f64 = 1.0;
 
 /// The ego vehicle with its own physics world.
 ///
-/// The ground is flat at height 0; elevation is the caller's. Equal parameters, poses, statics and
+/// The ground is flat; slopes are the caller's. Equal parameters, poses, statics and
 /// inputs give equal states bit for bit, on a new ego and after [`EgoVehicle::respawn`] alike.
 ///
 /// ```
@@ -35,6 +35,8 @@ pub struct EgoVehicle {
     actuators: Actuators,
     strikes: PedestrianStrikes,
     state: EgoState,
+    /// Height of the road under the ego (m), where it is known.
+    elevation: Option<f64>,
     /// How long the ego has lain on its side or roof (s).
     overturned: f64,
 }
@@ -52,6 +54,7 @@ impl EgoVehicle {
             actuators: Actuators::default(),
             strikes: PedestrianStrikes::default(),
             state,
+            elevation: None,
             overturned: 0.0,
         }
     }
@@ -67,9 +70,18 @@ impl EgoVehicle {
         &self.params
     }
 
-    /// Its motion now. The height of the pose is 0.
+    /// Its motion now. The pose's height is that of [`EgoVehicle::set_elevation`], or 0.
     pub fn state(&self) -> EgoState {
-        self.state
+        let mut state = self.state;
+        state.pose.position.z = self.elevation.unwrap_or(0.0);
+        state
+    }
+
+    /// Tells the height of the road under the ego (m), which the physics knows nothing of. Bodies and
+    /// statics on another level, more than 3 m above or below, are then passed over. None, as at the
+    /// start and after a respawn, takes everything to be on one level.
+    pub fn set_elevation(&mut self, elevation: Option<f64>) {
+        self.elevation = elevation.filter(|z| z.is_finite());
     }
 
     /// Replaces the fixed bodies. Thousands cost nothing per tick: only the near ones are simulated.
@@ -101,9 +113,10 @@ impl EgoVehicle {
 
         let reach = Reach {
             ego: self.state.pose.xy(),
-            speed: self.state.velocity.norm(),
+            velocity: self.state.velocity,
             radius: 0.5 * self.params.length.hypot(self.params.width),
             duration: duration_s,
+            elevation: self.elevation,
         };
         let (pedestrians, movers): (Vec<_>, Vec<_>) = bodies
             .iter()

@@ -1,4 +1,16 @@
 //! The ego vehicle: a rapier raycast vehicle, its actuators and its contacts.
+//!
+//! [`EgoVehicle::tick`] takes a [`Control`] and the road users near by, and gives the [`Contact`]s;
+//! [`EgoVehicle::state`] is the motion that came of it. Each ego has a physics world of its own.
+//! Contacts follow these rules:
+//!
+//! - A background vehicle is a moving body of infinite mass: hitting a standing one at v takes the
+//!   ego's whole momentum, m v; being hit takes the ego along, never faster than the other drives.
+//! - A pedestrian is no obstacle: both get the plastic blow between the ego and 75 kg, once until
+//!   they have been apart.
+//! - A moving body that presses the ego against something else is let through until they are apart.
+//! - Standing bodies never add energy, and no collision lifts, tips or spins the ego beyond bounds.
+//! - Kerbs are climbed by the wheels, which costs speed and jolts, and are no contact.
 
 mod actuators;
 mod chassis;
@@ -6,6 +18,7 @@ mod contacts;
 mod ego;
 mod outline;
 mod params;
+mod roadside;
 pub mod statics;
 mod surroundings;
 mod tyres;
@@ -16,6 +29,7 @@ mod collision_tests;
 mod driving_tests;
 
 pub use ego::EgoVehicle;
+pub use roadside::from_network as statics_from_network;
 pub use params::{EgoParams, GRAVITY};
 pub use statics::{StaticBody, StaticKind};
 

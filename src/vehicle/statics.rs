@@ -1,5 +1,7 @@
 //! What stands still beside the road: buildings, poles, kerbs.
 
+pub use super::roadside::from_network;
+
 use super::outline::convex_pieces;
 use super::surroundings::OBSTACLE_SPAN;
 use crate::geometry::Point;
@@ -32,11 +34,14 @@ pub struct StaticBody {
     /// Heights of the underside and the top above the road (m).
     pub bottom: f64,
     pub top: f64,
+    /// Height of the road it stands at, world frame (m). Where it is known, the body is left out
+    /// while the ego drives on another level; None is there on every level.
+    pub elevation: Option<f64>,
 }
 
 /// Horizontal run of a kerb's flank (m): a wheel of 0.32 m radius rises over 0.13 m in 0.26 m,
 /// and a ray, which has no radius, is given that ramp by the kerb instead.
-const KERB_RAMP: f64 = 0.25;
+pub(super) const KERB_RAMP: f64 = 0.25;
 
 /// What begins lower than this (m) stands on the ground.
 const FOOT: f64 = 0.5;
@@ -79,15 +84,28 @@ impl Statics {
         Self { bodies, pieces, tree: RTree::bulk_load(boxes) }
     }
 
-    /// Indices of the pieces within `radius` (m) of `point`, in order.
-    pub(super) fn near(&self, point: Point, radius: f64) -> Vec<usize> {
+    /// Indices of the pieces within `radius` (m) of `point`, in order; those that are known to be on
+    /// another level than `elevation` (m) left out.
+    pub(super) fn near(&self, point: Point, radius: f64, elevation: Option<f64>) -> Vec<usize> {
         let mut found: Vec<usize> = self
             .tree
             .locate_within_distance([point.x, point.y], radius * radius)
             .map(|piece| piece.data)
+            .filter(|&index| same_level(self.bodies[self.pieces[index].body].elevation, elevation))
             .collect();
         found.sort_unstable();
         found
+    }
+}
+
+/// Levels closer than this (m) are one.
+const LEVEL: f64 = 3.0;
+
+/// Whether two heights (m) are on one level; an unknown one is on all.
+pub(super) fn same_level(a: Option<f64>, b: Option<f64>) -> bool {
+    match (a, b) {
+        (Some(a), Some(b)) => (a - b).abs() < LEVEL,
+        _ => true,
     }
 }
 
@@ -181,6 +199,7 @@ mod tests {
             outline,
             bottom: 0.0,
             top,
+            elevation: None,
         };
         let statics = Statics::new(vec![
             body(vec![], 3.0),
@@ -189,7 +208,7 @@ mod tests {
             body(rectangle(0.0, 0.0, 5.0, 5.0, 0.0), 3.0),
         ]);
         assert_eq!(statics.pieces.len(), 1);
-        assert_eq!(statics.near(Point::new(10.0, 0.0), 7.4), Vec::<usize>::new());
-        assert_eq!(statics.near(Point::new(10.0, 0.0), 7.6), vec![0]);
+        assert_eq!(statics.near(Point::new(10.0, 0.0), 7.4, None), Vec::<usize>::new());
+        assert_eq!(statics.near(Point::new(10.0, 0.0), 7.6, None), vec![0]);
     }
 }

@@ -1,18 +1,20 @@
 //! The ground, the fixed bodies near the ego and the moving ones in its reach, as colliders of
 //! the physics world.
 
-use super::statics::{StaticKind, Statics};
-use super::{MovingBody, PartnerKind};
+use super::statics::{StaticKind, Statics, same_level};
+use super::{GRAVITY, MovingBody, PartnerKind};
 use crate::geometry::{Point, direction};
 use rapier3d::prelude::*;
 use std::collections::BTreeMap;
 
 /// Fixed bodies within this distance (m) are in the physics world ...
 const STATIC_RADIUS: f64 = 40.0;
-/// ... and looked for again once the ego has moved this far (m).
+/// ... and looked for again once the ego has moved or climbed this far (m).
 const STATIC_STEP: f64 = 15.0;
-/// A moving body is in the physics world when it can come this close (m) within the tick.
-const REACH_MARGIN: f64 = 3.0;
+const CLIMB_STEP: f64 = 1.0;
+/// A moving body is in the physics world when it can come this close (m) within the tick: as much as
+/// the ego may be thrown off its way by a collision.
+const REACH_MARGIN: f64 = 2.0;
 
 /// Collision groups.
 pub(super) const GROUND: Group = Group::GROUP_1;
@@ -72,12 +74,14 @@ struct Mover {
 /// Which moving bodies the ego can meet within a tick.
 #[derive(Clone, Copy)]
 pub(super) struct Reach {
-    /// The ego's centre (m), speed (m/s) and bounding radius (m).
+    /// The ego's centre (m), velocity (m/s) and bounding radius (m).
     pub(super) ego: Point,
-    pub(super) speed: f64,
+    pub(super) velocity: crate::geometry::Vector,
     pub(super) radius: f64,
     /// The tick (s).
     pub(super) duration: f64,
+    /// Height of the ego's road (m), where it is known.
+    pub(super) elevation: Option<f64>,
 }
 
 impl Reach {
@@ -88,10 +92,18 @@ impl Reach {
         if numbers.iter().any(|n| !n.is_finite()) || sizes.iter().any(|&s| !(s > 0.0 && s < 100.0)) {
             return false;
         }
+        if !same_level(Some(body.pose.position.z), self.elevation) {
+            return false;
+        }
+        let apart = body.pose.xy() - self.ego;
+        let closing = direction(body.pose.heading) * body.speed - self.velocity;
+        // When the two, each keeping its velocity, are closest.
+        let when = -apart.dot(&closing) / closing.norm_squared().max(1e-9);
+        let closest = apart + closing * when.clamp(0.0, self.duration);
         let own_radius = 0.5 * body.length.hypot(body.width);
-        let way = (self.speed.abs() + body.speed.abs()) * self.duration;
-        let reach = self.radius + own_radius + REACH_MARGIN + way;
-        (body.pose.xy() - self.ego).norm_squared() <= reach * reach
+        let swerve = 0.5 * GRAVITY * self.duration * self.duration;
+        let reach = self.radius + own_radius + REACH_MARGIN + swerve;
+        closest.norm_squared() <= reach * reach
     }
 }
 
@@ -100,8 +112,8 @@ impl Reach {
 pub(super) struct Surroundings {
     /// Piece index to collider.
     statics: BTreeMap<usize, ColliderHandle>,
-    /// Where fixed bodies were last looked for (m).
-    looked_at: Option<Point>,
+    /// Where fixed bodies were last looked for, and on which level (m).
+    looked_at: Option<(Point, Option<f64>)>,
     movers: BTreeMap<(u8, u64), Mover>,
 }
 
@@ -132,13 +144,20 @@ impl Surroundings {
         statics: &Statics,
         origin: Point,
         ego: Point,
+        elevation: Option<f64>,
         friction: f32,
     ) -> bool {
-        if self.looked_at.is_some_and(|at| (at - ego).norm_squared() < STATIC_STEP * STATIC_STEP) {
+        let still_good = |(at, height): (Point, Option<f64>)| {
+            let climb = height.unwrap_or_default() - elevation.unwrap_or_default();
+            (at - ego).norm_squared() < STATIC_STEP * STATIC_STEP
+                && height.is_some() == elevation.is_some()
+                && climb.abs() < CLIMB_STEP
+        };
+        if self.looked_at.is_some_and(still_good) {
             return false;
         }
-        self.looked_at = Some(ego);
-        let near = statics.near(ego, STATIC_RADIUS);
+        self.looked_at = Some((ego, elevation));
+        let near = statics.near(ego, STATIC_RADIUS, elevation);
         let mut changed = false;
         self.statics.retain(|index, handle| {
             let keep = near.binary_search(index).is_ok();

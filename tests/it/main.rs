@@ -1,5 +1,9 @@
 //! The integration tests: one binary, so that the heavy libraries are linked once.
 //! Each module talks to a real SUMO.
 
+mod autopilot;
+mod doctor;
 mod network;
+mod run;
 mod traci;
+mod traffic;

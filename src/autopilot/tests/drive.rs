@@ -31,7 +31,6 @@ fn actor(key: u64, kind: ActorKind, (length, width): (f64, f64), pose: Pose, spe
         actor_type: Arc::new(shape),
         pose,
         speed,
-        acceleration: 0.0,
         signals: VehicleSignals(0),
         lane: None,
         lane_position: 0.0,
@@ -108,6 +107,8 @@ pub struct Setup<'a> {
     pub light: Box<dyn Fn(f64) -> Option<&'static str> + 'a>,
     pub tick_s: f64,
     pub seconds: f64,
+    /// Ends this far before the route's end (m).
+    pub before_end: f64,
 }
 
 /// All green for the main road, all red otherwise, as the net's own program has them.
@@ -126,6 +127,7 @@ impl<'a> Setup<'a> {
             light: Box::new(|_| Some(MAIN_GREEN)),
             tick_s: 0.167,
             seconds: 60.0,
+            before_end: 3.0,
         }
     }
 
@@ -166,7 +168,7 @@ impl<'a> Setup<'a> {
             for other in world.vehicles.iter().chain(&world.pedestrians) {
                 report.nearest = report.nearest.min(distance(&state.pose, &model, other));
             }
-            if on.s > self.route.length() - 3.0 {
+            if on.s > self.route.length() - self.before_end {
                 break;
             }
             let decision = pilot.control(self.network, &self.route, on.s, &state, &world, self.tick_s);

@@ -103,6 +103,8 @@ fn a_side_road_lets_the_main_road_pass() {
             stream(&mut setup, &["CE_1", ":E_6_0", "EF_1"], phase, 7.0, 60.0, 20.0);
             stream(&mut setup, &["FE_2", ":E_0_1", "EC_2"], phase + 1.0, 7.0, 60.0, 20.0);
             setup.seconds = 110.0;
+            // The script's cars would run into one that slows down for the end of its route.
+            setup.before_end = 60.0;
             let report = setup.run();
             assert_eq!(report.contacts, 0, "{to} {phase}: {report:?}");
             assert!(report.nearest > 1.0, "{to} {phase}: {report:?}");

@@ -65,8 +65,17 @@ struct Report {
 
 /// Check, print, and answer [`Exit::Done`] where everything needed is there.
 pub fn run(args: Args) -> anyhow::Result<Exit> {
-    let checks =
-        vec![libraries::libtorch(), libraries::opencv(), machine::gpu(), machine::cores(), machine::memory()];
+    let checks = vec![
+        sumo::sumo(),
+        sumo::tools(),
+        libraries::libtorch(),
+        libraries::opencv(),
+        machine::gpu(),
+        machine::cores(),
+        machine::memory(),
+        machine::cache(),
+        machine::towns(),
+    ];
     let ok = checks.iter().all(|finding| finding.status != Status::Missing);
     let report = Report { version: env!("WAD_COSIM_VERSION"), ok, checks };
     print(&if args.json { serde_json::to_string(&report)? + "\n" } else { table(&report) })?;

@@ -64,7 +64,6 @@ setters! { Lane:
     SET_MAX_SPEED: f64 = 0x41;
     /// m.
     SET_LENGTH: f64 = 0x44;
-    SET_FRICTION: f64 = 0x3d;
     /// Vehicle classes.
     SET_ALLOWED: Vec<String> = 0x34;
     /// Vehicle classes.

@@ -206,6 +206,7 @@ pub const fn follower(distance: f64) -> Query<Vehicle, Option<Leader>, f64> {
 }
 
 /// Neighbours on the lanes beside: bit 1 = right, bit 2 = leaders, bit 4 = only those that block a change.
+/// Not for subscriptions: SUMO leaves out the types of its items.
 pub const fn neighbors(mode: u8) -> Query<Vehicle, Vec<Leader>, u8> {
     Variable::new(0xbf, "neighbors").with(mode)
 }
@@ -352,7 +353,7 @@ pub fn set_previous_speed(batch: &mut Batch, id: &str, speed: f64, acceleration:
 /// Adds a stop, or changes or (duration 0) takes away the one there.
 pub fn set_stop(batch: &mut Batch, id: &str, stop: &SetStop<'_>) -> Ticket<()> {
     let SetStop { place, position, lane_index, duration, flags, start_position, until } = *stop;
-    let argument = (place, position, lane_index, duration, flags, start_position, until);
+    let argument = (place, position, lane_index, duration, flags as i8, start_position, until);
     batch.set_raw(Vehicle, 0x12, "stop", id, argument)
 }
 
@@ -409,7 +410,7 @@ pub fn open_gap(
 
 /// Ends [`open_gap`].
 pub fn deactivate_gap_control(batch: &mut Batch, id: &str) -> Ticket<()> {
-    batch.set_raw(Vehicle, 0x16, "open_gap", id, (-1.0,))
+    batch.set_raw(Vehicle, 0x16, "open_gap", id, (-1.0, -1.0, -1.0, -1.0, -1.0))
 }
 
 /// Circles a vehicle in the GUI; `size` in m, -1 for the vehicle's own.

@@ -1,7 +1,7 @@
 //! What vehicle variables and commands carry.
 
 use super::INVALID_DOUBLE;
-use crate::traci::codec::{Decode, DecodeError, Encode, Reader};
+use crate::traci::codec::{Decode, DecodeError, Encode, Reader, tag};
 use crate::traci::variable::Argument;
 
 /// A vehicle ahead or behind.
@@ -22,9 +22,10 @@ impl Decode for Option<Leader> {
 
 impl Decode for Vec<Leader> {
     fn decode(reader: &mut Reader<'_>) -> Result<Self, DecodeError> {
-        reader.compound()?;
-        let n = reader.typed_count()?;
-        (0..n).map(|_| Ok(Leader { id: reader.string()?.to_owned(), gap: reader.double()? })).collect()
+        // The items of this one compound have no type tags.
+        reader.expect(tag::COMPOUND)?;
+        let n = reader.count(12)?;
+        (0..n).map(|_| Ok(Leader { id: reader.str()?.to_owned(), gap: reader.f64()? })).collect()
     }
 }
 
@@ -331,7 +332,7 @@ pub struct SetStop<'a> {
     /// s; 0 takes the stop away.
     pub duration: f64,
     /// Bits: 1 parking, 2 triggered, 4 container-triggered, 8 bus stop, 16 container stop, 32 charging, 64 parking area.
-    pub flags: i32,
+    pub flags: u8,
     /// Begin of the stopping range (m).
     pub start_position: f64,
     /// s of simulation time.

@@ -1,0 +1,394 @@
+//! `wad-cosim run` from the command line: what it prints, writes and returns, and what it does when
+//! things go wrong.
+
+use serde_json::Value;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpListener;
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+fn wad(args: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_wad-cosim"));
+    command.args(args).stdin(Stdio::null());
+    command
+}
+
+fn finish(mut command: Command) -> Output {
+    command.output().expect("the binary runs")
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+fn summary(output: &Output) -> Value {
+    let text = String::from_utf8_lossy(&output.stdout);
+    let last = text.lines().last().unwrap_or_default();
+    serde_json::from_str(last).unwrap_or_else(|e| panic!("{e}: {last:?}\n{}", stderr(output)))
+}
+
+/// Runs in `dir/name` and returns the summary.
+fn run(dir: &Path, name: &str, args: &[&str]) -> (Value, PathBuf) {
+    let out = dir.join(name);
+    let mut command = wad(&["run"]);
+    command.args(args).arg("--json").arg("--out").arg(&out);
+    let output = finish(command);
+    assert!(output.status.success(), "{:?}: {}", output.status, stderr(&output));
+    (summary(&output), out)
+}
+
+fn telemetry(out: &Path) -> Vec<u8> {
+    std::fs::read(out.join("telemetry.jsonl")).expect("telemetry is there")
+}
+
+/// A run in the background with its SUMO up and some ticks done.
+struct Background {
+    child: Child,
+    out: PathBuf,
+    sumo: i32,
+}
+
+impl Background {
+    fn start(dir: &Path, extra: &[&str]) -> Self {
+        let out = dir.join("background");
+        let mut command = wad(&["run", "town5", "--traffic", "5,5", "--realtime", "--tick-ms", "20"]);
+        command.args(extra).arg("--out").arg(&out).stdout(Stdio::null()).stderr(Stdio::piped());
+        // A group of its own, so that a signal to it does not reach the tests.
+        command.process_group(0);
+        let child = command.spawn().expect("the binary runs");
+        let began = Instant::now();
+        let sumo = loop {
+            let lines = std::fs::metadata(out.join("telemetry.jsonl")).map_or(0, |m| m.len());
+            match sumo_of(child.id()) {
+                Some(pid) if lines > 0 => break pid,
+                _ => assert!(began.elapsed() < Duration::from_secs(60), "the run did not begin"),
+            }
+            std::thread::sleep(Duration::from_millis(20));
+        };
+        Self { child, out, sumo }
+    }
+
+    fn signal(&self, pid: i32, signal: i32) {
+        // SAFETY: kill() only takes numbers; both processes are this test's own.
+        let sent = unsafe { libc::kill(pid, signal) };
+        assert_eq!(sent, 0);
+    }
+
+    fn wait(mut self) -> (std::process::ExitStatus, String, PathBuf) {
+        let mut text = String::new();
+        if let Some(mut pipe) = self.child.stderr.take() {
+            let _ = pipe.read_to_string(&mut text);
+        }
+        (self.child.wait().expect("it ends"), text, self.out.clone())
+    }
+}
+
+/// The SUMO child of a process.
+fn sumo_of(parent: u32) -> Option<i32> {
+    std::fs::read_dir("/proc").ok()?.flatten().find_map(|entry| {
+        let pid: i32 = entry.file_name().to_str()?.parse().ok()?;
+        let stat = std::fs::read_to_string(entry.path().join("stat")).ok()?;
+        let (name, rest) = stat.split_once('(')?.1.rsplit_once(')')?;
+        let ppid: u32 = rest.split_whitespace().nth(1)?.parse().ok()?;
+        (ppid == parent && name == "sumo").then_some(pid)
+    })
+}
+
+fn is_gone(pid: i32) -> bool {
+    let began = Instant::now();
+    while began.elapsed() < Duration::from_secs(10) {
+        let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
+        // Killed and not yet collected counts as gone.
+        if stat.is_empty() || stat.rsplit(')').next().is_some_and(|s| s.trim_start().starts_with('Z')) {
+            return true;
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    false
+}
+
+#[test]
+fn drives_through_exact_traffic_and_says_so() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let (s, out) = run(dir.path(), "r", &["nets/town5.sumocfg", "--ticks", "200", "--traffic", "dense"]);
+    assert_eq!((s["ticks"].as_u64(), s["end"].as_str()), (Some(200), Some("survived")));
+    assert_eq!((s["vehicles_mean"].as_f64(), s["pedestrians_mean"].as_f64()), (Some(70.0), Some(150.0)));
+    assert!(s["distance_m"].as_f64() > Some(30.0), "{s}");
+    for key in ["sim_seconds", "wall_seconds", "ticks_per_second", "mean_speed_mps", "destinations_reached",
+        "red_lights_run", "outside_lane_ticks", "seed"]
+    {
+        assert!(s[key].is_number(), "{key} is missing in {s}");
+    }
+    for key in ["collisions", "collisions_caused"] {
+        for partner in ["vehicle", "pedestrian", "static"] {
+            assert!(s[key][partner].is_u64(), "{key}.{partner} is missing in {s}");
+        }
+    }
+    let text = String::from_utf8(telemetry(&out)).expect("UTF-8");
+    assert_eq!(text.lines().count(), 200);
+    for line in text.lines() {
+        let record: Value = serde_json::from_str(line).expect("each line is JSON");
+        assert_eq!(record["vehicles"], 70);
+    }
+    for file in ["config.json", "summary.json"] {
+        let text = std::fs::read_to_string(out.join(file)).expect(file);
+        serde_json::from_str::<Value>(&text).expect(file);
+    }
+}
+
+#[test]
+fn same_seed_gives_the_same_bytes_and_another_seed_does_not() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let args = |seed| ["town5", "--ticks", "250", "--traffic", "dense", "--seed", seed];
+    let (_, a) = run(dir.path(), "a", &args("3"));
+    let (_, b) = run(dir.path(), "b", &args("3"));
+    let (_, c) = run(dir.path(), "c", &args("4"));
+    assert!(telemetry(&a) == telemetry(&b), "equal seeds gave different telemetry");
+    assert!(telemetry(&a) != telemetry(&c), "different seeds gave equal telemetry");
+}
+
+#[test]
+fn wrong_input_is_refused_with_exit_code_2_and_a_reason() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let file = |name: &str, text: &str| {
+        let path = dir.path().join(name);
+        std::fs::write(&path, text).expect("written");
+        path.to_string_lossy().into_owned()
+    };
+    let not_xml = file("a.sumocfg", "this is no XML");
+    let no_net = file("b.sumocfg", r#"<configuration><net-file value="gone.net.xml"/></configuration>"#);
+    let empty = file(
+        "empty.net.xml",
+        r#"<net version="1.20"><location netOffset="0,0" convBoundary="0,0,9,9" origBoundary="0,0,9,9" projParameter="!"/></net>"#,
+    );
+    let cases: [(&[&str], &str); 8] = [
+        (&["atlantis"], "atlantis"),
+        (&[&not_xml], "not a SUMO configuration"),
+        (&[&no_net], "gone.net.xml"),
+        (&[&empty], "no drivable lane"),
+        (&["town5", "--route", "nowhere,elsewhere"], "nowhere"),
+        (&["town5", "--route", "-1"], "FROM,TO"),
+        (&["town5", "--traffic", "heavy"], "as-is, empty, regular, dense"),
+        (&["town5", "--tick-ms", "0"], "1 to 1000 ms"),
+    ];
+    for (i, (args, reason)) in cases.iter().enumerate() {
+        let mut command = wad(&["run"]);
+        command.args(*args).args(["--ticks", "5", "--out"]).arg(dir.path().join(format!("out{i}")));
+        let output = finish(command);
+        let text = stderr(&output);
+        assert_eq!(output.status.code(), Some(2), "{args:?}: {text}");
+        assert!(text.contains(reason), "{args:?} should say {reason:?}: {text}");
+    }
+}
+
+#[test]
+fn a_finished_run_is_not_overwritten() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let args = ["town5", "--ticks", "5", "--traffic", "empty"];
+    let (_, out) = run(dir.path(), "r", &args);
+    let before = telemetry(&out);
+    let mut command = wad(&["run"]);
+    command.args(args).arg("--out").arg(&out);
+    let output = finish(command);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(stderr(&output).contains("already holds a run"), "{}", stderr(&output));
+    assert!(before == telemetry(&out));
+}
+
+#[test]
+fn a_missing_sumo_is_exit_code_3_and_says_what_to_do() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let mut command = wad(&["run", "town5", "--ticks", "5", "--out"]);
+    command.arg(dir.path().join("r")).env("WAD_COSIM_SUMO_HOME", dir.path().join("nothing"));
+    let output = finish(command);
+    assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
+    assert!(stderr(&output).contains("scripts/setup"), "{}", stderr(&output));
+}
+
+#[test]
+fn a_killed_sumo_ends_the_run_with_exit_code_3_and_its_last_log_lines() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let background = Background::start(dir.path(), &[]);
+    background.signal(background.sumo, libc::SIGKILL);
+    let (status, text, out) = background.wait();
+    assert_eq!(status.code(), Some(3), "{text}");
+    assert!(text.contains("signal: 9") && text.contains("sumo.log"), "{text}");
+    let telemetry = String::from_utf8(telemetry(&out)).expect("UTF-8");
+    assert!(telemetry.lines().all(|line| serde_json::from_str::<Value>(line).is_ok()));
+    let summary = std::fs::read_to_string(out.join("summary.json")).expect("a summary");
+    assert!(summary.contains(r#""end": "error""#), "{summary}");
+}
+
+#[test]
+fn a_sumo_that_hangs_is_given_up_and_killed() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let background = Background::start(dir.path(), &["--tick-timeout", "1"]);
+    let sumo = background.sumo;
+    background.signal(sumo, libc::SIGSTOP);
+    let (status, text, _) = background.wait();
+    assert_eq!(status.code(), Some(3), "{text}");
+    assert!(text.contains("hangs"), "{text}");
+    assert!(is_gone(sumo), "the hanging SUMO was left behind");
+}
+
+#[test]
+fn sumo_dies_with_us_even_when_we_are_killed() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let background = Background::start(dir.path(), &[]);
+    let sumo = background.sumo;
+    background.signal(background.child.id() as i32, libc::SIGKILL);
+    let (status, _, out) = background.wait();
+    assert_eq!(status.signal(), Some(libc::SIGKILL));
+    assert!(is_gone(sumo), "SUMO outlived us");
+    let telemetry = String::from_utf8(telemetry(&out)).expect("UTF-8");
+    let whole = telemetry.lines().filter(|line| serde_json::from_str::<Value>(line).is_ok()).count();
+    assert!(whole + 1 >= telemetry.lines().count(), "more than the last line is torn");
+}
+
+#[test]
+fn ctrl_c_keeps_the_results() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let background = Background::start(dir.path(), &[]);
+    let sumo = background.sumo;
+    background.signal(background.child.id() as i32, libc::SIGINT);
+    let (status, text, out) = background.wait();
+    assert_eq!(status.code(), Some(4), "{text}");
+    assert!(is_gone(sumo));
+    let summary: Value =
+        serde_json::from_str(&std::fs::read_to_string(out.join("summary.json")).expect("a summary"))
+            .expect("JSON");
+    assert_eq!(summary["interrupted"], true);
+    let lines = telemetry(&out).iter().filter(|&&b| b == b'\n').count() as u64;
+    assert_eq!(summary["ticks"].as_u64(), Some(lines));
+}
+
+#[test]
+fn a_full_disk_is_said_and_what_was_written_stays() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let out = dir.path().join("r");
+    // A limit on file sizes behaves like a full disk once the signal for it is ignored. Blocks of 1 KiB.
+    let script = format!(
+        "trap '' XFSZ; ulimit -f 128; exec {} run town5 --traffic 3,3 --ticks 2000 --out {}",
+        env!("CARGO_BIN_EXE_wad-cosim"),
+        out.display()
+    );
+    let mut command = Command::new("bash");
+    command.args(["-c", &script]).stdin(Stdio::null());
+    let output = finish(command);
+    let text = stderr(&output);
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(text.contains("telemetry.jsonl") && text.contains("stays readable"), "{text}");
+    let telemetry = String::from_utf8(telemetry(&out)).expect("UTF-8");
+    let whole = telemetry.lines().filter(|line| serde_json::from_str::<Value>(line).is_ok()).count();
+    assert!(whole > 50 && whole + 1 >= telemetry.lines().count(), "{whole} whole lines");
+}
+
+/// A TraCI server that answers the first message with `reply`.
+fn fake_server(reply: Vec<u8>) -> (String, std::thread::JoinHandle<()>) {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+    let address = listener.local_addr().expect("an address").to_string();
+    let server = std::thread::spawn(move || {
+        let Ok((mut stream, _)) = listener.accept() else { return };
+        let mut length = [0; 4];
+        if stream.read_exact(&mut length).is_ok() {
+            let _ = stream.write_all(&reply);
+            std::thread::sleep(Duration::from_millis(200));
+        }
+    });
+    (address, server)
+}
+
+#[test]
+fn a_server_of_a_wrong_version_or_with_garbage_is_refused() {
+    let dir = tempfile::tempdir().expect("a folder");
+    // Status of "get version" (length 7, command 0, result 0, empty text), then the version reply:
+    // length, command, API number, name.
+    let mut old = vec![0, 0, 0, 26, 7, 0, 0, 0, 0, 0, 0, 15, 0, 0, 0, 0, 3, 0, 0, 0, 5];
+    old.extend_from_slice(b"SUMO9");
+    let cases = [(old, "version 3"), (b"HTTP/1.1 400 Bad Request\r\n\r\n".to_vec(), "TraCI")];
+    for (i, (reply, reason)) in cases.into_iter().enumerate() {
+        let (address, server) = fake_server(reply);
+        let mut command = wad(&["run", "town5", "--ticks", "5", "--attach", &address, "--out"]);
+        command.arg(dir.path().join(format!("r{i}"))).args(["--tick-timeout", "5"]);
+        let output = finish(command);
+        assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
+        assert!(stderr(&output).contains(reason), "{}", stderr(&output));
+        server.join().expect("the server ends");
+    }
+}
+
+#[test]
+fn joins_a_running_sumo() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let (_, made) = run(dir.path(), "first", &["town5", "--ticks", "1", "--traffic", "empty"]);
+    let install = wad_cosim::traci::process::SumoInstall::find().expect("SUMO");
+    let port = TcpListener::bind("127.0.0.1:0").and_then(|l| l.local_addr()).expect("a port").port();
+    let mut sumo = install
+        .command("sumo")
+        .arg("-c")
+        .arg(made.join("sumo/sumo.sumocfg"))
+        .args(["--remote-port", &port.to_string()])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("SUMO starts");
+    let out = BufReader::new(sumo.stdout.take().expect("its output"));
+    let _ready = out.lines().map_while(Result::ok).find(|line| line.contains("port"));
+    let address = format!("127.0.0.1:{port}");
+    let (s, _) = run(dir.path(), "joined", &["town5", "--ticks", "50", "--attach", &address, "--traffic", "10,10"]);
+    assert_eq!(s["ticks"], 50);
+    assert_eq!(s["vehicles_mean"].as_f64(), Some(10.0));
+    let _ = sumo.kill();
+    let _ = sumo.wait();
+}
+
+#[test]
+fn runs_untouched_on_the_nets_that_ship_with_sumo() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let install = wad_cosim::traci::process::SumoInstall::find().expect("SUMO");
+    for name in ["A10KW", "square", "fokr_bs_demo", "grid6"] {
+        let config = install.home().join(format!("tools/game/{name}.sumocfg"));
+        let config = config.to_string_lossy().into_owned();
+        let before = folder_listing(&install.home().join("tools/game"));
+        let (s, _) = run(dir.path(), name, &[&config, "--ticks", "150"]);
+        assert_eq!(s["ticks"], 150, "{name}");
+        assert!(s["distance_m"].as_f64() > Some(5.0), "{name}: {s}");
+        assert_eq!(before, folder_listing(&install.home().join("tools/game")), "{name} wrote beside its config");
+    }
+}
+
+fn folder_listing(dir: &Path) -> Vec<PathBuf> {
+    let mut names: Vec<PathBuf> =
+        std::fs::read_dir(dir).into_iter().flatten().flatten().map(|entry| entry.path()).collect();
+    names.sort();
+    names
+}
+
+#[test]
+fn edge_ids_may_begin_with_a_minus() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let install = wad_cosim::traci::process::SumoInstall::find().expect("SUMO");
+    let net = dir.path().join("n.net.xml");
+    let nodes = dir.path().join("n.nod.xml");
+    let edges = dir.path().join("n.edg.xml");
+    std::fs::write(&nodes, r#"<nodes><node id="a" x="0" y="0"/><node id="b" x="200" y="0"/><node id="c" x="400" y="50"/></nodes>"#)
+        .expect("written");
+    std::fs::write(
+        &edges,
+        r#"<edges><edge id="-10.0.00" from="a" to="b"/><edge id="-3,1" from="b" to="c"/><edge id="3,1" from="c" to="b"/><edge id="10.0.00" from="b" to="a"/></edges>"#,
+    )
+    .expect("written");
+    let built = install
+        .command("netconvert")
+        .arg("-n").arg(&nodes).arg("-e").arg(&edges).arg("-o").arg(&net)
+        .output()
+        .expect("netconvert runs");
+    assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
+    let net = net.to_string_lossy().into_owned();
+    let (s, out) = run(dir.path(), "r", &[&net, "--route", "-10.0.00,-3,1", "--ticks", "40"]);
+    assert!(s["distance_m"].as_f64() > Some(10.0), "{s}");
+    let first = String::from_utf8(telemetry(&out)).expect("UTF-8");
+    assert!(first.lines().next().is_some_and(|line| line.contains("-10.0.00_0")));
+}
