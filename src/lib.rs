@@ -39,6 +39,7 @@ pub mod drive;
 pub mod geometry;
 pub mod network;
 pub mod seeds;
+pub mod sight;
 pub mod sumo_config;
 pub mod telemetry;
 pub mod traci;

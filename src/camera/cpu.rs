@@ -12,7 +12,7 @@ use super::frame::{Frame, ObjectTruth, Outputs};
 use super::gather::{Gather, Geometry};
 use super::ground_marks::Marks;
 use super::model::{Library, Scene, SemanticTag, Texture};
-use super::raster::{CamVertex, Visibility, draw_ground};
+use super::raster::{CamVertex, PAD, Visibility, draw_ground};
 use super::shade::{self, Ground, Row, Run, Wall};
 use super::shadow_map::ShadowMap;
 use super::simd::{multiversion, pack, tone};
@@ -146,7 +146,7 @@ impl CpuRenderer {
         self.seen.clear();
         self.seen.resize(geometry.items.len(), NOTHING);
         self.row.resize(width);
-        self.pixels.resize(width * height, 0);
+        self.pixels.resize(width * height + PAD, 0);
         self.mirrors.resize(width * height, 0);
         size(&mut frame.semantic, outputs.semantic, width * height, SemanticTag::Sky as u8);
         size(&mut frame.instance, outputs.instance, width * height, 0);
@@ -157,14 +157,14 @@ impl CpuRenderer {
         let follow = outputs.boxes || outputs.instance;
         for y in 0..height {
             let ids = &self.visibility.id[y * stride..][..width];
-            let iz = &self.visibility.iz[y * stride..][..width];
+            let iz = &self.visibility.iz[y * stride..][..stride];
             let at = y * width;
             if outputs.rgb {
                 row.mirror.fill(0);
                 if let Some(sky) = &self.sky
-                    && iz.contains(&0.0)
+                    && iz[..width].contains(&0.0)
                 {
-                    sky.row(view, &self.look, y, &mut self.pixels[at..at + width]);
+                    sky.row(view, &self.look, y, &mut self.pixels[at..]);
                 }
             }
             let (mut x, mut any) = (0, false);
@@ -217,10 +217,11 @@ impl CpuRenderer {
             }
             if outputs.rgb {
                 if any {
-                    let pixels = &mut self.pixels[at..at + width];
-                    shade::finish(&row, iz, &self.look.haze, weather.fog, pixels);
+                    let pixels = &mut self.pixels[at..];
+                    // The last lanes write into the next row, which is yet to come.
+                    shade::finish(&row, iz, &self.look.haze, weather.fog, width, pixels);
                 }
-                self.mirrors[at..at + width].copy_from_slice(&row.mirror);
+                self.mirrors[at..at + width].copy_from_slice(&row.mirror[..width]);
             }
         }
         self.row = row;
@@ -232,7 +233,8 @@ impl CpuRenderer {
         let material = run.surface.material as usize;
         match run.surface.kind {
             Kind::Unknown => {}
-            Kind::Flat | Kind::Smooth => shade::smooth(run, row),
+            Kind::Flat => shade::flat(run, row),
+            Kind::Smooth => shade::smooth(run, row),
             Kind::Asphalt | Kind::Slabs | Kind::Lawn | Kind::Rough => {
                 let start = y * self.visibility.stride;
                 let end = start + self.visibility.stride;
@@ -277,7 +279,7 @@ impl CpuRenderer {
 
     fn finish(&mut self, geometry: &Geometry<'_>, shot: &Shot<'_>, frame: &mut Frame) {
         let &Shot { scene, actors, view, weather, .. } = shot;
-        let pixels = &mut self.pixels;
+        let pixels = &mut self.pixels[..view.width * view.height];
         if weather.wetness > 0.0 && view.ahead[2].abs() < 0.3 {
             let horizon = view.centre[1] + view.focal * view.ahead[2] / view.up[2].max(0.1);
             effects::mirror(pixels, &self.mirrors, view.width, horizon as i32, &mut self.foot);

@@ -10,6 +10,7 @@
 //! (centre of the footprint, world frame) and the mount says where on it the camera sits. Equal input
 //! gives equal bits on one machine. One thread, no GPU; another [`Renderer`] can take its place.
 
+pub mod actors;
 mod config;
 mod cpu;
 mod effects;
@@ -17,6 +18,7 @@ mod frame;
 mod gather;
 pub mod grid;
 mod ground_marks;
+mod lanes;
 pub mod model;
 mod noise;
 mod picture;
@@ -24,8 +26,10 @@ mod raster;
 mod shade;
 mod shadow_map;
 mod simd;
+pub mod scene;
 mod sky;
 mod surface;
+mod town;
 mod view;
 mod weather;
 
@@ -36,6 +40,7 @@ pub use config::{CameraConfig, Mount};
 pub use cpu::CpuRenderer;
 pub use frame::{Frame, ObjectTruth, Outputs};
 pub use picture::Picture;
+pub use town::Town;
 pub use view::View;
 pub use weather::{Preset, Weather};
 

@@ -1,6 +1,7 @@
 //! Tiles of noise, made once, sampled with one load for the four corners.
 
-use super::simd::{hash, split};
+use super::lanes::Lane;
+use super::simd::hash;
 use std::sync::OnceLock;
 
 /// Texels along a side of a tile; it repeats.
@@ -25,15 +26,15 @@ impl Tile {
         Self(packed)
     }
 
-    /// The value 0..1 at texel coordinates, interpolated.
+    /// The values 0..1 at texel coordinates, interpolated.
     #[inline(always)]
+    pub fn sample<L: Lane>(&self, x: L, y: L) -> L {
+        L::texel(self.0.as_slice(), SIZE.ilog2(), x, y) * L::splat(1.0 / 255.0)
+    }
+
+    /// The value 0..1 at texel coordinates, interpolated.
     pub fn at(&self, x: f32, y: f32) -> f32 {
-        let ((ix, fx), (iy, fy)) = (split(x), split(y));
-        let word = self.0[((iy as usize & (SIZE - 1)) * SIZE) | (ix as usize & (SIZE - 1))];
-        let corner = |shift: u32| (word >> shift & 0xff) as f32;
-        let low = corner(0) + (corner(8) - corner(0)) * fx;
-        let high = corner(16) + (corner(24) - corner(16)) * fx;
-        (low + (high - low) * fy) * (1.0 / 255.0)
+        self.sample(x, y)
     }
 }
 

@@ -80,15 +80,18 @@ multiversion! {
             tiles.fill(f32::MAX);
             for y in row * TILE..((row + 1) * TILE).min(height) {
                 let line = &iz[y * stride..y * stride + width];
-                for (tile, block) in tiles.iter_mut().zip(line.chunks(TILE)) {
-                    let mut least = [f32::MAX; 8];
-                    for (i, &z) in block.iter().enumerate() {
-                        let lane = &mut least[i % 8];
-                        *lane = if z < *lane { z } else { *lane };
+                let (blocks, rest) = line.as_chunks::<TILE>();
+                for (tile, block) in tiles.iter_mut().zip(blocks) {
+                    let mut least: [f32; 8] = std::array::from_fn(|i| if block[i] < block[i + 8] { block[i] } else { block[i + 8] });
+                    for half in [4, 2, 1] {
+                        for i in 0..half {
+                            least[i] = if least[i] < least[i + half] { least[i] } else { least[i + half] };
+                        }
                     }
-                    for z in least {
-                        *tile = if z < *tile { z } else { *tile };
-                    }
+                    *tile = if least[0] < *tile { least[0] } else { *tile };
+                }
+                if let Some(tile) = tiles.get_mut(blocks.len()) {
+                    *tile = rest.iter().fold(*tile, |least, &z| if z < least { z } else { least });
                 }
             }
         }

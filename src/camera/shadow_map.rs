@@ -3,8 +3,9 @@
 //! A map of texels round the camera, filled cell by cell as the camera first sees them and kept while
 //! the sun stands still. Each texel holds its right, upper and diagonal neighbours' values too.
 
+use super::lanes::Lane;
 use super::model::{Chunk, Library, Scene};
-use super::simd::split;
+
 use super::view::View;
 use nalgebra::Point3;
 
@@ -217,13 +218,9 @@ impl ShadowMap {
 
 /// Share of sun at wrapped coordinates (m).
 #[inline(always)]
-pub fn sample(texels: &[u32; SIDE * SIDE], x: f32, y: f32) -> f32 {
-    let ((ix, fx), (iy, fy)) = (split(x * DENSITY - 0.5), split(y * DENSITY - 0.5));
-    let word = texels[((iy as usize & (SIDE - 1)) * SIDE) | (ix as usize & (SIDE - 1))];
-    let corner = |shift: u32| (word >> shift & 0xff) as f32;
-    let low = corner(0) + (corner(8) - corner(0)) * fx;
-    let high = corner(16) + (corner(24) - corner(16)) * fx;
-    (low + (high - low) * fy) * (1.0 / 255.0)
+pub fn sample<L: Lane>(texels: &Texels, x: L, y: L) -> L {
+    let (density, half) = (L::splat(DENSITY), L::splat(0.5));
+    L::texel(texels.as_slice(), SIDE.ilog2(), x * density - half, y * density - half) * L::splat(1.0 / 255.0)
 }
 
 /// The type that [`sample`] reads.

@@ -1,8 +1,10 @@
 //! The sky all round, with clouds, sun and a hazy skyline: drawn once per weather, then looked up.
 
+use super::lanes::lanes;
 use super::model::Rgb;
 use super::noise::tiles;
-use super::simd::{multiversion, pack, tone, unit};
+use super::raster::PAD;
+use super::simd::{pack, tone, unit};
 use super::view::View;
 use super::weather::Weather;
 use std::f32::consts::TAU;
@@ -62,22 +64,26 @@ impl Sky {
             let rx = (x as f32 + 0.5 - view.centre[0]) / view.focal;
             let azimuth = view.heading as f32 - rx.atan();
             let column = (azimuth.rem_euclid(TAU) / TAU * COLUMNS as f32) as usize & (COLUMNS - 1);
-            out.column.push(column as u32);
+            out.column.push(column as f32);
             out.squeeze.push(1.0 / (1.0 + rx * rx).sqrt());
             for (haze, value) in out.haze.iter_mut().zip(self.horizon[column]) {
                 haze.push(value);
             }
         }
+        // Whole lanes are read.
+        for line in out.haze.iter_mut().chain([&mut out.column, &mut out.squeeze]) {
+            line.resize(view.width + PAD, 0.0);
+        }
     }
 
-    /// The sky's pixels of row `y`.
+    /// The sky's pixels of row `y`; `out` is padded.
     pub fn row(&self, view: &View, look: &Look, y: usize, out: &mut [u32]) {
         if look.level {
             let ry = (view.centre[1] - y as f32 - 0.5) / view.focal;
-            level_row(self.pixels.as_slice(), &look.column, &look.squeeze, ry, out);
+            level_row(&self.pixels, &look.column, &look.squeeze, ry, view.width, out);
             return;
         }
-        for (x, pixel) in out.iter_mut().enumerate() {
+        for (x, pixel) in out.iter_mut().take(view.width).enumerate() {
             let r = view.ray(x as f32 + 0.5, y as f32 + 0.5);
             let across = (r[0] * r[0] + r[1] * r[1]).sqrt().max(1e-6);
             let column = ((r[1].atan2(r[0]).rem_euclid(TAU) / TAU * COLUMNS as f32) as usize) & (COLUMNS - 1);
@@ -90,7 +96,7 @@ impl Sky {
 #[derive(Default)]
 pub struct Look {
     level: bool,
-    column: Vec<u32>,
+    column: Vec<f32>,
     squeeze: Vec<f32>,
     /// Scene light of the haze: red, green, blue.
     pub haze: [Vec<f32>; 3],
@@ -102,12 +108,19 @@ fn row_of(height: f32) -> usize {
     (at.max(0.0).min((ROWS - 1) as f32) + 0.5) as usize
 }
 
-multiversion! {
-    fn level_row(pixels: &[u32], column: &[u32], squeeze: &[f32], ry: f32, out: &mut [u32]) {
-        let Some(pixels) = pixels.first_chunk::<{ COLUMNS * ROWS }>() else { return };
-        for ((pixel, &column), &squeeze) in out.iter_mut().zip(column).zip(squeeze) {
-            let row = row_of(ry * squeeze).min(ROWS - 1);
-            *pixel = pixels[row * COLUMNS + (column as usize & (COLUMNS - 1))];
+lanes! {
+    /// A row of a level view; all are padded.
+    fn level_row<L>(pixels: &[u32], column: &[f32], squeeze: &[f32], ry: f32, width: usize, out: &mut [u32]) {
+        let scale = (ROWS - 1) as f32 / (HIGHEST - LOWEST);
+        let (first, last) = (L::splat(0.5 - LOWEST * scale), L::splat((ROWS - 1) as f32 + 0.25));
+        let zero = L::splat(0.0);
+        let mut x = 0;
+        while x < width {
+            let at = L::splat(ry * scale) * L::load(&squeeze[x..]) + first;
+            let row = at.max(zero).min(last).floor().max(zero);
+            let index = row * L::splat(COLUMNS as f32) + L::load(&column[x..]);
+            L::lookup(pixels, index, &mut out[x..]);
+            x += L::COUNT;
         }
     }
 }
@@ -189,14 +202,14 @@ mod tests {
         let view = View::new(&CameraConfig::sized(64, 64), &Pose::new(0.0, 0.0, 0.0, f64::from(PI) * 0.3));
         let mut look = Look::default();
         sky.look(&view, &mut look);
-        let (mut fast, mut slow) = (vec![0; 64], vec![0; 64]);
+        let (mut fast, mut slow) = (vec![0; 64 + PAD], vec![0; 64 + PAD]);
         let mut differing = 0;
         for y in 0..30 {
             look.level = true;
             sky.row(&view, &look, y, &mut fast);
             look.level = false;
             sky.row(&view, &look, y, &mut slow);
-            for (a, b) in fast.iter().zip(&slow) {
+            for (a, b) in fast[..64].iter().zip(&slow) {
                 let gap = (0..3).map(|i| (a >> (8 * i) & 255).abs_diff(b >> (8 * i) & 255)).max().unwrap_or(0);
                 differing += usize::from(gap > 6);
             }
