@@ -73,7 +73,8 @@ fn crossing_of<'a>(
         actor.lane.is_none_or(|l| matches!(network.edge(network.lane(l).edge).kind, EdgeKind::WalkingArea));
     for zone in plans.iter().flat_map(|p| &p.crossings) {
         let crossing = network.crossing(zone.crossing);
-        if actor.lane == Some(crossing.lane) || actor.lane.is_none() && inside(&crossing.outline, world_point) {
+        if actor.lane == Some(crossing.lane) || actor.lane.is_none() && inside(&crossing.outline, world_point)
+        {
             return Some((zone, false));
         }
         // Where cars go first, or while their light is red, pedestrians wait at the kerb.

@@ -9,5 +9,7 @@
 //! `camera.render(&scene, &actors, pose, &weather, Outputs::ALL) -> &Frame`, where `pose` is the ego's
 //! (centre of the footprint, world frame) and the mount says where on it the camera sits.
 
+pub mod actors;
 pub mod grid;
 pub mod model;
+pub mod scene;
