@@ -113,7 +113,8 @@ impl BridgeBench {
         let state = folder.join("state.xml.gz");
         drive.save_state(&state).await?;
         let begin = drive.bridge().time();
-        let sumo_cpu = |drive: &Drive| drive.bridge().sumo_pid().and_then(cpu_time::of_process).unwrap_or(f64::NAN);
+        let sumo_cpu =
+            |drive: &Drive| drive.bridge().sumo_pid().and_then(cpu_time::of_process).unwrap_or(f64::NAN);
         let (before, cpu_before) = (drive.timings(), sumo_cpu(&drive));
         let mut actors = 0;
         for _ in 0..self.ticks {

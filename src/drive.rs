@@ -5,11 +5,11 @@ use crate::bridge::{Bridge, BridgeError, BridgeOptions, Ego, Lamps};
 use crate::criteria::{Cause, Criteria, CriteriaParams, Event, Situation};
 use crate::destination::{self, DestinationError, Destinations};
 use crate::network::{LanePosition, Network, Polygon, Route, Shapes};
-use crate::{cpu_time, seeds};
 use crate::telemetry::{
     FolderError, LeaderRecord, LightRecord, RouteRecord, RunFolder, TickRecord, WriteError,
 };
 use crate::vehicle::{self, EgoParams, PartnerKind};
+use crate::{cpu_time, seeds};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -212,8 +212,14 @@ impl Drive {
         let network = self.bridge.network().clone();
         let before = self.ego.on_route();
         let clock = Instant::now();
-        let decision =
-            self.autopilot.control(&network, self.ego.route(), before.s, &before.state, self.ego.world(), tick);
+        let decision = self.autopilot.control(
+            &network,
+            self.ego.route(),
+            before.s,
+            &before.state,
+            self.ego.world(),
+            tick,
+        );
         self.ego.set_lamps(Lamps {
             blinker_left: decision.blinker_left,
             blinker_right: decision.blinker_right,

@@ -1,7 +1,8 @@
 //! A town as cameras see it: the scene, the road users' models, and their motion from tick to tick.
 
 use super::actors::{Animation, Cast};
-use super::model::{ActorFrame, Scene};
+use super::model::{ActorFrame, Instance, Scene};
+use super::scene;
 use crate::network::{Network, Shapes};
 use crate::world::{Actor, WorldState};
 
@@ -16,10 +17,8 @@ pub struct Town {
 
 impl Town {
     /// The town of a network and its polygons; equal `seed`, equal town.
-    pub fn new(network: &Network, _shapes: &Shapes, _seed: u64) -> Self {
-        let mut scene = super::stopgap::build(network);
-        let cast = Cast::new(&mut scene.library);
-        scene.index();
+    pub fn new(network: &Network, shapes: &Shapes, seed: u64) -> Self {
+        let (scene, cast) = scene::build(network, shapes, seed);
         Self { scene, cast, animation: Animation::default(), frame: ActorFrame::default(), ego: Default::default() }
     }
 
@@ -30,7 +29,7 @@ impl Town {
             let alone = WorldState { vehicles: vec![ego.clone()], time: world.time, ..WorldState::default() };
             let (animation, frame) = &mut self.ego;
             animation.pose(&self.cast, &alone, frame);
-            frame.instances.pop().map(|instance| super::model::Instance { object: None, ..instance })
+            frame.instances.pop().map(|instance| Instance { object: None, ..instance })
         });
     }
 

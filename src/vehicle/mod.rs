@@ -29,8 +29,8 @@ mod collision_tests;
 mod driving_tests;
 
 pub use ego::EgoVehicle;
-pub use roadside::from_network as statics_from_network;
 pub use params::{EgoParams, GRAVITY};
+pub use roadside::from_network as statics_from_network;
 pub use statics::{StaticBody, StaticKind};
 
 use crate::geometry::{Pose, Vector};
