@@ -251,3 +251,23 @@ pub fn facade_numbers(material: &Material) -> FacadeNumbers {
         seed: f.seed,
     }
 }
+
+/// A ground material's numbers as the shading reads them.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct GroundNumbers {
+    /// Joints of slabs (m).
+    pub slabs: [f32; 2],
+    pub wear: f32,
+    pub tracks: bool,
+    pub wetness: f32,
+}
+
+/// The numbers of a material's texture.
+pub fn ground_numbers(material: &Material) -> GroundNumbers {
+    let (slabs, wear, tracks) = match material.texture {
+        Texture::Paving { size } => (size.map(|s| s.max(0.05)), 0.2, false),
+        Texture::Asphalt { wear, tracks } => ([1.0; 2], wear, tracks),
+        _ => ([1.0; 2], 0.2, false),
+    };
+    GroundNumbers { slabs, wear, tracks, wetness: material.wetness }
+}
