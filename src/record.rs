@@ -213,13 +213,13 @@ mod video {
     impl Video {
         /// H.264 where OpenCV has it, else MPEG-4.
         pub fn create(path: &Path, (width, height): (usize, usize), fps: f64) -> Result<Self, RecordError> {
-            let failed =
-                |e: opencv::Error| RecordError::Encode { path: path.to_path_buf(), why: e.message };
+            let failed = |e: opencv::Error| RecordError::Encode { path: path.to_path_buf(), why: e.message };
             for codec in [['a', 'v', 'c', '1'], ['m', 'p', '4', 'v']] {
                 let [a, b, c, d] = codec;
                 let fourcc = VideoWriter::fourcc(a, b, c, d).map_err(failed)?;
                 let size = Size::new(width as i32, height as i32);
-                let writer = VideoWriter::new(&path.to_string_lossy(), fourcc, fps, size, true).map_err(failed)?;
+                let writer =
+                    VideoWriter::new(&path.to_string_lossy(), fourcc, fps, size, true).map_err(failed)?;
                 if writer.is_opened().map_err(failed)? {
                     return Ok(Self { writer, path: path.to_path_buf(), line: Vec::new() });
                 }

@@ -17,9 +17,7 @@ use super::shade::{self, Ground, Row, Run, Wall};
 use super::shadow_map::ShadowMap;
 use super::simd::{multiversion, pack, tone};
 use super::sky::{Look, Sky};
-use super::surface::{
-    FacadeNumbers, GroundNumbers, Kind, Lighting, Surface, facade_numbers, ground_numbers,
-};
+use super::surface::{FacadeNumbers, GroundNumbers, Kind, Lighting, Surface, facade_numbers, ground_numbers};
 use super::view::{NEAR, View};
 use super::{Renderer, Shot};
 
@@ -128,7 +126,14 @@ impl CpuRenderer {
                 if seen.moving || seen.instance.object.is_some() && seen.instance.signal.is_none() {
                     let library = &shot.scene.library;
                     let sunny = sunny && seen.moving;
-                    self.marks.shadow(seen.instance, library, shot.weather, shot.view, &self.visibility, sunny);
+                    self.marks.shadow(
+                        seen.instance,
+                        library,
+                        shot.weather,
+                        shot.view,
+                        &self.visibility,
+                        sunny,
+                    );
                 }
             }
         }
@@ -312,7 +317,8 @@ impl CpuRenderer {
             let (w, h) = (view.width as f32, view.height as f32);
             let full_box =
                 [full[0].clamp(0.0, w), full[1].clamp(0.0, h), full[2].clamp(0.0, w), full[3].clamp(0.0, h)];
-            let middle = object.bounds.pose.position + nalgebra::Vector3::new(0.0, 0.0, 0.5 * object.bounds.size[2]);
+            let middle =
+                object.bounds.pose.position + nalgebra::Vector3::new(0.0, 0.0, 0.5 * object.bounds.size[2]);
             frame.objects.push(ObjectTruth {
                 class: object.class,
                 id: object.id,

@@ -41,7 +41,12 @@ multiversion! {
 }
 
 /// Smooths the outlines: the share of a pixel that the nearer surface covers follows from its edge.
-pub fn smooth_edges(pixels: &mut [u32], visibility: &Visibility, geometry: &Geometry<'_>, vertices: &[CamVertex]) {
+pub fn smooth_edges(
+    pixels: &mut [u32],
+    visibility: &Visibility,
+    geometry: &Geometry<'_>,
+    vertices: &[CamVertex],
+) {
     let (width, height, stride) = (visibility.width, visibility.height, visibility.stride);
     let outline = Outline { geometry, vertices };
     let mut borders = Vec::with_capacity(width);
@@ -153,7 +158,14 @@ impl Outline<'_> {
 }
 
 /// Lamps that shine spread a glow.
-pub fn glow(pixels: &mut [u32], seen: &[Seen<'_>], library: &Library, view: &View, visibility: &Visibility, gain: f32) {
+pub fn glow(
+    pixels: &mut [u32],
+    seen: &[Seen<'_>],
+    library: &Library,
+    view: &View,
+    visibility: &Visibility,
+    gain: f32,
+) {
     for thing in seen {
         let model = &library.models[thing.instance.model.0 as usize];
         for (centre, channel) in &model.glows {
@@ -176,7 +188,9 @@ pub fn glow(pixels: &mut [u32], seen: &[Seen<'_>], library: &Library, view: &Vie
             }
             let (colour, size) = match channel {
                 Channel::Brake | Channel::Tail | Channel::SignalRed => ([255.0, 40.0, 20.0], 0.30),
-                Channel::BlinkLeft | Channel::BlinkRight | Channel::SignalYellow => ([255.0, 150.0, 20.0], 0.30),
+                Channel::BlinkLeft | Channel::BlinkRight | Channel::SignalYellow => {
+                    ([255.0, 150.0, 20.0], 0.30)
+                }
                 Channel::SignalGreen => ([40.0, 255.0, 130.0], 0.30),
                 Channel::Head => ([255.0, 244.0, 220.0], 0.55),
                 _ => ([255.0, 214.0, 150.0], 0.7),

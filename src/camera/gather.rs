@@ -292,7 +292,8 @@ impl Place {
 fn bone_places(model: &Model, root: &Place, phase: f32) -> Vec<Place> {
     let mut places: Vec<Place> = Vec::with_capacity(model.bones.len());
     for (index, bone) in model.bones.iter().enumerate() {
-        let parent = bone.parent.filter(|&p| usize::from(p) < index).map_or(*root, |p| places[usize::from(p)]);
+        let parent =
+            bone.parent.filter(|&p| usize::from(p) < index).map_or(*root, |p| places[usize::from(p)]);
         let angle = if bone.spins { phase } else { bone.amplitude * (phase + bone.offset).sin() };
         if angle == 0.0 {
             places.push(parent);

@@ -210,7 +210,8 @@ mod tests {
             look.level = false;
             sky.row(&view, &look, y, (0, 64), &mut slow);
             for (a, b) in fast[..64].iter().zip(&slow) {
-                let gap = (0..3).map(|i| (a >> (8 * i) & 255).abs_diff(b >> (8 * i) & 255)).max().unwrap_or(0);
+                let gap =
+                    (0..3).map(|i| (a >> (8 * i) & 255).abs_diff(b >> (8 * i) & 255)).max().unwrap_or(0);
                 differing += usize::from(gap > 6);
             }
         }

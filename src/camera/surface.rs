@@ -126,8 +126,10 @@ impl Lighting<'_> {
             let facing = dot(n, w.sun).max(0.0) * item.sun;
             let ambient = self.ambient(n);
             // The lower parts of things see less sky.
-            let low = if item.instance.is_some() { (0.55 + vertex.position[2] * 0.6).clamp(0.4, 1.0) } else { 1.0 };
-            let mut c: Rgb = std::array::from_fn(|i| albedo[i] * (ambient[i] * low + w.sun_light[i] * facing));
+            let low =
+                if item.instance.is_some() { (0.55 + vertex.position[2] * 0.6).clamp(0.4, 1.0) } else { 1.0 };
+            let mut c: Rgb =
+                std::array::from_fn(|i| albedo[i] * (ambient[i] * low + w.sun_light[i] * facing));
             if material.gloss > 0.0 {
                 let v = &self.view;
                 let scale = -1.0 / dot(p, p).sqrt().max(1e-3);

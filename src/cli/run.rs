@@ -225,8 +225,7 @@ struct Film {
 impl Film {
     fn begin(path: &std::path::Path, args: &Args, drive: &Drive, seed: u64) -> anyhow::Result<Self> {
         let fps = 1.0 / drive.bridge().tick();
-        let recorder =
-            Recorder::create(path, args.record_view, fps).map_err(|e| Exit::Input.because(e))?;
+        let recorder = Recorder::create(path, args.record_view, fps).map_err(|e| Exit::Input.because(e))?;
         let town = sight::town(drive.bridge(), seed);
         Ok(Self { recorder, town, weather: Weather::from(args.weather) })
     }
