@@ -53,14 +53,12 @@ pub struct Actor {
     pub actor_type: Arc<ActorType>,
     /// Centre of the footprint.
     pub pose: Pose,
-    /// m/s along the heading.
+    /// m/s along the heading: the way since the last tick over its length.
     pub speed: f64,
-    /// m/s2 along the heading (0 for pedestrians).
-    pub acceleration: f64,
     pub signals: VehicleSignals,
     /// Lane (crossing or walkingarea for pedestrians there), where SUMO maps it to one.
     pub lane: Option<LaneId>,
-    /// SUMO lane_position of the front bumper (m).
+    /// SUMO lane_position of a vehicle's front bumper (m); 0 for pedestrians.
     pub lane_position: f64,
 }
 

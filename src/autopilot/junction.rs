@@ -23,6 +23,9 @@ pub struct Approach {
     pub certain: bool,
 }
 
+/// An internal lane, its distance from the link's stop line and its length (m).
+pub type InnerLane = (LaneId, f64, f64);
+
 /// Another link whose path meets the ego's.
 #[derive(Clone, Debug)]
 pub struct Conflict {
@@ -38,8 +41,10 @@ pub struct Conflict {
     pub foe_enter: f64,
     pub foe_leave: f64,
     /// Internal lanes of the foe link with their distance from its stop line and their length (m).
-    pub inside: Vec<(LaneId, f64, f64)>,
+    pub inside: Vec<InnerLane>,
     pub approaches: Vec<Approach>,
+    /// Speed at which the foe link is driven over the junction (m/s).
+    pub foe_speed: f64,
     /// How the foe link turns.
     pub direction: LinkDirection,
 }
@@ -94,7 +99,9 @@ impl LinkPlan {
             .collect();
         let clear_s = crossings.iter().map(|c| c.to_s).fold(link.end_s, f64::max);
         let wait_s = match own.via.as_slice() {
-            [first, _, ..] => {
+            // Without a signal it waits at the line: who entered first goes first in SUMO, and would be
+            // waited for while it waits.
+            [first, _, ..] if own.signal.is_some() => {
                 let s = link.stop_s + network.lane(*first).shape.length();
                 (s > link.stop_s + 1.0 && s < link.end_s).then_some(s)
             }
@@ -132,7 +139,7 @@ fn samples(route: &Route, from: f64, to: f64) -> Vec<(f64, Point)> {
 }
 
 /// The path of a link over its junction, from its stop line, and its internal lanes.
-fn foe_path(network: &Network, foe: LinkId) -> (Vec<(f64, Point)>, Vec<(LaneId, f64, f64)>) {
+fn foe_path(network: &Network, foe: LinkId) -> (Vec<(f64, Point)>, Vec<InnerLane>) {
     let link = network.link(foe);
     let mut path = Vec::new();
     let mut inside = Vec::new();
@@ -194,6 +201,7 @@ fn meet(
         foe_leave,
         inside,
         approaches: approaches(network, foe),
+        foe_speed: link.via.iter().map(|&l| network.lane(l).speed_limit).fold(14.0, f64::min),
         direction: link.direction,
     })
 }

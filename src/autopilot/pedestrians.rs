@@ -162,9 +162,7 @@ fn walk(
             leave = t;
             near_s = near_s.min(on.s);
             far_s = far_s.max(on.s);
-        } else if enter.is_finite() {
-            break;
-        } else if actor.speed * (horizon - t) + half < on.d.abs() {
+        } else if enter.is_finite() || actor.speed * (horizon - t) + half < on.d.abs() {
             break;
         }
     }

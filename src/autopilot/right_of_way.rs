@@ -77,6 +77,8 @@ struct Foe<'a> {
     /// Front bumper from the foe link's stop line (m, negative before it).
     x: f64,
     inside: bool,
+    /// It is in the junction while its light is red: it goes on.
+    clearing: bool,
     top: f64,
     /// Whether its way over the conflict is only a guess.
     unsure: bool,
@@ -101,6 +103,7 @@ pub fn judge(
         let signal = link.signal.and_then(|s| world.signal(s));
         let stopped_by_light = signal.is_some_and(|s| s.is_red() || s == SignalState::Yellow);
         let yields = ego.yields && conflict.must_yield;
+        let red = signal.is_some_and(|s| s.is_red());
         for &(lane, begin, length) in &conflict.inside {
             let scale = length / network.lane(lane).length.max(0.1);
             for index in by_lane.on(lane) {
@@ -110,7 +113,7 @@ pub fn judge(
                 consider(
                     conflict,
                     plan,
-                    &Foe { actor, x, inside: true, top, unsure: false },
+                    &Foe { actor, x, inside: true, clearing: red, top, unsure: false },
                     ego,
                     yields,
                     params,
@@ -135,7 +138,7 @@ pub fn judge(
                     continue;
                 }
                 let top = lane.speed_limit.max(actor.speed);
-                let foe = Foe { actor, x, inside: false, top, unsure: !approach.certain };
+                let foe = Foe { actor, x, inside: false, clearing: false, top, unsure: !approach.certain };
                 consider(conflict, plan, &foe, ego, yields, params, &mut outcome);
             }
         }
@@ -198,7 +201,8 @@ fn consider(
     let braking_room = if foe.inside { to_enter } else { -foe.x };
     let needed = speed * speed / (2.0 * (braking_room.max(0.0) + LINE_SLACK));
     let inevitable = in_zone || needed > 4.8;
-    if !yields && !inevitable {
+    let goes_on = inevitable || foe.clearing && speed > 2.0;
+    if !yields && !goes_on {
         return;
     }
     if standing && in_zone && !conflict.merge {
@@ -217,7 +221,12 @@ fn consider(
     let foe_leave = if in_zone || !yields {
         to_leave / speed.max(0.5)
     } else {
-        time_to_cover(to_leave, speed.max(0.5), 0.8, foe.top.max(2.0))
+        // It slows down for its turn.
+        let over = conflict.foe_speed.clamp(2.0, foe.top.max(2.0));
+        let before_line = (-foe.x).max(0.0);
+        let approach = if speed > over { before_line / (0.5 * (speed + over)) } else { 0.0 };
+        let rest = if speed > over { to_leave - before_line } else { to_leave };
+        approach + time_to_cover(rest, speed.clamp(0.5, over), 0.8, over)
     };
 
     let share = 1.0 - (1.0 - params.impatient_share) * ego.impatience;

@@ -3,7 +3,7 @@
 use crate::criteria::EgoOnRoute;
 use crate::geometry::Pose;
 use crate::network::{EdgeKind, LaneId, Network, Route};
-use crate::traci::{Batch, Color, route, vehicle, vehicle_type};
+use crate::traci::{Batch, Color, CommandError, Replies, Ticket, route, vehicle, vehicle_type};
 use crate::vehicle::{Contact, Control, EgoParams, EgoState, EgoVehicle, MovingBody, PartnerKind};
 use crate::world::{Actor, VehicleSignals, WorldState};
 
@@ -42,7 +42,20 @@ pub struct Ego {
     shown_lamps: Option<Lamps>,
     /// The route has changed since SUMO heard of it.
     route_is_news: bool,
+    /// How many of the route's edges SUMO has been told of.
+    told_edges: usize,
 }
+
+/// Claims to SUMO's answers to a report.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Reported {
+    route: Option<Ticket<()>>,
+    pose: Ticket<()>,
+}
+
+/// Edges of the route that SUMO is told of at once, and how many ahead of the ego it always knows.
+const TOLD_EDGES: usize = 5;
+const KEPT_EDGES: usize = 3;
 
 /// Route projection window behind and ahead of the last place (m).
 const BACK: f64 = 10.0;
@@ -66,6 +79,7 @@ impl Ego {
             lamps: Lamps::default(),
             shown_lamps: None,
             route_is_news: true,
+            told_edges: 0,
         };
         ego.locate();
         ego
@@ -192,11 +206,12 @@ impl Ego {
     }
 
     /// Appends its pose, and route and lamps where they changed, to the next step's message.
-    pub(super) fn report(&mut self, network: &Network, batch: &mut Batch) {
-        if self.route_is_news {
+    pub(super) fn report(&mut self, network: &Network, batch: &mut Batch) -> Reported {
+        let mut route = None;
+        if self.route_is_news || self.needs_more_edges() {
             let edges = self.sumo_edges(network);
             let edges: Vec<&str> = edges.iter().map(String::as_str).collect();
-            batch.set(vehicle::SET_ROUTE, &self.id, &edges);
+            route = Some(batch.set(vehicle::SET_ROUTE, &self.id, &edges));
             self.route_is_news = false;
         }
         if self.shown_lamps != Some(self.lamps) {
@@ -204,7 +219,7 @@ impl Ego {
             self.shown_lamps = Some(self.lamps);
         }
         let (front, angle) = self.vehicle.state().pose.to_sumo(self.params().length);
-        vehicle::move_to_xy(
+        let pose = vehicle::move_to_xy(
             batch,
             &self.id,
             &vehicle::MoveToXy {
@@ -215,15 +230,39 @@ impl Ego {
                 ..Default::default()
             },
         );
+        Reported { route, pose }
     }
 
-    /// The edges that SUMO is told of: the rest of the route, and one edge beyond its end, since others
-    /// notice the ego at a junction only while its route goes on beyond it (eclipse-sumo/sumo issue 6140).
-    fn sumo_edges(&self, network: &Network) -> Vec<String> {
-        let from = self.route.edge_index_at(self.s);
-        let mut edges: Vec<_> =
-            self.route.edges[from.min(self.route.edges.len().saturating_sub(1))..].to_vec();
-        if let Some(&last) = edges.last() {
+    /// What SUMO answered to a report.
+    ///
+    /// # Errors
+    /// It does not know the ego any more.
+    pub(super) fn confirm(&mut self, reported: Reported, replies: &Replies) -> Result<(), CommandError> {
+        if let Some(Err(refusal)) = reported.route.map(|route| replies.get(route)) {
+            // SUMO sees it on another edge for a tick, at a junction's border: said again.
+            tracing::debug!("{refusal}");
+            self.route_is_news = true;
+        }
+        replies.get(reported.pose)
+    }
+
+    /// Whether SUMO must hear of more edges: the told ones end within [`KEPT_EDGES`].
+    fn needs_more_edges(&self) -> bool {
+        let end = self.route.edges.len();
+        self.told_edges < end && self.told_edges < self.route.edge_index_at(self.front_s) + KEPT_EDGES
+    }
+
+    /// The edges that SUMO is told of: some way along the route, so that others notice the ego at a
+    /// junction, which they do only while its route goes on beyond it (eclipse-sumo/sumo issue 6140).
+    /// Beyond the route's end one more edge is added for the same reason. No more than that: the
+    /// cost of each tick's move_to_xy grows with the route.
+    fn sumo_edges(&mut self, network: &Network) -> Vec<String> {
+        let from = self.route.edge_index_at(self.front_s).min(self.route.edges.len().saturating_sub(1));
+        self.told_edges = self.route.edges.len().min(from + TOLD_EDGES);
+        let mut edges = self.route.edges[from..self.told_edges].to_vec();
+        if let Some(&last) = edges.last()
+            && self.told_edges == self.route.edges.len()
+        {
             let beyond =
                 network.edge(last).lanes.iter().flat_map(|lane| &network.lane(*lane).outgoing).find(|link| {
                     let to = network.lane(network.link(**link).to);

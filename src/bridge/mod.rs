@@ -16,6 +16,7 @@ mod signals;
 pub use ego::{Ego, Lamps};
 pub use error::BridgeError;
 
+use crate::cores::SharedCore;
 use crate::geometry::Point;
 use crate::network::{LaneId, Network};
 use crate::seeds;
@@ -78,6 +79,7 @@ pub struct Bridge {
     client: TcpClient,
     /// None where attached to somebody else's SUMO.
     process: Option<SumoProcess>,
+    _core: Option<SharedCore>,
     network: Arc<Network>,
     config: SumoConfig,
     catalog: ActorCatalog,
@@ -145,9 +147,11 @@ impl Bridge {
                 traffic::Options { alone: true, keep: vec!["ego".to_string()], ..Default::default() };
             Population::new(Arc::clone(&network), counts, seeds::derive(options.seed, "traffic"), behaviour)
         });
+        let core = process.as_ref().filter(|_| !options.gui).map(|process| SharedCore::with(process.id()));
         Ok(Self {
             client,
             process,
+            _core: core,
             signals: SignalWatch::new(&network, options.sight),
             network,
             config,
@@ -229,13 +233,6 @@ impl Bridge {
     pub async fn step(&mut self, egos: &mut [&mut Ego]) -> Result<(), BridgeError> {
         let replies = self.exchange(egos).await?;
         for refusal in replies.failures() {
-            if let Some(ego) = egos.iter().find(|ego| ego.id == refusal.object) {
-                return Err(BridgeError::EgoLost {
-                    id: ego.id.clone(),
-                    time: self.time(),
-                    why: refusal.to_string(),
-                });
-            }
             tracing::debug!("SUMO refused: {refusal}");
         }
         Ok(())
@@ -245,9 +242,8 @@ impl Bridge {
     async fn exchange(&mut self, egos: &mut [&mut Ego]) -> Result<Replies, BridgeError> {
         let observers: Vec<Point> = egos.iter().map(|ego| ego.state().pose.xy()).collect();
         self.signals.follow(&self.network, &observers, &mut self.batch);
-        for ego in egos.iter_mut() {
-            ego.report(&self.network, &mut self.batch);
-        }
+        let reported: Vec<_> =
+            egos.iter_mut().map(|ego| ego.report(&self.network, &mut self.batch)).collect();
         // SUMO drops a subscription to the persons' number, so it is asked for before the step.
         let persons = self.batch.get(person::ID_COUNT, "");
         self.batch.step();
@@ -258,8 +254,14 @@ impl Bridge {
         // From here on the batch is the next tick's.
         self.batch.clear();
         self.ticks += 1;
-        let time = self.time();
+        let (time, tick) = (self.time(), self.tick());
         self.catalog.next_tick();
+        for (ego, reported) in egos.iter_mut().zip(reported) {
+            if let Err(refusal) = ego.confirm(reported, &replies) {
+                let (id, why) = (ego.id.clone(), refusal.to_string());
+                return Err(BridgeError::EgoLost { id, time: self.time(), why });
+            }
+        }
         let subscriptions = replies.subscriptions();
         self.signals.read(&self.network, &subscriptions);
         for object in subscriptions.objects(vehicle::Vehicle) {
@@ -272,7 +274,7 @@ impl Bridge {
             let Ego { id, world, previous, .. } = &mut **ego;
             std::mem::swap(world, previous);
             let actors = (&mut world.vehicles, &mut world.pedestrians);
-            let observed = self.catalog.observe(&mut self.client, &self.network, &replies, id, actors).await;
+            let observed = self.catalog.observe(&mut self.client, &self.network, &replies, id, tick, actors).await;
             if let Err(error) = observed {
                 return Err(self.explain(error).await);
             }

@@ -12,6 +12,10 @@ use std::sync::Arc;
 const FORGET_AFTER: u64 = 2000;
 
 /// Remembers ids and types of the actors seen, so that a tick copies numbers only.
+///
+/// What can be known without SUMO is not subscribed to, since each value costs SUMO about a
+/// microsecond: types are asked for once per actor, lane positions come from the lane's shape, and
+/// speeds from the way since the last tick.
 #[derive(Debug, Default)]
 pub struct ActorCatalog {
     types: BTreeMap<String, Arc<ActorType>>,
@@ -26,19 +30,27 @@ struct Seen {
     key: u64,
     actor_type: Arc<ActorType>,
     last_tick: u64,
+    /// Front bumper (m) and speed (m/s) at that tick.
+    position: Point3<f64>,
+    speed: f64,
+}
+
+/// Where SUMO keeps an actor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Domain {
+    Vehicle,
+    Person,
 }
 
 /// What a context subscription says of one actor.
 struct Observed<'a> {
+    domain: Domain,
     id: &'a str,
-    type_id: &'a str,
+    /// Front bumper (m).
     position: Point3<f64>,
     degrees: f64,
-    speed: f64,
-    acceleration: f64,
     signals: u32,
     lane: &'a str,
-    lane_position: f64,
 }
 
 /// Subscribes the ego `id` to everything within `sight` (m).
@@ -49,14 +61,10 @@ pub fn subscribe(batch: &mut Batch, id: &str, sight: f64) {
         vehicle::Vehicle,
         sight,
         &[
-            vehicle::TYPE.id(),
             vehicle::POSITION_3D.id(),
             vehicle::ANGLE.id(),
-            vehicle::SPEED.id(),
-            vehicle::ACCELERATION.id(),
             vehicle::SIGNALS.id(),
             vehicle::LANE_ID.id(),
-            vehicle::LANE_POSITION.id(),
         ],
     );
     batch.subscribe_context(
@@ -65,12 +73,9 @@ pub fn subscribe(batch: &mut Batch, id: &str, sight: f64) {
         person::Person,
         sight,
         &[
-            person::TYPE.id(),
             person::POSITION_3D.id(),
             person::ANGLE.id(),
-            person::SPEED.id(),
             person::LANE_ID.id(),
-            person::LANE_POSITION.id(),
         ],
     );
 }
@@ -85,99 +90,107 @@ impl ActorCatalog {
         }
     }
 
-    /// Vehicles (without the ego `id` itself) and pedestrians round the ego, each ordered by id.
-    /// Types not met before are asked for, which costs a message.
+    /// Vehicles (without the ego `id` itself) and pedestrians round the ego after a tick of `tick` s,
+    /// each ordered by id. Those who come into sight are asked about, which costs a message.
     pub async fn observe(
         &mut self,
         client: &mut TcpClient,
         network: &Network,
         replies: &traci::Replies,
         id: &str,
+        tick: f64,
         world: (&mut Vec<Actor>, &mut Vec<Actor>),
     ) -> Result<(), traci::Error> {
         let (vehicles, pedestrians) = world;
         vehicles.clear();
         pedestrians.clear();
-        let mut unknown: Vec<&str> = Vec::new();
-        let results = replies.subscriptions();
-        for object in results.context(vehicle::Vehicle, id, vehicle::Vehicle).filter(|o| o.id() != id) {
-            let position = object.value(vehicle::POSITION_3D)?;
-            let observed = Observed {
-                id: object.id(),
-                type_id: object.str(vehicle::TYPE)?,
-                position: Point3::new(position.x, position.y, position.z),
-                degrees: object.value(vehicle::ANGLE)?,
-                speed: object.value(vehicle::SPEED)?,
-                acceleration: object.value(vehicle::ACCELERATION)?,
-                signals: object.value(vehicle::SIGNALS)? as u32,
-                lane: object.str(vehicle::LANE_ID)?,
-                lane_position: object.value(vehicle::LANE_POSITION)?,
-            };
-            self.push(&observed, network, &mut unknown, vehicles);
+        let observed = read(replies, id)?;
+        let new: Vec<&Observed<'_>> = observed.iter().filter(|actor| !self.knows(actor.id)).collect();
+        if !new.is_empty() {
+            self.ask(client, &new).await?;
         }
-        for object in results.context(vehicle::Vehicle, id, person::Person) {
-            let position = object.value(person::POSITION_3D)?;
-            let observed = Observed {
-                id: object.id(),
-                type_id: object.str(person::TYPE)?,
-                position: Point3::new(position.x, position.y, position.z),
-                degrees: object.value(person::ANGLE)?,
-                speed: object.value(person::SPEED)?,
-                acceleration: 0.0,
-                signals: 0,
-                lane: object.str(person::LANE_ID)?,
-                lane_position: object.value(person::LANE_POSITION)?,
-            };
-            self.push(&observed, network, &mut unknown, pedestrians);
-        }
-        if !unknown.is_empty() {
-            self.ask_types(client, &unknown).await?;
-            return Box::pin(self.observe(client, network, replies, id, (vehicles, pedestrians))).await;
+        for actor in &observed {
+            let list = if actor.domain == Domain::Vehicle { &mut *vehicles } else { &mut *pedestrians };
+            self.push(actor, network, tick, list);
         }
         vehicles.sort_unstable_by(|a, b| a.id.cmp(&b.id));
         pedestrians.sort_unstable_by(|a, b| a.id.cmp(&b.id));
         Ok(())
     }
 
-    fn push<'a>(
-        &mut self,
-        observed: &Observed<'a>,
-        network: &Network,
-        unknown: &mut Vec<&'a str>,
-        actors: &mut Vec<Actor>,
-    ) {
-        // Not in the network yet, or not any more: SUMO's "no value".
-        if observed.position.x < -1e9 || !observed.position.x.is_finite() {
-            return;
+    /// Whether an actor was seen a tick ago (or in this one, by another ego), so that its speed is known.
+    fn knows(&self, id: &str) -> bool {
+        self.seen.get(id).is_some_and(|seen| seen.last_tick + 1 >= self.tick)
+    }
+
+    fn push(&mut self, observed: &Observed<'_>, network: &Network, tick: f64, actors: &mut Vec<Actor>) {
+        // One that left in this very step could not be asked about.
+        let Some((id, _)) = self.seen.get_key_value(observed.id) else { return };
+        let id = Arc::clone(id);
+        let Some(seen) = self.seen.get_mut(observed.id) else { return };
+        if seen.last_tick + 1 == self.tick {
+            seen.speed = (observed.position - seen.position).norm() / tick;
         }
-        let (id, key, actor_type) = match self.seen.get_key_value(observed.id) {
-            Some((id, seen)) if seen.actor_type.id == observed.type_id => {
-                (Arc::clone(id), seen.key, Arc::clone(&seen.actor_type))
+        (seen.last_tick, seen.position) = (self.tick, observed.position);
+        let lane = network.lane_by_id(observed.lane);
+        let lane_position = match (observed.domain, lane) {
+            (Domain::Vehicle, Some(lane)) => {
+                let lane = network.lane(lane);
+                lane.lane_position(lane.shape.project(observed.position.xy()).s)
             }
-            _ => {
-                let Some(actor_type) = self.types.get(observed.type_id) else {
-                    if !unknown.contains(&observed.type_id) {
-                        unknown.push(observed.type_id);
-                    }
-                    return;
-                };
-                self.next_key += 1;
-                (Arc::from(observed.id), self.next_key, Arc::clone(actor_type))
-            }
+            _ => 0.0,
         };
-        let seen = Seen { key, actor_type: Arc::clone(&actor_type), last_tick: self.tick };
-        self.seen.insert(Arc::clone(&id), seen);
         actors.push(Actor {
             id,
-            key,
-            pose: Pose::from_sumo(observed.position, observed.degrees, actor_type.length),
-            actor_type,
-            speed: observed.speed,
-            acceleration: observed.acceleration,
+            key: seen.key,
+            pose: Pose::from_sumo(observed.position, observed.degrees, seen.actor_type.length),
+            actor_type: Arc::clone(&seen.actor_type),
+            speed: seen.speed,
             signals: VehicleSignals(observed.signals),
-            lane: network.lane_by_id(observed.lane),
-            lane_position: observed.lane_position,
+            lane,
+            lane_position,
         });
+    }
+
+    /// Learns types and speeds of actors that come into sight, and the measures of new types.
+    async fn ask(&mut self, client: &mut TcpClient, actors: &[&Observed<'_>]) -> Result<(), traci::Error> {
+        let mut batch = Batch::new();
+        let tickets: Vec<_> = actors
+            .iter()
+            .map(|actor| match actor.domain {
+                Domain::Vehicle => (batch.get(vehicle::TYPE, actor.id), batch.get(vehicle::SPEED, actor.id)),
+                Domain::Person => (batch.get(person::TYPE, actor.id), batch.get(person::SPEED, actor.id)),
+            })
+            .collect();
+        let replies = client.send(&batch).await?;
+        let mut answers = Vec::with_capacity(actors.len());
+        for (actor, (actor_type, speed)) in actors.iter().zip(tickets) {
+            // It may have arrived in the step itself: then there is nothing to know of it.
+            if let (Ok(actor_type), Ok(speed)) = (replies.get_ref(actor_type), replies.get(speed)) {
+                answers.push((actor, actor_type, speed));
+            }
+        }
+        let mut new: Vec<&str> =
+            answers.iter().map(|answer| answer.1).filter(|t| !self.types.contains_key(*t)).collect();
+        new.sort_unstable();
+        new.dedup();
+        if !new.is_empty() {
+            self.ask_types(client, &new).await?;
+        }
+        for (actor, type_id, speed) in answers {
+            let Some(actor_type) = self.types.get(type_id) else { continue };
+            let key = self.seen.get(actor.id).map_or(self.next_key + 1, |seen| seen.key);
+            self.next_key = self.next_key.max(key);
+            let seen = Seen {
+                key,
+                actor_type: Arc::clone(actor_type),
+                last_tick: self.tick,
+                position: actor.position,
+                speed,
+            };
+            self.seen.insert(Arc::from(actor.id), seen);
+        }
+        Ok(())
     }
 
     async fn ask_types(&mut self, client: &mut TcpClient, names: &[&str]) -> Result<(), traci::Error> {
@@ -208,6 +221,37 @@ impl ActorCatalog {
         }
         Ok(())
     }
+}
+
+/// The actors that the subscriptions of ego `id` brought with a step.
+fn read<'a>(replies: &'a traci::Replies, id: &str) -> Result<Vec<Observed<'a>>, traci::Error> {
+    let mut actors = Vec::new();
+    let results = replies.subscriptions();
+    for object in results.context(vehicle::Vehicle, id, vehicle::Vehicle).filter(|o| o.id() != id) {
+        let position = object.value(vehicle::POSITION_3D)?;
+        actors.push(Observed {
+            domain: Domain::Vehicle,
+            id: object.id(),
+            position: Point3::new(position.x, position.y, position.z),
+            degrees: object.value(vehicle::ANGLE)?,
+            signals: object.value(vehicle::SIGNALS)? as u32,
+            lane: object.str(vehicle::LANE_ID)?,
+        });
+    }
+    for object in results.context(vehicle::Vehicle, id, person::Person) {
+        let position = object.value(person::POSITION_3D)?;
+        actors.push(Observed {
+            domain: Domain::Person,
+            id: object.id(),
+            position: Point3::new(position.x, position.y, position.z),
+            degrees: object.value(person::ANGLE)?,
+            signals: 0,
+            lane: object.str(person::LANE_ID)?,
+        });
+    }
+    // Not in the network yet, or not any more: SUMO's "no value".
+    actors.retain(|actor| actor.position.x.is_finite() && actor.position.x > -1e9);
+    Ok(actors)
 }
 
 /// The kind of a road user, by SUMO's vehicle class, then by its gui shape.

@@ -2,6 +2,7 @@
 
 use super::model::Chunk;
 use std::collections::HashMap;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Width of a cell (m).
 const CELL: f64 = 64.0;
@@ -10,6 +11,7 @@ const CELL: f64 = 64.0;
 #[derive(Clone, Debug, Default)]
 pub struct Grid {
     cells: HashMap<(i32, i32), Vec<u32>>,
+    stamp: u64,
 }
 
 fn cell(x: f64) -> i32 {
@@ -26,7 +28,13 @@ impl Grid {
             let at = (cell(chunk.origin.x + middle(0)), cell(chunk.origin.y + middle(1)));
             cells.entry(at).or_default().push(number as u32);
         }
-        Self { cells }
+        static STAMPS: AtomicU64 = AtomicU64::new(1);
+        Self { cells, stamp: STAMPS.fetch_add(1, Ordering::Relaxed) }
+    }
+
+    /// Differs from every other grid's of this process: what was derived from one is void for another.
+    pub fn stamp(&self) -> u64 {
+        self.stamp
     }
 
     /// Appends the numbers of the chunks within about `radius` (m) of a point, in a fixed order.

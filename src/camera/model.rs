@@ -448,6 +448,26 @@ impl Scene {
     pub fn index(&mut self) {
         self.grid = super::grid::Grid::new(&self.chunks);
     }
+
+    /// The town `times` times, side by side to the east: for measuring what a larger town costs.
+    #[must_use]
+    pub fn repeated(&self, times: usize) -> Self {
+        let ends = |f: fn(f64, f64) -> f64, start: f64, corner: usize| {
+            self.chunks.iter().map(|c| c.origin.x + f64::from(c.bounds[corner][0])).fold(start, f)
+        };
+        let width = ends(f64::max, f64::MIN, 1) - ends(f64::min, f64::MAX, 0);
+        let mut town = Self { chunks: Vec::with_capacity(self.chunks.len() * times), ..self.clone() };
+        for copy in 0..times {
+            let shift = width * copy as f64;
+            town.chunks.extend(self.chunks.iter().cloned().map(|mut chunk| {
+                chunk.origin.x += shift;
+                chunk.instances.iter_mut().for_each(|i| i.pose.position.x += shift);
+                chunk
+            }));
+        }
+        town.index();
+        town
+    }
 }
 
 /// The road users of one tick.
@@ -456,6 +476,8 @@ pub struct ActorFrame {
     /// The scene's time (s): rain falls and blinkers blink by it.
     pub time: f64,
     pub instances: Vec<Instance>,
+    /// The ego itself, seen only by cameras outside it.
+    pub ego: Option<Instance>,
     /// State strings of the traffic lights, as [`crate::world::WorldState::traffic_lights`] has them.
     pub traffic_lights: Vec<Option<std::sync::Arc<str>>>,
 }

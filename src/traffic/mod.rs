@@ -3,7 +3,7 @@
 //!
 //! [`TrafficSpec`] says how many; [`Population`] keeps them alive. It never talks to SUMO itself: it
 //! appends commands to the batch that the caller sends with the next step anyway, and reads what
-//! the last one brought. On a tick where nothing is due it asks SUMO one number at most.
+//! the last one brought. On a tick where nothing is due it asks SUMO three numbers at most.
 //!
 //! ```no_run
 //! # async fn example(mut client: wad_cosim::traci::TcpClient) -> Result<(), Box<dyn std::error::Error>> {

@@ -209,6 +209,7 @@ impl Pedestrians {
         let speed = kind.speed.draw(&mut self.rng);
         let walks = self.draw_walks(edge, at);
         if walks.is_empty() {
+            self.vacant.push(slot);
             return;
         }
         let serial = self.next_serial;

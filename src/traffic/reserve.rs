@@ -1,6 +1,6 @@
 //! Edges lately seen empty: places where a replacement gets onto the road at once.
 //!
-//! One edge's vehicle count is asked per tick, and only while few fresh answers are at hand.
+//! Up to three edges' vehicle counts are asked per tick, and only while few fresh answers are at hand.
 
 use crate::network::{EdgeId, Network};
 use crate::traci::{Batch, Replies, Ticket, edge};
@@ -10,6 +10,8 @@ use std::collections::VecDeque;
 const FRESH: f64 = 2.0;
 /// Enough answers at hand.
 const ENOUGH: usize = 6;
+/// Questions in one tick at the most.
+const PER_TICK: usize = 3;
 /// For so long (s) an edge that was used is not used again.
 const REST: f64 = 4.0;
 
@@ -17,14 +19,14 @@ const REST: f64 = 4.0;
 pub(super) struct Reserve {
     /// Edges with the time (s) at which they were empty, oldest first.
     empty: VecDeque<(EdgeId, f64)>,
-    asked: Option<(EdgeId, f64, Ticket<i32>)>,
+    asked: Vec<(EdgeId, f64, Ticket<i32>)>,
     /// By edge: when it was last used (s).
     used: Vec<f64>,
 }
 
 impl Reserve {
     pub fn new(edges: usize) -> Self {
-        Self { empty: VecDeque::new(), asked: None, used: vec![f64::NEG_INFINITY; edges] }
+        Self { empty: VecDeque::new(), asked: Vec::new(), used: vec![f64::NEG_INFINITY; edges] }
     }
 
     /// Takes in the answer that came with the step that ended at `time` (s).
@@ -32,23 +34,23 @@ impl Reserve {
         while self.empty.front().is_some_and(|&(_, seen)| time - seen > FRESH) {
             self.empty.pop_front();
         }
-        if let Some((edge, seen, ticket)) = self.asked.take()
-            && replies.get(ticket).is_ok_and(|count| count == 0)
-        {
-            self.empty.retain(|&(e, _)| e != edge);
-            self.empty.push_back((edge, seen));
+        for (edge, seen, ticket) in self.asked.drain(..) {
+            if replies.get(ticket).is_ok_and(|count| count == 0) {
+                self.empty.retain(|&(e, _)| e != edge);
+                self.empty.push_back((edge, seen));
+            }
         }
     }
 
     /// Whether another answer is wanted.
     pub fn wants_more(&self) -> bool {
-        self.empty.len() < ENOUGH && self.asked.is_none()
+        self.empty.len() + self.asked.len() < ENOUGH && self.asked.len() < PER_TICK
     }
 
     /// Asks about an edge at `time` (s).
     pub fn ask(&mut self, network: &Network, edge: EdgeId, time: f64, batch: &mut Batch) {
         let ticket = batch.get(edge::LAST_STEP_VEHICLE_NUMBER, &network.edge(edge).id);
-        self.asked = Some((edge, time, ticket));
+        self.asked.push((edge, time, ticket));
     }
 
     /// Edges seen empty, the last seen first, with the time (s).

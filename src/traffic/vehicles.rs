@@ -11,7 +11,6 @@ use super::schedule::Schedule;
 use crate::geometry::{Point, Pose};
 use crate::network::{EdgeId, LaneId, Network, VehicleClass};
 use crate::traci::{Batch, Color, Position2D, RemoveReason, Replies, Ticket, route, vehicle};
-use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -24,6 +23,8 @@ const LOOK_EVERY: f64 = 30.0;
 const FASTEST: f64 = 30.0;
 /// A vehicle this much beyond the sight distance (m) may come into sight before it is looked at again.
 const SIGHT_MARGIN: f64 = 40.0;
+/// Edges drawn in a tick to be asked about.
+const SCANS: usize = 6;
 /// Random places tried for a replacement.
 const DRAWS: usize = 64;
 
@@ -259,7 +260,8 @@ impl Vehicles {
             route::add(batch, &route_id, &[edge_id]);
         }
         let factor = spec.speed_factor.draw(&mut self.rng);
-        let limit = (lane.speed_limit * factor).min(spec.max_speed);
+        // A cyclist's wanted speed is below most limits, and varies by the same factor.
+        let limit = (lane.speed_limit.min(spec.class.max_speed()) * factor).min(spec.max_speed);
         let speed = start_speed(limit, place.free, spec.min_gap, spec.decel);
         let add = vehicle::Add {
             route: &route_id,
@@ -285,7 +287,8 @@ impl Vehicles {
     /// Fills a slot out of the ego's sight; false where no place was found.
     fn replace(&mut self, slot: usize, scene: Scene<'_>, batch: &mut Batch) -> bool {
         let Some(model) = self.draw_model() else { return false };
-        let Some(place) = self.find_place(model, scene) else { return false };
+        let reserved = self.find_reserved(model, scene);
+        let Some(place) = reserved.or_else(|| self.find_any(model, scene)) else { return false };
         self.reserve.used(self.network.lane(place.lane).edge, scene.time);
         self.insert(slot, model, place, batch);
         if let Some(member) = &self.members[slot] {
@@ -294,22 +297,26 @@ impl Vehicles {
         true
     }
 
-    /// A place for a replacement: on an edge just seen empty and out of sight; else anywhere out of
-    /// sight; else as far from the ego as the town has it.
-    fn find_place(&mut self, model: usize, scene: Scene<'_>) -> Option<Place> {
+    /// A place out of sight on an edge just seen empty: SUMO takes a vehicle there at once.
+    fn find_reserved(&mut self, model: usize, scene: Scene<'_>) -> Option<Place> {
         let network = &self.network;
         let avoid = self.options.avoid;
         let roads = &self.roads[self.model_roads[model]?];
         let spec = &FLEET[model];
-        for (edge, seen) in self.reserve.fresh(scene.time) {
+        // First where nobody can have come near since; then at the far end of the others.
+        let fresh = self.reserve.fresh(scene.time);
+        for (edge, seen, far_end) in
+            fresh.iter().map(|f| (f.0, f.1, false)).chain(fresh.iter().map(|f| (f.0, f.1, true)))
+        {
             let lanes = roads.starts.iter().filter(|s| s.edge == edge);
             let Some(start) = lanes.max_by_key(|s| s.lane) else { continue };
             let limit = network.lane(start.lane).speed_limit * 1.2;
             // Who came onto the edge since it was seen, plus the second's gap that SUMO asks for.
             let from = spec.length + limit * (scene.time - seen + 0.4) + limit + 3.0;
-            if from > start.last {
+            if (from > start.last && !far_end) || start.last < spec.length {
                 continue;
             }
+            let from = from.min(start.last);
             let front = between(&mut self.rng, from, (start.last - 35.0).max(from));
             let point = point_on(network, start.lane, front);
             let rear = point_on(network, start.lane, front - spec.length);
@@ -322,10 +329,20 @@ impl Vehicles {
                 });
             }
         }
+        None
+    }
+
+    /// A random place out of sight, or as far from the ego as the town has one. SUMO may find it
+    /// taken.
+    fn find_any(&mut self, model: usize, scene: Scene<'_>) -> Option<Place> {
+        let network = &self.network;
+        let avoid = self.options.avoid;
+        let roads = &self.roads[self.model_roads[model]?];
+        let length = FLEET[model].length;
         let mut furthest: Option<(f64, Place)> = None;
         for _ in 0..DRAWS {
-            let (start, front) = roads.draw_start(&mut self.rng, spec.length)?;
-            if front < spec.length || self.reserve.is_used(start.edge, scene.time) {
+            let (start, front) = roads.draw_start(&mut self.rng, length)?;
+            if front < length || self.reserve.is_used(start.edge, scene.time) {
                 continue;
             }
             let point = point_on(network, start.lane, front);
@@ -335,7 +352,7 @@ impl Vehicles {
             }
             let Some(ego) = scene.ego else { return Some(place) };
             let distance = (ego.xy() - point).norm();
-            if distance >= avoid.sight + spec.length {
+            if distance >= avoid.sight + length {
                 return Some(place);
             }
             if furthest.as_ref().is_none_or(|(best, _)| distance > *best) && distance >= avoid.start {
@@ -459,16 +476,21 @@ impl Vehicles {
         }
     }
 
-    /// Asks about one edge, so that there is a place when one is needed.
+    /// Asks about a few edges, so that there is a place when one is needed.
     fn scan(&mut self, scene: Scene<'_>, batch: &mut Batch) {
         let Some(roads) = self.model_roads.iter().flatten().next().map(|&i| &self.roads[i]) else { return };
-        if !self.reserve.wants_more() || roads.starts.is_empty() {
-            return;
-        }
-        let start = roads.starts[self.rng.random_range(0..roads.starts.len())];
-        let middle = point_on(&self.network, start.lane, 0.5 * start.last);
-        if !self.options.avoid.in_sight(scene.ego, middle) && !self.reserve.is_used(start.edge, scene.time) {
-            self.reserve.ask(&self.network, start.edge, scene.time, batch);
+        for _ in 0..SCANS {
+            if !self.reserve.wants_more() {
+                break;
+            }
+            // By length: on a short edge nobody gets in ahead of those who come onto it.
+            let Some((start, _)) = roads.draw_start(&mut self.rng, 0.0) else { return };
+            let middle = point_on(&self.network, start.lane, 0.5 * start.last);
+            if !self.options.avoid.in_sight(scene.ego, middle)
+                && !self.reserve.is_used(start.edge, scene.time)
+            {
+                self.reserve.ask(&self.network, start.edge, scene.time, batch);
+            }
         }
     }
 }

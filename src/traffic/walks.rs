@@ -15,8 +15,7 @@ const DRAWS: usize = 4;
 pub(super) struct Walk {
     /// Normal edges in order, as SUMO wants them.
     pub edges: Vec<EdgeId>,
-    /// Where it begins and ends on the first and last edge (m, SUMO lane_position).
-    pub from: f64,
+    /// Where it ends on the last edge (m, SUMO lane_position).
     pub to: f64,
     /// At least so long (m): ways over junctions are left out.
     pub length: f64,
@@ -90,15 +89,17 @@ impl Walks {
         let before = length_over(network, &edges, from);
         let whole = length(network, last);
         let part = between(rng, 0.3, 0.9) * whole;
-        let to = match edges.len() {
+        let (to, length) = match edges.len() {
             // Nowhere to go: to the further end of the one sidewalk.
-            1 if from > 0.5 * whole => 1.0,
-            1 => (whole - 1.0).max(0.0),
-            n if enters_at_begin(network, edges[n - 2], last) => part,
-            _ => whole - part,
+            1 if from > 0.5 * whole => (1.0, from - 1.0),
+            1 => ((whole - 1.0).max(0.0), whole - 1.0 - from),
+            n => match ways_in(network, edges[n - 2], last) {
+                (true, true) => (part, before + part.min(whole - part)),
+                (true, false) => (part, before + part),
+                _ => (whole - part, before + part),
+            },
         };
-        let length = if edges.len() == 1 { (to - from).abs() } else { before + part };
-        Some(Walk { edges, from, to, length })
+        Some(Walk { edges, to, length: length.max(0.0) })
     }
 }
 
@@ -112,10 +113,11 @@ fn length(network: &Network, edge: EdgeId) -> f64 {
     sidewalk(network, edge).map_or(0.0, |lane| network.lane(lane).length)
 }
 
-/// Whether a walk from `before` comes onto `edge` at its begin.
-fn enters_at_begin(network: &Network, before: EdgeId, edge: EdgeId) -> bool {
+/// Whether a walk from `before` may come onto `edge` at its begin, and at its end.
+fn ways_in(network: &Network, before: EdgeId, edge: EdgeId) -> (bool, bool) {
     let (before, edge) = (network.edge(before), network.edge(edge));
-    edge.from.is_some() && (edge.from == before.from || edge.from == before.to)
+    let touches = |junction| before.from == junction || before.to == junction;
+    (touches(edge.from), touches(edge.to))
 }
 
 /// Length (m) of a walk from `from` (m) on the first of `edges` to where it comes onto the last one;
@@ -123,12 +125,7 @@ fn enters_at_begin(network: &Network, before: EdgeId, edge: EdgeId) -> bool {
 fn length_over(network: &Network, edges: &[EdgeId], from: f64) -> f64 {
     let Some((&first, rest)) = edges.split_first() else { return 0.0 };
     let Some(&second) = rest.first() else { return 0.0 };
-    let (begin, end) = (network.edge(first).from, network.edge(first).to);
-    let touches = |junction| {
-        let next = network.edge(second);
-        next.from == junction || next.to == junction
-    };
-    let start = match (touches(begin), touches(end)) {
+    let start = match ways_in(network, second, first) {
         (true, false) => from,
         (false, true) => length(network, first) - from,
         _ => from.min(length(network, first) - from),

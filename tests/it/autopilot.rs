@@ -1,4 +1,7 @@
-//! The autopilot in live SUMO traffic on town5.
+//! The autopilot in live SUMO traffic.
+//!
+//! By itself it drives through the empty town5. `LIVE_DEMAND=FOLDER` (with `v.SEED.xml` and `p.SEED.xml`),
+//! `LIVE_SEEDS=1,2`, `LIVE_TOWN` and `LIVE_TRACE=TICK` turn it into a bench for tuning in traffic.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -313,18 +316,37 @@ async fn drive(seed: u64, ticks: u64, additional: &[PathBuf]) -> Score {
         if let Some(from) = &trace {
             let from: u64 = from.parse().unwrap_or(0);
             let short = matches!(decision.reason, Reason::Crossing { .. } | Reason::Pedestrian { .. });
-            if from == 8888 && tick % 30 == 0 || from == 9999 && (state.acceleration < -4.5 || short && tick % 6 == 0) || tick >= from && tick < from + 60 {
+            if from == 8888 && tick % 30 == 0
+                || from == 9999 && (state.acceleration < -4.5 || short && tick % 6 == 0)
+                || tick >= from && tick < from + 60
+            {
                 println!(
                     "{tick} s {route_s:.1} v {:.2} a {:.2} d {:.2} at {:.1},{:.1} {:?} light {:?} leader {:?}",
-                    state.speed, decision.acceleration, on.d, state.pose.position.x, state.pose.position.y,
-                    decision.reason, decision.light, decision.leader
+                    state.speed,
+                    decision.acceleration,
+                    on.d,
+                    state.pose.position.x,
+                    state.pose.position.y,
+                    decision.reason,
+                    decision.light,
+                    decision.leader
                 );
                 if tick == 900 {
                     for v in &world.vehicles {
                         let local = state.pose.to_local(v.pose.xy());
                         if local.norm() < 22.0 {
-                            println!("   {} at {:.1},{:.1} v {:.2} turned {:.0} lane {:?} pos {:.1} signals {:?} len {:.1}", v.id, local.x, local.y, v.speed,
-                                (v.pose.heading - state.pose.heading).to_degrees(), v.lane.map(|l| network.lane(l).id.clone()), v.lane_position, v.signals, v.actor_type.length);
+                            println!(
+                                "   {} at {:.1},{:.1} v {:.2} turned {:.0} lane {:?} pos {:.1} signals {:?} len {:.1}",
+                                v.id,
+                                local.x,
+                                local.y,
+                                v.speed,
+                                (v.pose.heading - state.pose.heading).to_degrees(),
+                                v.lane.map(|l| network.lane(l).id.clone()),
+                                v.lane_position,
+                                v.signals,
+                                v.actor_type.length
+                            );
                         }
                     }
                     let mut batch = Batch::new();
@@ -337,15 +359,23 @@ async fn drive(seed: u64, ticks: u64, additional: &[PathBuf]) -> Score {
                 for p in &world.pedestrians {
                     let local = state.pose.to_local(p.pose.xy());
                     if short && local.x > 0.0 && local.x < 15.0 && local.y.abs() < 9.0 {
-                        println!("      {} at {:.1},{:.1} v {:.2} turned {:.0} lane {:?}", p.id, local.x, local.y, p.speed,
-                            (p.pose.heading - state.pose.heading).to_degrees(), p.lane.map(|l| network.lane(l).id.clone()));
+                        println!(
+                            "      {} at {:.1},{:.1} v {:.2} turned {:.0} lane {:?}",
+                            p.id,
+                            local.x,
+                            local.y,
+                            p.speed,
+                            (p.pose.heading - state.pose.heading).to_degrees(),
+                            p.lane.map(|l| network.lane(l).id.clone())
+                        );
                     }
                 }
             }
         }
         last = Some(decision);
         control = decision.control;
-        signals = i32::from(decision.blinker_right) | i32::from(decision.blinker_left) << 1
+        signals = i32::from(decision.blinker_right)
+            | i32::from(decision.blinker_left) << 1
             | i32::from(decision.brake_light) << 3;
         score.ticks += 1;
         if decision.held {
@@ -361,8 +391,10 @@ async fn drive(seed: u64, ticks: u64, additional: &[PathBuf]) -> Score {
         if standing > score.longest_stand {
             score.longest_stand = standing;
             if standing > 60.0 && (standing / TICK) as u64 % 120 == 0 {
-                println!("seed {seed} tick {tick}: standing {standing:.0} s at {:.1},{:.1}: {:?}",
-                    state.pose.position.x, state.pose.position.y, decision.reason);
+                println!(
+                    "seed {seed} tick {tick}: standing {standing:.0} s at {:.1},{:.1}: {:?}",
+                    state.pose.position.x, state.pose.position.y, decision.reason
+                );
             }
         }
         bodies = world
@@ -371,7 +403,11 @@ async fn drive(seed: u64, ticks: u64, additional: &[PathBuf]) -> Score {
             .chain(&world.pedestrians)
             .map(|a| MovingBody {
                 key: a.key,
-                kind: if a.actor_type.kind == ActorKind::Pedestrian { PartnerKind::Pedestrian } else { PartnerKind::Vehicle },
+                kind: if a.actor_type.kind == ActorKind::Pedestrian {
+                    PartnerKind::Pedestrian
+                } else {
+                    PartnerKind::Vehicle
+                },
                 pose: a.pose,
                 speed: a.speed,
                 length: a.actor_type.length,
@@ -388,11 +424,8 @@ async fn drive(seed: u64, ticks: u64, additional: &[PathBuf]) -> Score {
 #[tokio::test]
 async fn the_autopilot_lives_in_town5() {
     let folder = std::env::var("LIVE_DEMAND").unwrap_or_default();
-    let seeds: Vec<u64> = std::env::var("LIVE_SEEDS")
-        .unwrap_or("1".into())
-        .split(',')
-        .filter_map(|s| s.parse().ok())
-        .collect();
+    let seeds: Vec<u64> =
+        std::env::var("LIVE_SEEDS").unwrap_or("1".into()).split(',').filter_map(|s| s.parse().ok()).collect();
     for seed in seeds {
         let demand = |kind: &str| PathBuf::from(format!("{folder}/{kind}.{seed}.xml"));
         let files = if folder.is_empty() { vec![] } else { vec![demand("v"), demand("p")] };
@@ -406,5 +439,7 @@ async fn the_autopilot_lives_in_town5() {
             score
         );
         assert_eq!(score.red_lights_run, 0);
+        assert!(score.hits_moving.is_empty(), "{:#?}", score.hits_moving);
+        assert!(score.worst_off < 0.5 && score.free_distance > 4.0 * score.free_ticks as f64 * TICK);
     }
 }

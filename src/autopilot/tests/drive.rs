@@ -31,7 +31,6 @@ fn actor(key: u64, kind: ActorKind, (length, width): (f64, f64), pose: Pose, spe
         actor_type: Arc::new(shape),
         pose,
         speed,
-        acceleration: 0.0,
         signals: VehicleSignals(0),
         lane: None,
         lane_position: 0.0,

@@ -111,5 +111,6 @@ fn looking_at_seventy_vehicles_and_a_hundred_pedestrians_is_cheap() {
     };
     let best = (0..10).map(|_| run(&mut pilot)).fold(f64::INFINITY, f64::min);
     println!("{best:.1} us per call");
+    // The target is 50 on a free core (20 measured); a wall clock on shared cores needs slack.
     assert!(best < 100.0, "{best} us per call");
 }

@@ -1,7 +1,8 @@
-//! The machine itself: GPU, cores, memory.
+//! The machine itself: GPU, cores, memory, and the folder that wad-cosim writes to.
 
 use super::Finding;
 use std::process::{Command, Stdio};
+use wad_cosim::bundled;
 
 /// Whether libtorch can use a GPU, and whether there is one that it does not see.
 pub fn gpu() -> Finding {
@@ -65,6 +66,22 @@ pub fn memory() -> Finding {
         }
         _ => Finding::optional("memory", "unknown: /proc/meminfo cannot be read"),
     }
+}
+
+/// The folder for what is fetched and unpacked, tried by writing to it.
+pub fn cache() -> Finding {
+    let folder = bundled::cache_dir();
+    let found = folder.display().to_string();
+    match std::fs::create_dir_all(&folder).and_then(|()| tempfile::tempfile_in(&folder)) {
+        Ok(_) => Finding::ok("cache", found),
+        Err(error) => Finding::missing("cache", format!("{found} cannot be written to: {error}"))
+            .advice("make it writable, or set XDG_CACHE_HOME to a folder that is"),
+    }
+}
+
+/// The towns inside this binary.
+pub fn towns() -> Finding {
+    Finding::ok("towns", bundled::towns().join(", "))
 }
 
 /// A field of /proc/meminfo (MiB).

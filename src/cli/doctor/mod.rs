@@ -73,6 +73,8 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
         machine::gpu(),
         machine::cores(),
         machine::memory(),
+        machine::cache(),
+        machine::towns(),
     ];
     let ok = checks.iter().all(|finding| finding.status != Status::Missing);
     let report = Report { version: env!("WAD_COSIM_VERSION"), ok, checks };

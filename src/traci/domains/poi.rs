@@ -76,7 +76,14 @@ pub fn remove(batch: &mut Batch, id: &str, layer: i32) -> Ticket<()> {
     batch.set_raw(Poi, 0x81, "remove", id, layer)
 }
 
-/// Circles it in the GUI; `size` in m.
-pub fn highlight(batch: &mut Batch, id: &str, color: Color, size: f64) -> Ticket<()> {
-    batch.set_raw(Poi, 0x6c, "highlight", id, (color, size))
+/// Circles it in the GUI: `size` in m, fading from `alpha` (1..255) over `duration` (s).
+pub fn highlight(
+    batch: &mut Batch,
+    id: &str,
+    color: Color,
+    size: f64,
+    alpha: u8,
+    duration: f64,
+) -> Ticket<()> {
+    batch.set_raw(Poi, 0x6c, "highlight", id, (color, size, alpha, duration, 0u8))
 }

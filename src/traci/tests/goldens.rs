@@ -1,6 +1,6 @@
 //! Bytes written by hand from the protocol's documentation.
 
-use crate::traci::codec::{Decode, DecodeError, Encode, Value};
+use crate::traci::codec::{Decode, DecodeError, Encode};
 use crate::traci::domains::{KeyValue, vehicle::Leader};
 use crate::traci::*;
 
@@ -157,7 +157,7 @@ fn a_step_is_the_last_command_and_the_only_one() {
 #[test]
 fn a_cleared_batch_keeps_its_memory() {
     let mut batch = Batch::new();
-    let mut fill = |batch: &mut Batch| {
+    let fill = |batch: &mut Batch| {
         batch.clear();
         for _ in 0..100 {
             batch.get(vehicle::SPEED, "vehicle");

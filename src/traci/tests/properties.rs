@@ -1,6 +1,6 @@
 //! What must hold for all values and all garbage.
 
-use crate::traci::codec::{Decode, Encode, Reader, Value};
+use crate::traci::codec::{Decode, Encode, Reader};
 use crate::traci::domains::{KeyValue, Stage, person, traffic_light, vehicle};
 use crate::traci::replies::Replies;
 use crate::traci::simulation::Collision;

@@ -1,0 +1,89 @@
+//! Which core things run on.
+//!
+//! SUMO and the bridge never run at the same time, and waking another core costs more than the work
+//! of a quiet tick, so the two share one core. Linux only; elsewhere nothing happens.
+
+/// A set of cores.
+#[derive(Clone, Copy)]
+pub struct Cores(libc::cpu_set_t);
+
+impl Cores {
+    /// The cores that this thread may run on.
+    pub fn allowed() -> Option<Self> {
+        // SAFETY: an all-zero cpu_set_t is the empty set; the call writes one through a live pointer.
+        let mut set: libc::cpu_set_t = unsafe { std::mem::zeroed() };
+        let size = std::mem::size_of::<libc::cpu_set_t>();
+        // SAFETY: as above; pid 0 is this thread.
+        let status = unsafe { libc::sched_getaffinity(0, size, &raw mut set) };
+        (status == 0).then_some(Self(set))
+    }
+
+    /// The core that this thread is on now: the scheduler put it where there was room.
+    pub fn current() -> Option<Self> {
+        // SAFETY: the call takes and touches nothing.
+        let core = usize::try_from(unsafe { libc::sched_getcpu() }).ok()?;
+        // SAFETY: an all-zero cpu_set_t is the empty set.
+        let mut set: libc::cpu_set_t = unsafe { std::mem::zeroed() };
+        if core >= 8 * std::mem::size_of::<libc::cpu_set_t>() {
+            return None;
+        }
+        // SAFETY: `core` is within the set, as just checked.
+        unsafe { libc::CPU_SET(core, &mut set) };
+        Some(Self(set))
+    }
+
+    /// Confines a process to these cores; pid 0 is the calling thread. False where the system refuses.
+    pub fn confine(&self, pid: u32) -> bool {
+        let Ok(pid) = libc::pid_t::try_from(pid) else { return false };
+        // SAFETY: the call reads one cpu_set_t through a live pointer.
+        unsafe { libc::sched_setaffinity(pid, std::mem::size_of::<libc::cpu_set_t>(), &raw const self.0) == 0 }
+    }
+}
+
+/// While it lives, this thread and SUMO share a core; afterwards the thread may roam again.
+pub struct SharedCore {
+    before: Option<Cores>,
+}
+
+impl SharedCore {
+    /// Puts the calling thread and the process `sumo` on the thread's present core. Threads that the
+    /// calling thread starts later inherit that core: start them before, or let them
+    /// [`Cores::confine`] themselves elsewhere.
+    pub fn with(sumo: u32) -> Self {
+        let before = Cores::allowed();
+        if let Some(core) = Cores::current() {
+            // SUMO first: where that is refused the thread stays free.
+            if core.confine(sumo) {
+                core.confine(0);
+            }
+        }
+        Self { before }
+    }
+}
+
+impl Drop for SharedCore {
+    fn drop(&mut self) {
+        if let Some(before) = self.before {
+            before.confine(0);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_thread_roams_again_afterwards() {
+        // SAFETY: both are plain bit sets read through shared references.
+        let count = |cores: &Cores| unsafe { libc::CPU_COUNT(&cores.0) };
+        let before = Cores::allowed().map(|cores| count(&cores));
+        let mut child = std::process::Command::new("sleep").arg("10").spawn().unwrap();
+        let shared = SharedCore::with(child.id());
+        assert_eq!(Cores::allowed().map(|cores| count(&cores)), Some(1));
+        drop(shared);
+        assert_eq!(Cores::allowed().map(|cores| count(&cores)), before);
+        child.kill().unwrap();
+        child.wait().unwrap();
+    }
+}
