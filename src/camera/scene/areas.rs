@@ -75,6 +75,9 @@ pub(super) fn plant(site: &mut Site<'_>, polygons: &[Polygon]) {
     for polygon in polygons {
         let outline = cleaned(&polygon.shape);
         let Some(kind) = use_of(polygon) else { continue };
+        if outline.is_empty() {
+            continue;
+        }
         let size = area(&outline);
         if kind == Use::Parking {
             car_park(site, &outline);
@@ -214,13 +217,19 @@ pub(super) fn islands(site: &mut Site<'_>) {
             let turn = i as f64 * 2.4;
             let r = radius * 0.62 * (i as f64 / count as f64).sqrt();
             let at = middle + Vector::new(turn.cos(), turn.sin()) * r;
-            let model = if i == 0 && radius > 6.0 { site.plants.conifer } else { site.plants.bush };
+            let model = match i {
+                0 if radius > 6.0 => site.plants.conifer,
+                n if radius > 9.0 && n % 3 == 1 => site.plants.broad[n % site.plants.broad.len()],
+                _ => site.plants.bush,
+            };
             if let Some(mut plant) = site.put(model, at, turn, 0.3) {
                 plant.pose.position.z = z + if r < 0.2 * radius { 0.95 } else { 0.7 };
                 plant.tints[0] = super::trees::leaf_colour(site.dice.next());
                 site.tiles.instance(plant);
             }
         }
+        // A park there has no room for more.
+        site.ground.fill(&outline, uses::OBJECT);
     }
 }
 

@@ -80,6 +80,10 @@ impl Site<'_> {
     /// A tree of some kind, larger or smaller.
     pub fn tree(&mut self, model: ModelId, at: Point, size: f64) -> bool {
         let heading = self.dice.between(0.0, std::f64::consts::TAU);
+        // Crowns do not grow into houses.
+        if !self.ground.disc_free(at, 1.3 * size, uses::BUILDING) {
+            return false;
+        }
         let Some(mut tree) = self.put(model, at, heading, 0.35) else { return false };
         let wide = size * self.dice.between(0.9, 1.12);
         tree.scale = [wide as f32, wide as f32, (size * self.dice.between(0.92, 1.15)) as f32];
