@@ -16,6 +16,7 @@
 //! | [`traffic`] | the background population |
 //! | [`vehicle`] | the ego's physics |
 //! | [`bridge`] | one SUMO, one network, any number of egos, in lock-step |
+//! | [`camera`] | the town and its traffic as pictures with ground truth |
 //! | [`autopilot`] | the rule-based expert |
 //! | [`criteria`] | collisions, red lights, lane, blocking, arrival |
 //! | [`drive`] | `run`: from destination to destination, with telemetry |
@@ -28,6 +29,7 @@ pub mod autopilot;
 pub mod bench;
 pub mod bridge;
 pub mod bundled;
+pub mod camera;
 pub mod clock;
 pub mod cores;
 pub mod cpu_time;
@@ -36,7 +38,9 @@ pub mod destination;
 pub mod drive;
 pub mod geometry;
 pub mod network;
+pub mod record;
 pub mod seeds;
+pub mod sight;
 pub mod sumo_config;
 pub mod telemetry;
 pub mod traci;

@@ -1,6 +1,6 @@
 //! `wad-cosim bench`: what things cost.
 
-use super::{Exit, print, run};
+use super::{Exit, bench_camera, print, run};
 use anyhow::Context;
 use wad_cosim::bench::{BenchError, BridgeBench, BridgeRow};
 use wad_cosim::bridge::BridgeOptions;
@@ -18,6 +18,8 @@ pub struct Args {
 enum What {
     /// The bridge against SUMO alone: pose in, step, everything within 100 m decoded.
     Bridge(BridgeArgs),
+    /// A frame of the front camera, by weather, size and outputs, on one core.
+    Camera(bench_camera::Args),
 }
 
 const EXAMPLES: &str = "\
@@ -58,12 +60,14 @@ fn population(text: &str) -> Result<(usize, usize), String> {
 
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<Exit> {
-    let What::Bridge(args) = args.what;
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()
         .context("cannot start the asynchronous runtime")?;
-    runtime.block_on(bridge(args))
+    match args.what {
+        What::Bridge(args) => runtime.block_on(bridge(args)),
+        What::Camera(args) => runtime.block_on(bench_camera::run(args)),
+    }
 }
 
 async fn bridge(args: BridgeArgs) -> anyhow::Result<Exit> {

@@ -2,9 +2,11 @@
 //! exit codes, log level and printing.
 
 mod bench;
+mod bench_camera;
 mod doctor;
 mod exit;
 mod run;
+mod snapshot;
 
 use clap::{ArgAction, Parser, Subcommand};
 use std::io::Write;
@@ -33,6 +35,8 @@ struct Cli {
 enum Command {
     /// Drive an ego vehicle under the rule-based autopilot through SUMO traffic.
     Run(Box<run::Args>),
+    /// Drive into a town under the autopilot, and take a picture.
+    Snapshot(Box<snapshot::Args>),
     /// Measure speed, as a ratio to SUMO alone in the same run.
     Bench(bench::Args),
     /// Check what this machine has for wad-cosim, and say what to do about what is missing.
@@ -45,6 +49,7 @@ pub fn main() -> ExitCode {
     start_log(cli.verbose, cli.quiet);
     let result = match cli.command {
         Command::Run(args) => run::run(*args),
+        Command::Snapshot(args) => snapshot::run(*args),
         Command::Bench(args) => bench::run(args),
         Command::Doctor(args) => doctor::run(args),
     };

@@ -18,6 +18,8 @@ pub struct Polygon {
     pub layer: f64,
     /// An area, not a line.
     pub fill: bool,
+    /// Height (m) that a `<param key="height">` gives a building.
+    pub height: Option<f64>,
     /// Corners (m); an area closes from the last to the first.
     pub shape: Vec<Point>,
 }
@@ -61,18 +63,38 @@ impl Shapes {
     pub fn from_xml(path: &Path, text: &str, network: &Network) -> Result<Self, NetworkError> {
         let mut shapes = Self::default();
         let mut walk = Walk::new(path, text);
+        // Whether the last shape was a polygon that parameters belong to.
+        let mut open = false;
         while let Some(step) = walk.next()? {
             let Step::Open(element) = step else { continue };
             match element.name() {
                 "poly" => match polygon(&element) {
-                    Some(polygon) => shapes.polygons.push(polygon),
-                    None => shapes.skipped += 1,
+                    Some(polygon) => {
+                        shapes.polygons.push(polygon);
+                        open = true;
+                    }
+                    None => {
+                        shapes.skipped += 1;
+                        open = false;
+                    }
                 },
-                "poi" => match point(&element, network) {
-                    Some(point) => shapes.points.push(point),
-                    None => shapes.skipped += 1,
-                },
-                _ => {}
+                "param" => {
+                    let [key, value] = element.read(["key", "value"]);
+                    let height = value.and_then(|v| v.trim().parse::<f64>().ok()).filter(|h| h.is_finite());
+                    if let (true, Some("height"), Some(polygon)) =
+                        (open, key.as_deref(), shapes.polygons.last_mut())
+                    {
+                        polygon.height = height.filter(|&h| h > 0.0);
+                    }
+                }
+                "poi" => {
+                    open = false;
+                    match point(&element, network) {
+                        Some(point) => shapes.points.push(point),
+                        None => shapes.skipped += 1,
+                    }
+                }
+                _ => open = false,
             }
         }
         Ok(shapes)
@@ -98,6 +120,7 @@ fn polygon(element: &Element<'_>) -> Option<Polygon> {
         colour: colour.and_then(|c| parse_colour(&c)).unwrap_or(RED),
         layer: layer.and_then(|l| l.trim().parse().ok()).filter(|l: &f64| l.is_finite()).unwrap_or(0.0),
         fill: fill.is_some_and(|f| is_true(&f)),
+        height: None,
         shape,
     })
 }

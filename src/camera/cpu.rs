@@ -1,0 +1,367 @@
+//! The renderer on one core of the processor.
+//!
+//! ```text
+//! gather: cull, transform, draw into the visibility buffer (nearest triangle per pixel)
+//! marks:  paint and road users' shadows, into buffers of their own
+//! shade:  row by row, runs of one triangle; haze and display curve
+//! effects: wet ground mirrors, outlines smoothed, glows, rain
+//! ```
+
+use super::effects;
+use super::frame::{Frame, ObjectTruth, Outputs};
+use super::gather::{Gather, Geometry};
+use super::ground_marks::Marks;
+use super::model::{Scene, SemanticTag};
+use super::raster::{CamVertex, PAD, Visibility, draw_ground};
+use super::shade::{self, Ground, Row, Run, Wall};
+use super::shadow_map::ShadowMap;
+use super::simd::{multiversion, pack, tone};
+use super::sky::{Look, Sky};
+use super::surface::{FacadeNumbers, GroundNumbers, Kind, Lighting, Surface, facade_numbers, ground_numbers};
+use super::view::{NEAR, View};
+use super::{Renderer, Shot};
+
+/// The buffers of a camera, kept from frame to frame.
+#[derive(Default)]
+pub struct CpuRenderer {
+    visibility: Visibility,
+    vertices: Vec<CamVertex>,
+    marks: Marks,
+    shadows: ShadowMap,
+    /// The scene that the shadows are of.
+    stamp: u64,
+    sky: Option<Sky>,
+    look: Look,
+    surfaces: Vec<Surface>,
+    facades: Vec<FacadeNumbers>,
+    grounds: Vec<GroundNumbers>,
+    row: Row,
+    pixels: Vec<u32>,
+    mirrors: Vec<u8>,
+    foot: Vec<i32>,
+    seen: Vec<Extent>,
+}
+
+/// The pixels of an item.
+#[derive(Clone, Copy, Debug)]
+struct Extent {
+    pixels: u32,
+    low: [u32; 2],
+    high: [u32; 2],
+}
+
+const NOTHING: Extent = Extent { pixels: 0, low: [u32::MAX; 2], high: [0; 2] };
+
+impl Renderer for CpuRenderer {
+    fn render(&mut self, shot: &Shot<'_>, frame: &mut Frame) {
+        let &Shot { scene, actors, view, weather, outputs, .. } = shot;
+        (frame.width, frame.height) = (view.width, view.height);
+        if self.stamp != scene.grid.stamp() {
+            self.stamp = scene.grid.stamp();
+            self.shadows.forget();
+        }
+        let sunny = weather.shadows > 0.02;
+        if sunny && outputs.rgb {
+            self.shadows.prepare(scene, view, weather.sun);
+        }
+        if outputs.rgb && !self.sky.as_ref().is_some_and(|sky| sky.is_of(weather)) {
+            self.sky = Some(Sky::new(weather));
+        }
+        self.visibility.clear(view.width, view.height);
+        let shadows = &self.shadows;
+        let sun_at = |p: &nalgebra::Point3<f64>| if sunny { shadows.sun_at(p, 0.9) } else { 1.0 };
+        let geometry = Gather {
+            view,
+            scene,
+            actors,
+            weather,
+            visibility: &mut self.visibility,
+            vertices: &mut self.vertices,
+            sun_at: &sun_at,
+            shows_ego: shot.shows_ego,
+        }
+        .run();
+        let ground = self.ground_plane(scene, view, geometry.tris.len());
+        if outputs.rgb || outputs.semantic {
+            self.mark(&geometry, shot, sunny);
+        }
+        self.rows(&geometry, shot, ground, frame);
+        if outputs.rgb {
+            self.finish(&geometry, shot, frame);
+        }
+        if outputs.depth {
+            depths(&self.visibility.iz, view.width, self.visibility.stride, &mut frame.depth);
+        } else {
+            frame.depth.clear();
+        }
+        self.objects(&geometry, view, outputs, frame);
+    }
+}
+
+impl CpuRenderer {
+    /// Draws the ground under everything; its material.
+    fn ground_plane(&mut self, scene: &Scene, view: &View, tris: usize) -> Option<u16> {
+        let (material, z) = scene.ground?;
+        let below = (view.eye.z - z) as f32;
+        if below < 0.1 {
+            return None;
+        }
+        // 1 / depth of the plane: its normal over its distance.
+        let n = view.direction([0.0, 0.0, 1.0]);
+        let (dx, dy) = (-n[0] / (below * view.focal), n[1] / (below * view.focal));
+        let iz = [dx, dy, -n[2] / below - dx * view.centre[0] - dy * view.centre[1]];
+        draw_ground(&mut self.visibility, tris as u32 + 1, iz, 1.0 / 1500.0);
+        Some(material.0)
+    }
+
+    fn mark(&mut self, geometry: &Geometry<'_>, shot: &Shot<'_>, sunny: bool) {
+        self.marks.clear(&self.visibility);
+        for &(number, distance) in &geometry.chunks {
+            if distance < 140.0 {
+                self.marks.paint(&shot.scene.chunks[number as usize], shot.view, &self.visibility);
+            }
+        }
+        if shot.outputs.rgb {
+            for seen in &geometry.seen {
+                if seen.moving || seen.instance.object.is_some() && seen.instance.signal.is_none() {
+                    let library = &shot.scene.library;
+                    let sunny = sunny && seen.moving;
+                    self.marks.shadow(
+                        seen.instance,
+                        library,
+                        shot.weather,
+                        shot.view,
+                        &self.visibility,
+                        sunny,
+                    );
+                }
+            }
+        }
+    }
+
+    fn rows(&mut self, geometry: &Geometry<'_>, shot: &Shot<'_>, plane: Option<u16>, frame: &mut Frame) {
+        let &Shot { scene, view, weather, outputs, .. } = shot;
+        let (width, height, stride) = (view.width, view.height, self.visibility.stride);
+        let library = &scene.library;
+        let lighting = Lighting { weather, library, view };
+        self.surfaces.clear();
+        self.surfaces.resize(geometry.tris.len() + 1, Surface::default());
+        if let Some(material) = plane {
+            self.surfaces[geometry.tris.len()] = lighting.ground(material);
+        }
+        self.facades.clear();
+        self.facades.extend(library.materials.iter().map(facade_numbers));
+        self.grounds.clear();
+        self.grounds.extend(library.materials.iter().map(ground_numbers));
+        self.seen.clear();
+        self.seen.resize(geometry.items.len(), NOTHING);
+        self.row.resize(width);
+        self.pixels.resize(width * height + PAD, 0);
+        self.mirrors.resize(width * height, 0);
+        size(&mut frame.semantic, outputs.semantic, width * height, SemanticTag::Sky as u8);
+        size(&mut frame.instance, outputs.instance, width * height, 0);
+        if let (Some(sky), true) = (&self.sky, outputs.rgb) {
+            sky.look(view, &mut self.look);
+        }
+        let mut row = std::mem::take(&mut self.row);
+        let follow = outputs.boxes || outputs.instance;
+        for y in 0..height {
+            let ids = &self.visibility.id[y * stride..][..stride];
+            let iz = &self.visibility.iz[y * stride..][..stride];
+            let at = y * width;
+            if outputs.rgb {
+                row.mirror.fill(0);
+            }
+            // The first and the end of the pixels that show something.
+            let (mut x, mut any, mut last) = (0, width, 0);
+            while x < width {
+                let id = ids[x];
+                let x0 = x;
+                x = run_end(ids, x, id, width);
+                let Some(index) = (id as usize).checked_sub(1) else {
+                    if let (true, Some(sky)) = (outputs.rgb, &self.sky) {
+                        sky.row(view, &self.look, y, (x0, x), &mut self.pixels[at..]);
+                    }
+                    continue;
+                };
+                any = any.min(x0);
+                last = x;
+                if outputs.rgb {
+                    if self.surfaces[index].kind == Kind::Unknown {
+                        self.surfaces[index] = lighting.surface(geometry, &self.vertices, index);
+                    }
+                    let surface = &self.surfaces[index];
+                    let run = Run { surface, x0, x1: x, y: y as f32 + 0.5, iz };
+                    self.shade(&run, &mut row, shot, y);
+                }
+                let tri = geometry.tris.get(index);
+                if outputs.semantic {
+                    let material = tri.map_or(plane.unwrap_or(0), |tri| {
+                        let item = &geometry.items[tri.item as usize];
+                        item.mesh.triangles[tri.triangle as usize].material.0
+                    });
+                    let tag = library.materials[material as usize].tag;
+                    let tags = &mut frame.semantic[at + x0..at + x];
+                    tags.fill(tag as u8);
+                    if matches!(tag, SemanticTag::Road | SemanticTag::SideWalk) {
+                        for (tag, paint) in tags.iter_mut().zip(&self.marks.paint[y * stride + x0..]) {
+                            if paint & 0xff >= 128 && paint >> 8 != super::model::PaintColour::Tar as u16 {
+                                *tag = SemanticTag::RoadLine as u8;
+                            }
+                        }
+                    }
+                }
+                if follow
+                    && let Some(tri) = tri
+                    && let Some(object) = geometry.items[tri.item as usize].instance.and_then(|i| i.object)
+                {
+                    let extent = &mut self.seen[tri.item as usize];
+                    extent.pixels += (x - x0) as u32;
+                    extent.low = [extent.low[0].min(x0 as u32), extent.low[1].min(y as u32)];
+                    extent.high = [extent.high[0].max(x as u32), extent.high[1].max(y as u32 + 1)];
+                    if outputs.instance {
+                        frame.instance[at + x0..at + x].fill(object.id);
+                    }
+                }
+            }
+            if outputs.rgb {
+                if any < last {
+                    // The last lanes write into the next row, which is yet to come.
+                    let pixels = &mut self.pixels[at..];
+                    shade::finish(&row, iz, &self.look.haze, weather.fog, (any, last), pixels);
+                }
+                self.mirrors[at..at + width].copy_from_slice(&row.mirror[..width]);
+            }
+        }
+        self.row = row;
+    }
+
+    /// The colours of a run.
+    fn shade(&self, run: &Run<'_>, row: &mut Row, shot: &Shot<'_>, y: usize) {
+        let (view, weather) = (shot.view, shot.weather);
+        let material = run.surface.material as usize;
+        match run.surface.kind {
+            Kind::Unknown => {}
+            Kind::Flat => shade::flat(run, row),
+            Kind::Smooth => shade::smooth(run, row),
+            Kind::Asphalt | Kind::Slabs | Kind::Lawn | Kind::Rough => {
+                let start = y * self.visibility.stride;
+                let end = start + self.visibility.stride;
+                let ry = (view.centre[1] - run.y) / view.focal;
+                let left = (0.5 - view.centre[0]) / view.focal;
+                let base = |i: usize| view.ahead[i] + ry * view.up[i] + left * view.right[i];
+                let lies = run.surface.lies;
+                let plane = shot.scene.ground.map_or(0.0, |g| g.1);
+                let ground = Ground {
+                    eye: [ShadowMap::wrap(view.eye.x), ShadowMap::wrap(view.eye.y)],
+                    base: [base(0), base(1)],
+                    step: [view.right[0] / view.focal, view.right[1] / view.focal],
+                    height: ((view.eye.z - plane) as f32).max(0.3),
+                    focal: view.focal,
+                    shadows: self.shadows.texels(),
+                    weather,
+                    paint: &self.marks.paint[start..end],
+                    shade: &self.marks.shade[start..end],
+                    shadow_reach: if lies && weather.shadows > 0.02 { 96.0 } else { 1e-3 },
+                    numbers: &self.grounds[material],
+                    lies,
+                };
+                shade::ground(run, &ground, row);
+            }
+            Kind::Leaves | Kind::Bricks | Kind::Plate => {
+                let wall = Wall { focal: view.focal, weather, facade: &self.facades[material] };
+                shade::pattern(run, &wall, row);
+            }
+            Kind::Facade => {
+                let wall = Wall { focal: view.focal, weather, facade: &self.facades[material] };
+                shade::facade(run, &wall, row);
+            }
+        }
+    }
+
+    fn finish(&mut self, geometry: &Geometry<'_>, shot: &Shot<'_>, frame: &mut Frame) {
+        let &Shot { scene, actors, view, weather, .. } = shot;
+        let pixels = &mut self.pixels[..view.width * view.height];
+        if weather.wetness > 0.0 && view.ahead[2].abs() < 0.3 {
+            let horizon = view.centre[1] + view.focal * view.ahead[2] / view.up[2].max(0.1);
+            effects::mirror(pixels, &self.mirrors, view.width, horizon as i32, &mut self.foot);
+        }
+        effects::smooth_edges(pixels, &self.visibility, geometry, &self.vertices);
+        if weather.lamps {
+            let gain = weather.lamp_gain * 0.6;
+            effects::glow(pixels, &geometry.seen, &scene.library, view, &self.visibility, gain);
+        }
+        if weather.rain > 0.0 {
+            let [r, g, b] = weather.horizon.map(|c| tone(c * 0.9));
+            effects::rain(pixels, view, weather.rain, actors.time, pack(r, g, b));
+        }
+        effects::unpack(pixels, &mut frame.rgb);
+    }
+
+    fn objects(&self, geometry: &Geometry<'_>, view: &View, outputs: Outputs, frame: &mut Frame) {
+        frame.objects.clear();
+        if !outputs.boxes {
+            return;
+        }
+        for (number, extent) in self.seen.iter().enumerate().filter(|(_, extent)| extent.pixels > 0) {
+            let item = &geometry.items[number];
+            let Some(object) = item.instance.and_then(|i| i.object) else { continue };
+            let end = geometry.items.get(number + 1).map_or(self.vertices.len(), |next| next.first as usize);
+            let mut full = [f32::MAX, f32::MAX, f32::MIN, f32::MIN];
+            for vertex in self.vertices[item.first as usize..end].iter().filter(|v| v.p[2] >= NEAR) {
+                for axis in 0..2 {
+                    full[axis] = full[axis].min(vertex.s[axis]);
+                    full[axis + 2] = full[axis + 2].max(vertex.s[axis]);
+                }
+            }
+            let (w, h) = (view.width as f32, view.height as f32);
+            let full_box =
+                [full[0].clamp(0.0, w), full[1].clamp(0.0, h), full[2].clamp(0.0, w), full[3].clamp(0.0, h)];
+            let middle =
+                object.bounds.pose.position + nalgebra::Vector3::new(0.0, 0.0, 0.5 * object.bounds.size[2]);
+            frame.objects.push(ObjectTruth {
+                class: object.class,
+                id: object.id,
+                visible_pixels: extent.pixels,
+                visible_box: [extent.low[0], extent.low[1], extent.high[0], extent.high[1]],
+                full_box,
+                bounds: object.bounds,
+                depth: view.point(&middle)[2],
+            });
+        }
+        frame.objects.sort_by_key(|object| object.id);
+    }
+}
+
+/// Where the run of `id` that begins at `x` ends; `ids` is padded.
+#[inline(always)]
+fn run_end(ids: &[u32], mut x: usize, id: u32, width: usize) -> usize {
+    while x < width {
+        let Some(block) = ids[x..].first_chunk::<8>() else { break };
+        if block.iter().fold(0, |differ, other| differ | (other ^ id)) != 0 {
+            x += block.iter().take_while(|other| **other == id).count();
+            break;
+        }
+        x += 8;
+    }
+    x.min(width)
+}
+
+/// Fills a buffer that is wanted, and empties one that is not.
+fn size<T: Clone>(buffer: &mut Vec<T>, wanted: bool, length: usize, value: T) {
+    buffer.clear();
+    if wanted {
+        buffer.resize(length, value);
+    }
+}
+
+multiversion! {
+    fn depths(iz: &[f32], width: usize, stride: usize, out: &mut Vec<f32>) {
+        out.resize(iz.len() / stride * width, 0.0);
+        for (out, iz) in out.chunks_exact_mut(width).zip(iz.chunks_exact(stride)) {
+            for (depth, iz) in out.iter_mut().zip(iz) {
+                *depth = 1.0 / iz;
+            }
+        }
+    }
+}

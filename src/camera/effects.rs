@@ -1,0 +1,325 @@
+//! What happens to the picture after shading: mirroring wet ground, smooth edges, glowing lamps, rain
+//! in the air and on the glass.
+
+use super::gather::{Geometry, Seen};
+use super::model::{Channel, Library};
+use super::raster::{CamVertex, Visibility};
+use super::simd::{hash, mix_packed, multiversion, unit};
+use super::view::{NEAR, View};
+use std::sync::OnceLock;
+
+multiversion! {
+    /// Wet ground shows what stands behind it, upside down: each column is mirrored at the foot of what
+    /// stands on the ground.
+    pub fn mirror(pixels: &mut [u32], share: &[u8], width: usize, horizon: i32, foot: &mut Vec<i32>) {
+        foot.clear();
+        foot.resize(width, horizon);
+        let height = pixels.len() / width.max(1);
+        for y in 0..height {
+            let (above, rest) = pixels.split_at_mut(y * width);
+            let row = &mut rest[..width];
+            let share = &share[y * width..][..width];
+            let wobble = (hash(y as u32 >> 1) & 3) as i32;
+            for x in 0..width {
+                let s = u32::from(share[x]);
+                if s == 0 {
+                    foot[x] = (y as i32).max(horizon);
+                    continue;
+                }
+                let depth = y as i32 - foot[x];
+                // Rough water smears upward.
+                let first = (foot[x] - depth - wobble).max(0) as usize;
+                let second = (foot[x] - depth - depth / 4 - 3).max(0) as usize;
+                if first >= y {
+                    continue;
+                }
+                let (a, b) = (above[first * width + x], above[second * width + x]);
+                row[x] = mix_packed(row[x], mix_packed(a, b, 112), s);
+            }
+        }
+    }
+}
+
+/// Smooths the outlines: the share of a pixel that the nearer surface covers follows from its edge.
+pub fn smooth_edges(
+    pixels: &mut [u32],
+    visibility: &Visibility,
+    geometry: &Geometry<'_>,
+    vertices: &[CamVertex],
+) {
+    let (width, height, stride) = (visibility.width, visibility.height, visibility.stride);
+    let outline = Outline { geometry, vertices };
+    let mut borders = Vec::with_capacity(width);
+    for y in 0..height {
+        let next = if y + 1 < height { y + 1 } else { y };
+        let row = |y: usize| (&visibility.id[y * stride..][..stride], &visibility.iz[y * stride..][..stride]);
+        let ((ids, iz), (below, iz_below)) = (row(y), row(next));
+        find_borders(ids, below, width, &mut borders);
+        for &x in &borders {
+            let x = x as usize;
+            let (id, at) = (ids[x], y * width + x);
+            let centre = (x as f32 + 0.5, y as f32 + 0.5);
+            if x + 1 < width
+                && ids[x + 1] != id
+                && let Some(cut) = outline.cut((id, iz[x]), (ids[x + 1], iz[x + 1]), 0, centre)
+            {
+                blend(pixels, at, at + 1, cut - (x as f32 + 1.0));
+            }
+            if below[x] != id
+                && let Some(cut) = outline.cut((id, iz[x]), (below[x], iz_below[x]), 1, centre)
+            {
+                blend(pixels, at, at + width, cut - (y as f32 + 1.0));
+            }
+        }
+    }
+}
+
+multiversion! {
+    /// The pixels whose right or lower neighbour shows another triangle. Rows are padded.
+    fn find_borders(ids: &[u32], below: &[u32], width: usize, out: &mut Vec<u32>) {
+        out.clear();
+        let mut x = 0;
+        while x < width {
+            let (Some(own), Some(low)) = (ids[x..].first_chunk::<8>(), below[x..].first_chunk::<8>()) else { break };
+            let Some(right) = ids[x + 1..].first_chunk::<8>().or(ids[x..].first_chunk::<8>()) else { break };
+            let mut any = 0;
+            for i in 0..8 {
+                any |= (own[i] ^ low[i]) | (own[i] ^ right[i]);
+            }
+            if any != 0 {
+                for i in 0..8.min(width - x) {
+                    if own[i] != low[i] || own[i] != right[i] {
+                        out.push((x + i) as u32);
+                    }
+                }
+            }
+            x += 8;
+        }
+    }
+}
+
+/// The border between two neighbours really lies `shift` beyond the middle between them.
+fn blend(pixels: &mut [u32], first: usize, second: usize, shift: f32) {
+    let t = (shift.abs().min(0.5) * 256.0) as u32;
+    if shift > 0.0 {
+        pixels[second] = mix_packed(pixels[second], pixels[first], t);
+    } else {
+        pixels[first] = mix_packed(pixels[first], pixels[second], t);
+    }
+}
+
+struct Outline<'a> {
+    geometry: &'a Geometry<'a>,
+    vertices: &'a [CamVertex],
+}
+
+impl Outline<'_> {
+    /// Where the edge of the nearer of two neighbours crosses the line from one centre to the next,
+    /// along `axis`; None where their border is no outline.
+    #[inline]
+    fn cut(&self, a: (u32, f32), b: (u32, f32), axis: usize, (x, y): (f32, f32)) -> Option<f32> {
+        let (near, far) = if a.1 >= b.1 { (a, b) } else { (b, a) };
+        let tri = self.geometry.tris.get((near.0 as usize).checked_sub(1)?)?;
+        let item = self.geometry.items.get(tri.item as usize)?;
+        let triangle = &item.mesh.triangles[tri.triangle as usize];
+        if near.1 < far.1 * 1.04
+            && let Some(other) = (far.0 as usize).checked_sub(1).and_then(|i| self.geometry.tris.get(i))
+            && other.item == tri.item
+            && item.mesh.triangles[other.triangle as usize].material == triangle.material
+        {
+            return None;
+        }
+        let p = triangle.corners.map(|i| &self.vertices[item.first as usize + i as usize]);
+        if p.iter().any(|v| v.p[2] < NEAR) {
+            return None;
+        }
+        let (along, across) = (axis, 1 - axis);
+        let (from, level) = if axis == 0 { (x, y) } else { (y, x) };
+        for i in 0..3 {
+            let (q, r) = (p[i].s, p[(i + 1) % 3].s);
+            let (da, dc) = (r[along] - q[along], r[across] - q[across]);
+            // Only edges that run rather across the line; the others are met along the other axis.
+            if dc.abs() < da.abs() || dc == 0.0 {
+                continue;
+            }
+            let t = (level - q[across]) / dc;
+            // Half a pixel beyond the ends: the corner of an outline belongs to one of its edges.
+            let slack = 0.5 / dc.abs();
+            if t < -slack || t > 1.0 + slack {
+                continue;
+            }
+            let cut = q[along] + da * t;
+            if cut >= from && cut <= from + 1.0 {
+                return Some(cut);
+            }
+        }
+        None
+    }
+}
+
+/// Lamps that shine spread a glow.
+pub fn glow(
+    pixels: &mut [u32],
+    seen: &[Seen<'_>],
+    library: &Library,
+    view: &View,
+    visibility: &Visibility,
+    gain: f32,
+) {
+    for thing in seen {
+        let model = &library.models[thing.instance.model.0 as usize];
+        for (centre, channel) in &model.glows {
+            if !thing.lamps.has(*channel) {
+                continue;
+            }
+            let (sin, cos) = thing.instance.pose.heading.sin_cos();
+            let [x, y, z]: [f64; 3] = std::array::from_fn(|i| f64::from(centre[i] * thing.instance.scale[i]));
+            let offset = nalgebra::Vector3::new(cos * x - sin * y, sin * x + cos * y, z);
+            let Some((at, depth)) = view.pixel(&(thing.instance.pose.position + offset)) else { continue };
+            if depth > 120.0 || at[0] < 0.0 || at[1] < 0.0 {
+                continue;
+            }
+            let (px, py) = (at[0] as usize, at[1] as usize);
+            if px >= view.width || py >= view.height {
+                continue;
+            }
+            if visibility.iz[py * visibility.stride + px] * depth > 1.12 {
+                continue;
+            }
+            let (colour, size) = match channel {
+                Channel::Brake | Channel::Tail | Channel::SignalRed => ([255.0, 40.0, 20.0], 0.30),
+                Channel::BlinkLeft | Channel::BlinkRight | Channel::SignalYellow => {
+                    ([255.0, 150.0, 20.0], 0.30)
+                }
+                Channel::SignalGreen => ([40.0, 255.0, 130.0], 0.30),
+                Channel::Head => ([255.0, 244.0, 220.0], 0.55),
+                _ => ([255.0, 214.0, 150.0], 0.7),
+            };
+            let radius = (view.focal * size / depth).clamp(1.5, 0.12 * view.height as f32);
+            add_glow(pixels, view, at, radius, colour, 0.55 * gain);
+        }
+    }
+}
+
+fn add_glow(pixels: &mut [u32], view: &View, at: [f32; 2], radius: f32, colour: [f32; 3], strength: f32) {
+    let range = |v: f32, limit: usize| {
+        ((v - radius).max(0.0) as usize, ((v + radius + 1.0).max(0.0) as usize).min(limit))
+    };
+    let ((x0, x1), (y0, y1)) = (range(at[0], view.width), range(at[1], view.height));
+    for y in y0..y1 {
+        for x in x0..x1 {
+            let (dx, dy) = (x as f32 + 0.5 - at[0], y as f32 + 0.5 - at[1]);
+            let t = 1.0 - (dx * dx + dy * dy) / (radius * radius);
+            if t > 0.0 {
+                let pixel = &mut pixels[y * view.width + x];
+                let share = t * t * strength;
+                let mut c = 0;
+                for (i, &add) in colour.iter().enumerate() {
+                    let old = (*pixel >> (8 * i) & 255) as f32;
+                    // Screen: never beyond white.
+                    c |= ((old + (255.0 - old) * add / 255.0 * share) as u32).min(255) << (8 * i);
+                }
+                *pixel = c;
+            }
+        }
+    }
+}
+
+const TILE: usize = 256;
+
+/// Falling rain: brightness (0..255) of streaks, repeating.
+fn streaks() -> &'static [u8; TILE * TILE] {
+    static STREAKS: OnceLock<Box<[u8; TILE * TILE]>> = OnceLock::new();
+    STREAKS.get_or_init(|| {
+        let mut tile = Box::new([0_u8; TILE * TILE]);
+        for n in 0..420_u32 {
+            let (x, y) = (unit(n * 3) * TILE as f32, (unit(n * 3 + 1) * TILE as f32) as usize);
+            let length = 8.0 + 26.0 * unit(n * 3 + 2);
+            let bright = 40.0 + 120.0 * unit(n + 77_000);
+            for k in 0..length as usize {
+                let t = k as f32 / length;
+                let at = ((x + 0.12 * k as f32) as usize % TILE, (y + k) % TILE);
+                let value = (bright * 4.0 * t * (1.0 - t)) as u8;
+                let texel = &mut tile[at.1 * TILE + at.0];
+                *texel = (*texel).max(value);
+            }
+        }
+        tile
+    })
+}
+
+multiversion! {
+    fn fall(pixels: &mut [u32], width: usize, offset: (usize, usize), strength: u32, colour: u32, tile: &[u8; TILE * TILE]) {
+        for (y, row) in pixels.chunks_exact_mut(width).enumerate() {
+            let line = (y + offset.1 & (TILE - 1)) * TILE;
+            for (x, pixel) in row.iter_mut().enumerate() {
+                let t = u32::from(tile[line | (x + offset.0 & (TILE - 1))]) * strength >> 8;
+                *pixel = mix_packed(*pixel, colour, t);
+            }
+        }
+    }
+}
+
+/// Rain between the things and the camera, and drops on its glass.
+pub fn rain(pixels: &mut [u32], view: &View, amount: f32, time: f64, colour: u32) {
+    let width = view.width;
+    let moment = hash((time * 1000.0) as i64 as u32);
+    let strength = (60.0 + 120.0 * amount) as u32;
+    fall(pixels, width, (moment as usize & 255, moment as usize >> 8 & 255), strength, colour, streaks());
+    // Each drop stays for a while, then the wiper takes it.
+    let scale = width as f32 / 512.0;
+    let count = (4.0 + 26.0 * amount) as u32;
+    let mut under = Vec::new();
+    for n in 0..count {
+        let life = 1.2 + 2.0 * f64::from(unit(n + 5));
+        let epoch = (time / life + f64::from(unit(n + 9))) as i64 as u32;
+        let seed = hash(n * 7919 + epoch * 104_729);
+        let (cx, cy) = (unit(seed) * width as f32, unit(seed ^ 1) * view.height as f32);
+        let radius = (1.6 + 5.0 * unit(seed ^ 2) * unit(seed ^ 3)) * scale;
+        drop(pixels, view, cx, cy, radius, &mut under);
+    }
+}
+
+/// A drop shows the scene upside down, with a dark rim.
+fn drop(pixels: &mut [u32], view: &View, cx: f32, cy: f32, radius: f32, under: &mut Vec<(usize, u32)>) {
+    under.clear();
+    let (w, h) = (view.width as f32, view.height as f32);
+    let (x0, x1) = ((cx - radius).max(0.0) as usize, (cx + radius + 1.0).min(w) as usize);
+    let (y0, y1) = ((cy - 1.25 * radius).max(0.0) as usize, (cy + 1.25 * radius + 1.0).min(h) as usize);
+    for y in y0..y1 {
+        for x in x0..x1 {
+            let (dx, dy) = ((x as f32 + 0.5 - cx) / radius, (y as f32 + 0.5 - cy) / (1.25 * radius));
+            let d = dx * dx + dy * dy;
+            if d >= 1.0 {
+                continue;
+            }
+            let sx = (cx - dx * radius * 6.0).clamp(0.0, w - 1.0) as usize;
+            let sy = (cy - dy * radius * 8.0).clamp(0.0, h - 1.0) as usize;
+            let at = y * view.width + x;
+            let shown = mix_packed(pixels[sy * view.width + sx], 0x0020_2020, (d * d * 90.0) as u32);
+            let t = ((1.0 - d) * 3.0).min(1.0);
+            under.push((at, mix_packed(pixels[at], shown, (t * 170.0) as u32)));
+        }
+    }
+    for &(at, colour) in under.iter() {
+        pixels[at] = colour;
+    }
+}
+
+multiversion! {
+    /// Packed pixels into bytes.
+    pub fn unpack(pixels: &[u32], out: &mut Vec<u8>) {
+        out.resize(pixels.len() * 3, 0);
+        let (fours, rest) = pixels.as_chunks::<4>();
+        let (twelves, tail) = out.as_chunks_mut::<12>();
+        for (bytes, &[a, b, c, d]) in twelves.iter_mut().zip(fours) {
+            let words = [a | b << 24, b >> 8 | c << 16, c >> 16 | d << 8];
+            for (bytes, word) in bytes.as_chunks_mut::<4>().0.iter_mut().zip(words) {
+                *bytes = word.to_le_bytes();
+            }
+        }
+        for (bytes, pixel) in tail.chunks_exact_mut(3).zip(rest) {
+            bytes.copy_from_slice(&pixel.to_le_bytes()[..3]);
+        }
+    }
+}

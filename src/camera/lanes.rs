@@ -1,0 +1,410 @@
+//! Several pixels at once: the shading is written once over [`Lane`], and runs on 8 lanes of AVX2 where
+//! the processor has them and on single numbers elsewhere, with the same bits.
+
+use std::ops::{Add, Div, Mul, Sub};
+
+/// One or more numbers that are worked on together.
+pub trait Lane:
+    Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self>
+{
+    /// How many.
+    const COUNT: usize;
+    /// The outcome of comparisons.
+    type Mask: Copy;
+    fn splat(v: f32) -> Self;
+    /// 0, 1, 2, ...
+    fn ramp() -> Self;
+    /// The first numbers of `from`, which must have [`Lane::COUNT`].
+    fn load(from: &[f32]) -> Self;
+    fn store(self, to: &mut [f32]);
+    /// Low and high bytes of the first words of `from`, as numbers.
+    fn load_bytes(from: &[u16]) -> (Self, Self);
+    /// As bytes, for numbers within 0..256.
+    fn store_bytes(self, to: &mut [u8]);
+    /// Three bytes packed for each, from numbers within 0..1.
+    fn pack(r: Self, g: Self, b: Self, to: &mut [u32], keep: Self::Mask);
+    /// The smaller, and the larger.
+    fn min(self, other: Self) -> Self;
+    fn max(self, other: Self) -> Self;
+    fn abs(self) -> Self;
+    fn sqrt(self) -> Self;
+    fn less(self, other: Self) -> Self::Mask;
+    fn both(a: Self::Mask, b: Self::Mask) -> Self::Mask;
+    fn select(mask: Self::Mask, yes: Self, no: Self) -> Self;
+    /// Four bytes (corners) at masked texel coordinates of a square table of `1 << bits` texels a side,
+    /// blended by the fractions: 0..255. The table must have `1 << 2 * bits` words.
+    fn texel(table: &[u32], bits: u32, x: Self, y: Self) -> Self;
+    /// The words of `table` at whole-numbered indices, which are brought within it.
+    fn lookup(table: &[u32], index: Self, to: &mut [u32]);
+    /// A well-mixed number 0..1 for each pair of whole numbers and a seed.
+    fn random(x: Self, y: Self, seed: u32) -> Self;
+
+    /// Within 0..1.
+    #[inline(always)]
+    fn unit(self) -> Self {
+        self.max(Self::splat(0.0)).min(Self::splat(1.0))
+    }
+    /// Rounded down, for |x| < 2^22.
+    #[inline(always)]
+    fn floor(self) -> Self {
+        let magic = Self::splat(12_582_912.0);
+        self - Self::splat(0.5) + magic - magic
+    }
+    /// From `self` to `other` by `t`.
+    #[inline(always)]
+    fn mix(self, other: Self, t: Self) -> Self {
+        self + (other - self) * t
+    }
+}
+
+impl Lane for f32 {
+    const COUNT: usize = 1;
+    type Mask = bool;
+    #[inline(always)]
+    fn splat(v: f32) -> Self {
+        v
+    }
+    #[inline(always)]
+    fn ramp() -> Self {
+        0.0
+    }
+    #[inline(always)]
+    fn load(from: &[f32]) -> Self {
+        from[0]
+    }
+    #[inline(always)]
+    fn store(self, to: &mut [f32]) {
+        to[0] = self;
+    }
+    #[inline(always)]
+    fn load_bytes(from: &[u16]) -> (Self, Self) {
+        (f32::from(from[0] & 0xff), f32::from(from[0] >> 8))
+    }
+    #[inline(always)]
+    fn store_bytes(self, to: &mut [u8]) {
+        to[0] = self as u8;
+    }
+    #[inline(always)]
+    fn pack(r: Self, g: Self, b: Self, to: &mut [u32], keep: bool) {
+        if !keep {
+            to[0] = super::simd::pack(r, g, b);
+        }
+    }
+    // As the processor's instructions, the second where one is no number.
+    #[inline(always)]
+    fn min(self, other: Self) -> Self {
+        if self < other { self } else { other }
+    }
+    #[inline(always)]
+    fn max(self, other: Self) -> Self {
+        if self > other { self } else { other }
+    }
+    #[inline(always)]
+    fn abs(self) -> Self {
+        f32::abs(self)
+    }
+    #[inline(always)]
+    fn sqrt(self) -> Self {
+        f32::sqrt(self)
+    }
+    #[inline(always)]
+    fn less(self, other: Self) -> bool {
+        self < other
+    }
+    #[inline(always)]
+    fn both(a: bool, b: bool) -> bool {
+        a & b
+    }
+    #[inline(always)]
+    fn select(mask: bool, yes: Self, no: Self) -> Self {
+        if mask { yes } else { no }
+    }
+    #[inline(always)]
+    fn texel(table: &[u32], bits: u32, x: Self, y: Self) -> Self {
+        let ((ix, fx), (iy, fy)) = (super::simd::split(x), super::simd::split(y));
+        let mask = (1 << bits) - 1;
+        let word = table[((iy & mask) << bits | ix & mask) as usize];
+        let corner = |shift: u32| (word >> shift & 0xff) as f32;
+        let low = corner(0) + (corner(8) - corner(0)) * fx;
+        let high = corner(16) + (corner(24) - corner(16)) * fx;
+        low + (high - low) * fy
+    }
+    #[inline(always)]
+    fn lookup(table: &[u32], index: Self, to: &mut [u32]) {
+        to[0] = table[(index.max(0.0) as usize).min(table.len() - 1)];
+    }
+    #[inline(always)]
+    fn random(x: Self, y: Self, seed: u32) -> Self {
+        let magic = 12_582_912.0_f32;
+        super::simd::unit(seed ^ (x + magic).to_bits() << 8 ^ (y + magic).to_bits() << 20)
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+pub use avx::Eight;
+
+#[cfg(target_arch = "x86_64")]
+mod avx {
+    use super::Lane;
+    use std::arch::x86_64::*;
+    use std::ops::{Add, Div, Mul, Sub};
+
+    /// Eight numbers. Use it only inside functions compiled for AVX2, on processors that have it.
+    #[derive(Clone, Copy)]
+    pub struct Eight(__m256);
+
+    macro_rules! operator {
+        ($trait:ident, $name:ident, $intrinsic:ident) => {
+            impl $trait for Eight {
+                type Output = Self;
+                #[inline(always)]
+                fn $name(self, other: Self) -> Self {
+                    // SAFETY: see [`Eight`].
+                    unsafe { Self($intrinsic(self.0, other.0)) }
+                }
+            }
+        };
+    }
+    operator!(Add, add, _mm256_add_ps);
+    operator!(Sub, sub, _mm256_sub_ps);
+    operator!(Mul, mul, _mm256_mul_ps);
+    operator!(Div, div, _mm256_div_ps);
+
+    /// Integer bits, masked, and fraction, as `simd::split`.
+    #[inline(always)]
+    fn split(x: Eight) -> (__m256i, Eight) {
+        let magic = Eight::splat(12_582_912.0);
+        let shifted = x - Eight::splat(0.5) + magic;
+        // SAFETY: see [`Eight`].
+        let bits = unsafe { _mm256_castps_si256(shifted.0) };
+        (bits, (x - (shifted - magic)).unit())
+    }
+
+    #[inline(always)]
+    fn hash(mut x: __m256i) -> __m256i {
+        // SAFETY: see [`Eight`].
+        unsafe {
+            x = _mm256_xor_si256(x, _mm256_srli_epi32::<16>(x));
+            x = _mm256_mullo_epi32(x, _mm256_set1_epi32(0x7feb_352d));
+            x = _mm256_xor_si256(x, _mm256_srli_epi32::<15>(x));
+            x = _mm256_mullo_epi32(x, _mm256_set1_epi32(0x846c_a68b_u32 as i32));
+            _mm256_xor_si256(x, _mm256_srli_epi32::<16>(x))
+        }
+    }
+
+    /// 0..1 as a byte in each word.
+    #[inline(always)]
+    fn byte(v: Eight) -> __m256i {
+        let v = v.unit() * Eight::splat(255.0) + Eight::splat(12_582_912.0);
+        // SAFETY: see [`Eight`].
+        unsafe { _mm256_and_si256(_mm256_castps_si256(v.0), _mm256_set1_epi32(0xff)) }
+    }
+
+    /// Each word's low byte as a number.
+    #[inline(always)]
+    fn number(v: __m256i) -> Eight {
+        // SAFETY: see [`Eight`].
+        unsafe { Eight(_mm256_cvtepi32_ps(_mm256_and_si256(v, _mm256_set1_epi32(0xff)))) }
+    }
+
+    // SAFETY (all blocks below): see [`Eight`] for the instructions; loads and stores are of slices
+    // whose length was checked; gathered indices are masked to the table's checked size.
+    impl Lane for Eight {
+        const COUNT: usize = 8;
+        type Mask = __m256;
+        #[inline(always)]
+        fn splat(v: f32) -> Self {
+            unsafe { Self(_mm256_set1_ps(v)) }
+        }
+        #[inline(always)]
+        fn ramp() -> Self {
+            unsafe { Self(_mm256_setr_ps(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0)) }
+        }
+        #[inline(always)]
+        fn load(from: &[f32]) -> Self {
+            let from = &from[..8];
+            unsafe { Self(_mm256_loadu_ps(from.as_ptr())) }
+        }
+        #[inline(always)]
+        fn store(self, to: &mut [f32]) {
+            let to = &mut to[..8];
+            unsafe { _mm256_storeu_ps(to.as_mut_ptr(), self.0) }
+        }
+        #[inline(always)]
+        fn load_bytes(from: &[u16]) -> (Self, Self) {
+            let from = &from[..8];
+            unsafe {
+                let wide = _mm256_cvtepu16_epi32(_mm_loadu_si128(from.as_ptr().cast()));
+                let low = _mm256_and_si256(wide, _mm256_set1_epi32(0xff));
+                let high = _mm256_srli_epi32::<8>(wide);
+                (Self(_mm256_cvtepi32_ps(low)), Self(_mm256_cvtepi32_ps(high)))
+            }
+        }
+        #[inline(always)]
+        fn store_bytes(self, to: &mut [u8]) {
+            let to = &mut to[..8];
+            unsafe {
+                let whole = _mm256_cvttps_epi32(self.0);
+                let (low, high) = (_mm256_castsi256_si128(whole), _mm256_extracti128_si256::<1>(whole));
+                let words = _mm_packus_epi32(low, high);
+                _mm_storel_epi64(to.as_mut_ptr().cast(), _mm_packus_epi16(words, words));
+            }
+        }
+        #[inline(always)]
+        fn pack(r: Self, g: Self, b: Self, to: &mut [u32], keep: __m256) {
+            let to = &mut to[..8];
+            let (r, g, b) = (byte(r), byte(g), byte(b));
+            unsafe {
+                let gb = _mm256_or_si256(_mm256_slli_epi32::<8>(g), _mm256_slli_epi32::<16>(b));
+                let new = _mm256_castsi256_ps(_mm256_or_si256(r, gb));
+                let old = _mm256_loadu_ps(to.as_ptr().cast());
+                _mm256_storeu_ps(to.as_mut_ptr().cast(), _mm256_blendv_ps(new, old, keep));
+            }
+        }
+        #[inline(always)]
+        fn min(self, other: Self) -> Self {
+            unsafe { Self(_mm256_min_ps(self.0, other.0)) }
+        }
+        #[inline(always)]
+        fn max(self, other: Self) -> Self {
+            unsafe { Self(_mm256_max_ps(self.0, other.0)) }
+        }
+        #[inline(always)]
+        fn abs(self) -> Self {
+            unsafe { Self(_mm256_andnot_ps(_mm256_set1_ps(-0.0), self.0)) }
+        }
+        #[inline(always)]
+        fn sqrt(self) -> Self {
+            unsafe { Self(_mm256_sqrt_ps(self.0)) }
+        }
+        #[inline(always)]
+        fn less(self, other: Self) -> __m256 {
+            unsafe { _mm256_cmp_ps::<_CMP_LT_OQ>(self.0, other.0) }
+        }
+        #[inline(always)]
+        fn both(a: __m256, b: __m256) -> __m256 {
+            unsafe { _mm256_and_ps(a, b) }
+        }
+        #[inline(always)]
+        fn select(mask: __m256, yes: Self, no: Self) -> Self {
+            unsafe { Self(_mm256_blendv_ps(no.0, yes.0, mask)) }
+        }
+        #[inline(always)]
+        fn texel(table: &[u32], bits: u32, x: Self, y: Self) -> Self {
+            let table = &table[..1 << (2 * bits)];
+            let ((ix, fx), (iy, fy)) = (split(x), split(y));
+            unsafe {
+                let mask = _mm256_set1_epi32((1 << bits) - 1);
+                let row = _mm256_sll_epi32(_mm256_and_si256(iy, mask), _mm_cvtsi32_si128(bits as i32));
+                let index = _mm256_or_si256(row, _mm256_and_si256(ix, mask));
+                let word = _mm256_i32gather_epi32::<4>(table.as_ptr().cast(), index);
+                let c0 = number(word);
+                let c1 = number(_mm256_srli_epi32::<8>(word));
+                let c2 = number(_mm256_srli_epi32::<16>(word));
+                let c3 = number(_mm256_srli_epi32::<24>(word));
+                let (low, high) = (c0 + (c1 - c0) * fx, c2 + (c3 - c2) * fx);
+                low + (high - low) * fy
+            }
+        }
+        #[inline(always)]
+        fn lookup(table: &[u32], index: Self, to: &mut [u32]) {
+            let to = &mut to[..8];
+            assert!(!table.is_empty() && table.len() < 1 << 24);
+            let index = index.max(Self::splat(0.0)).min(Self::splat((table.len() - 1) as f32));
+            unsafe {
+                let words = _mm256_i32gather_epi32::<4>(table.as_ptr().cast(), _mm256_cvttps_epi32(index.0));
+                _mm256_storeu_si256(to.as_mut_ptr().cast(), words);
+            }
+        }
+        #[inline(always)]
+        fn random(x: Self, y: Self, seed: u32) -> Self {
+            let magic = Self::splat(12_582_912.0);
+            unsafe {
+                let x = _mm256_slli_epi32::<8>(_mm256_castps_si256((x + magic).0));
+                let y = _mm256_slli_epi32::<20>(_mm256_castps_si256((y + magic).0));
+                let mixed = hash(_mm256_xor_si256(_mm256_xor_si256(x, y), _mm256_set1_epi32(seed as i32)));
+                let number = Self(_mm256_cvtepi32_ps(_mm256_srli_epi32::<8>(mixed)));
+                number * Self::splat(1.0 / 16_777_216.0)
+            }
+        }
+    }
+}
+
+/// Defines a function over [`Lane`]s that picks the lanes at run time.
+macro_rules! lanes {
+    ($(#[$meta:meta])* $vis:vis fn $name:ident<$lane:ident>($($arg:ident: $ty:ty),* $(,)?) $body:block) => {
+        $(#[$meta])*
+        $vis fn $name($($arg: $ty),*) {
+            #[inline(always)]
+            fn body<$lane: $crate::camera::lanes::Lane>($($arg: $ty),*) $body
+            #[cfg(target_arch = "x86_64")]
+            {
+                #[target_feature(enable = "avx2,bmi1,bmi2")]
+                fn fast($($arg: $ty),*) {
+                    body::<$crate::camera::lanes::Eight>($($arg),*)
+                }
+                if $crate::camera::simd::has_avx2() {
+                    // SAFETY: the processor has what `fast` was compiled for.
+                    return unsafe { fast($($arg),*) };
+                }
+            }
+            body::<f32>($($arg),*)
+        }
+    };
+}
+pub(super) use lanes;
+
+#[cfg(all(test, target_arch = "x86_64"))]
+mod tests {
+    use super::*;
+
+    /// What a lane makes of eight pairs of numbers.
+    #[inline(always)]
+    fn work<L: Lane>(x: &[f32; 8], y: &[f32; 8], table: &[u32]) -> Vec<u32> {
+        let mut out = Vec::new();
+        for at in (0..8).step_by(L::COUNT) {
+            let (a, b) = (L::load(&x[at..]), L::load(&y[at..]));
+            let results = [
+                a.min(b),
+                a.max(b).sqrt(),
+                a.floor(),
+                a.abs() / b,
+                L::select(L::less(a, b), a, b),
+                L::texel(table, 2, a, b),
+                L::random(a.floor(), b.floor(), 99),
+                a.mix(b, b.unit()),
+            ];
+            for (n, result) in results.into_iter().enumerate() {
+                let mut row = [0.0; 8];
+                result.store(&mut row);
+                out.extend(row[..L::COUNT].iter().enumerate().map(|(i, v)| (n * 8 + at + i, v.to_bits())));
+            }
+            let mut packed = [7; 8];
+            L::pack(a.unit(), b.unit(), a.unit(), &mut packed, L::less(a, L::splat(0.3)));
+            out.extend(packed[..L::COUNT].iter().enumerate().map(|(i, &v)| (64 + at + i, v)));
+        }
+        out.sort_unstable();
+        out.into_iter().map(|(_, bits)| bits).collect()
+    }
+
+    #[target_feature(enable = "avx2,bmi1,bmi2")]
+    fn eight(x: &[f32; 8], y: &[f32; 8], table: &[u32]) -> Vec<u32> {
+        work::<Eight>(x, y, table)
+    }
+
+    #[test]
+    fn eight_lanes_have_the_bits_of_single_numbers() {
+        if !crate::camera::simd::has_avx2() {
+            return;
+        }
+        let table: Vec<u32> = (0..16_u32).map(crate::camera::simd::hash).collect();
+        for round in 0..200_u32 {
+            let numbers = |seed: u32| {
+                std::array::from_fn(|i| (crate::camera::simd::unit(seed + i as u32) - 0.3) * 40.0)
+            };
+            let (x, y) = (numbers(round * 16), numbers(round * 16 + 8));
+            // SAFETY: asked for above.
+            assert_eq!(unsafe { eight(&x, &y, &table) }, work::<f32>(&x, &y, &table));
+        }
+    }
+}

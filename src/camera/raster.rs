@@ -1,0 +1,294 @@
+//! Triangles into a visibility buffer: per pixel the nearest triangle's number and 1 / depth.
+//!
+//! Scanlines with exact edges: two triangles that share an edge compute it from the same numbers, so
+//! that no pixel between them is missed or drawn twice. 1 / depth is linear over the picture.
+
+use super::model::{Library, Triangle};
+use super::simd::{first_centre, multiversion};
+use super::view::{NEAR, cross, dot, sub};
+
+/// A vertex of the frame: camera frame (m) and picture (pixels; meaningless behind the camera).
+#[derive(Clone, Copy, Debug, Default)]
+pub struct CamVertex {
+    pub p: [f32; 3],
+    pub s: [f32; 2],
+}
+
+/// A triangle that touches at least one pixel centre.
+#[derive(Clone, Copy, Debug)]
+pub struct Tri {
+    /// 1 / depth = iz[0] x + iz[1] y + iz[2] at pixel coordinates (x, y).
+    pub iz: [f32; 3],
+    /// Index into the frame's items, and into its mesh's triangles.
+    pub item: u32,
+    pub triangle: u32,
+}
+
+/// Width of the padding right of each row: blocks of pixels may run over the border.
+pub const PAD: usize = 8;
+
+/// The visibility buffer.
+#[derive(Debug, Default)]
+pub struct Visibility {
+    pub width: usize,
+    pub height: usize,
+    /// Pixels from row to row.
+    pub stride: usize,
+    /// 1 / depth (1/m); 0 where nothing was drawn.
+    pub iz: Vec<f32>,
+    /// Index of the triangle + 1; 0 where nothing was drawn.
+    pub id: Vec<u32>,
+    /// Smallest 1 / depth of each tile, as of the last [`Visibility::update_tiles`].
+    tiles: Vec<f32>,
+    tile_columns: usize,
+}
+
+/// Pixels along a tile's side.
+const TILE: usize = 16;
+
+impl Visibility {
+    /// Empties it for a picture of this size.
+    pub fn clear(&mut self, width: usize, height: usize) {
+        (self.width, self.height, self.stride) = (width, height, width + PAD);
+        let size = self.stride * height;
+        self.iz.clear();
+        self.iz.resize(size, 0.0);
+        self.id.clear();
+        self.id.resize(size, 0);
+        self.tile_columns = width.div_ceil(TILE);
+        self.tiles.clear();
+        self.tiles.resize(self.tile_columns * height.div_ceil(TILE), 0.0);
+    }
+
+    /// Learns what now hides what.
+    pub fn update_tiles(&mut self) {
+        reduce(&self.iz, self.stride, self.width, self.height, &mut self.tiles, self.tile_columns);
+    }
+
+    /// Whether all of a rectangle (pixels) is covered by things nearer than `iz` (1/m).
+    pub fn hides(&self, low: [f32; 2], high: [f32; 2], iz: f32) -> bool {
+        let clamp = |v: f32, limit: usize| (v.max(0.0) as usize).min(limit - 1) / TILE;
+        let (x0, x1) = (clamp(low[0], self.width), clamp(high[0], self.width));
+        let (y0, y1) = (clamp(low[1], self.height), clamp(high[1], self.height));
+        (y0..=y1).all(|y| self.tiles[y * self.tile_columns..][x0..=x1].iter().all(|&tile| tile > iz))
+    }
+}
+
+multiversion! {
+    fn reduce(iz: &[f32], stride: usize, width: usize, height: usize, tiles: &mut [f32], columns: usize) {
+        for (row, tiles) in tiles.chunks_exact_mut(columns).enumerate() {
+            tiles.fill(f32::MAX);
+            for y in row * TILE..((row + 1) * TILE).min(height) {
+                let line = &iz[y * stride..y * stride + width];
+                let (blocks, rest) = line.as_chunks::<TILE>();
+                for (tile, block) in tiles.iter_mut().zip(blocks) {
+                    let mut least: [f32; 8] = std::array::from_fn(|i| if block[i] < block[i + 8] { block[i] } else { block[i + 8] });
+                    for half in [4, 2, 1] {
+                        for i in 0..half {
+                            least[i] = if least[i] < least[i + half] { least[i] } else { least[i + half] };
+                        }
+                    }
+                    *tile = if least[0] < *tile { least[0] } else { *tile };
+                }
+                if let Some(tile) = tiles.get_mut(blocks.len()) {
+                    *tile = rest.iter().fold(*tile, |least, &z| if z < least { z } else { least });
+                }
+            }
+        }
+    }
+}
+
+/// How a mesh is to be drawn.
+pub struct Draw<'a> {
+    pub triangles: &'a [Triangle],
+    /// The mesh's vertices in this frame.
+    pub vertices: &'a [CamVertex],
+    pub library: &'a Library,
+    pub item: u32,
+    pub focal: f32,
+    pub centre: [f32; 2],
+    /// All vertices are ahead of the near plane.
+    pub whole: bool,
+}
+
+multiversion! {
+    /// Draws a mesh.
+    pub fn draw(job: &Draw<'_>, out: &mut Visibility, tris: &mut Vec<Tri>) {
+        let (w, h) = (out.width as f32, out.height as f32);
+        for (number, triangle) in job.triangles.iter().enumerate() {
+            let [a, b, c] = triangle.corners.map(|i| &job.vertices[i as usize]);
+            let ahead = job.whole || (a.p[2] >= NEAR && b.p[2] >= NEAR && c.p[2] >= NEAR);
+            if ahead {
+                // Seen from behind, beside the picture, or between pixel centres: nothing to do.
+                let area = (b.s[0] - a.s[0]) * (c.s[1] - a.s[1]) - (c.s[0] - a.s[0]) * (b.s[1] - a.s[1]);
+                if area >= 0.0 && !job.library.materials[triangle.material.0 as usize].double_sided {
+                    continue;
+                }
+                let least = |i: usize| a.s[i].min(b.s[i]).min(c.s[i]);
+                let most = |i: usize| a.s[i].max(b.s[i]).max(c.s[i]);
+                if most(0) < 0.5 || least(0) > w - 0.5 || most(1) < 0.5 || least(1) > h - 0.5 {
+                    continue;
+                }
+                if first_centre(least(1), h) >= first_centre(most(1), h)
+                    || first_centre(least(0), w) >= first_centre(most(0), w)
+                {
+                    continue;
+                }
+            } else if a.p[2] < NEAR && b.p[2] < NEAR && c.p[2] < NEAR {
+                continue;
+            }
+            let normal = cross(sub(b.p, a.p), sub(c.p, a.p));
+            let distance = dot(normal, a.p);
+            // The camera's frame is left-handed: front faces have a positive distance.
+            if distance <= 0.0 && !job.library.materials[triangle.material.0 as usize].double_sided {
+                continue;
+            }
+            if distance.abs() < 1e-12 {
+                continue;
+            }
+            let scale = 1.0 / (distance * job.focal);
+            let (dx, dy) = (normal[0] * scale, -normal[1] * scale);
+            let iz = [dx, dy, normal[2] / distance - dx * job.centre[0] - dy * job.centre[1]];
+            let id = tris.len() as u32 + 1;
+            let drawn = if ahead {
+                let far = a.p[2].max(b.p[2]).max(c.p[2]);
+                let near = a.p[2].min(b.p[2]).min(c.p[2]);
+                fill(out, [a.s, b.s, c.s], id, iz, 0.9999 / far, 1.0001 / near)
+            } else {
+                clipped(job, out, [a, b, c], id, iz)
+            };
+            if drawn {
+                tris.push(Tri { iz, item: job.item, triangle: number as u32 });
+            }
+        }
+    }
+}
+
+/// Draws the part of a triangle that is ahead of the near plane.
+fn clipped(job: &Draw<'_>, out: &mut Visibility, corners: [&CamVertex; 3], id: u32, iz: [f32; 3]) -> bool {
+    let mut polygon = [[0.0; 2]; 4];
+    let mut count = 0;
+    let mut far = NEAR;
+    for i in 0..3 {
+        let (from, to) = (corners[i], corners[(i + 1) % 3]);
+        let (from_in, to_in) = (from.p[2] >= NEAR, to.p[2] >= NEAR);
+        if from_in {
+            polygon[count] = from.s;
+            far = far.max(from.p[2]);
+            count += 1;
+        }
+        if from_in != to_in {
+            // From the inner to the outer end, so that neighbours find the same point.
+            let (inner, outer) = if from_in { (from.p, to.p) } else { (to.p, from.p) };
+            let t = (inner[2] - NEAR) / (inner[2] - outer[2]);
+            let scale = job.focal / NEAR;
+            let at = |i: usize| (inner[i] + (outer[i] - inner[i]) * t) * scale;
+            polygon[count] = [job.centre[0] + at(0), job.centre[1] - at(1)];
+            count += 1;
+        }
+    }
+    let (low, high) = (0.9999 / far, 1.0001 / NEAR);
+    let first = fill(out, [polygon[0], polygon[1], polygon[2]], id, iz, low, high);
+    let second = count == 4 && fill(out, [polygon[0], polygon[2], polygon[3]], id, iz, low, high);
+    first || second
+}
+
+/// Draws a triangle of the picture; whether it holds a pixel centre.
+#[inline(always)]
+fn fill(out: &mut Visibility, corners: [[f32; 2]; 3], id: u32, iz: [f32; 3], low: f32, high: f32) -> bool {
+    let [mut a, mut b, mut c] = corners;
+    if b[1] < a[1] {
+        (a, b) = (b, a);
+    }
+    if c[1] < b[1] {
+        (b, c) = (c, b);
+        if b[1] < a[1] {
+            (a, b) = (b, a);
+        }
+    }
+    let (w, h) = (out.width as f32, out.height as f32);
+    let (top, middle, bottom) = (first_centre(a[1], h), first_centre(b[1], h), first_centre(c[1], h));
+    if top >= bottom {
+        return false;
+    }
+    let long = (c[0] - a[0]) / (c[1] - a[1]);
+    let turn = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1]);
+    let mut drawn = false;
+    for (from, to, p, q) in [(top, middle, a, b), (middle, bottom, b, c)] {
+        if from >= to {
+            continue;
+        }
+        let short = (q[0] - p[0]) / (q[1] - p[1]);
+        for y in from..to {
+            let yc = y as f32 + 0.5;
+            let (x_long, x_short) = (a[0] + (yc - a[1]) * long, p[0] + (yc - p[1]) * short);
+            let (left, right) = if turn < 0.0 { (x_short, x_long) } else { (x_long, x_short) };
+            let (x0, x1) = (first_centre(left, w), first_centre(right, w));
+            if x0 >= x1 {
+                continue;
+            }
+            drawn = true;
+            let start = y as usize * out.stride;
+            let base = iz[1] * yc + iz[2] + iz[0] * 0.5;
+            span(
+                &mut out.iz[start..start + out.stride],
+                &mut out.id[start..start + out.stride],
+                (x0 as usize, x1 as usize),
+                (base, iz[0]),
+                (low, high),
+                id,
+            );
+        }
+    }
+    drawn
+}
+
+#[inline(always)]
+fn span(
+    depth: &mut [f32],
+    ids: &mut [u32],
+    (x0, x1): (usize, usize),
+    (base, slope): (f32, f32),
+    (low, high): (f32, f32),
+    id: u32,
+) {
+    let mut x = x0;
+    while x < x1 {
+        let (Some(depth), Some(ids)) = (depth[x..].first_chunk_mut::<8>(), ids[x..].first_chunk_mut::<8>())
+        else {
+            return;
+        };
+        let left = (x1 - x) as i32;
+        let begin = x as f32;
+        for lane in 0..8 {
+            let z = base + slope * (begin + lane as f32);
+            let z = if z > low { z } else { low };
+            let z = if z < high { z } else { high };
+            let nearer = (z > depth[lane]) & ((lane as i32) < left);
+            depth[lane] = if nearer { z } else { depth[lane] };
+            ids[lane] = if nearer { id } else { ids[lane] };
+        }
+        x += 8;
+    }
+}
+
+multiversion! {
+    /// The ground plane, wherever nothing was drawn and 1 / depth is above `far`.
+    pub fn draw_ground(out: &mut Visibility, id: u32, iz: [f32; 3], far: f32) {
+        let (width, stride) = (out.width, out.stride);
+        for y in 0..out.height {
+            let base = iz[1] * (y as f32 + 0.5) + iz[2] + iz[0] * 0.5;
+            if base.max(base + iz[0] * width as f32) < far {
+                continue;
+            }
+            let depth = &mut out.iz[y * stride..][..width];
+            let ids = &mut out.id[y * stride..][..width];
+            for (x, (depth, seen)) in depth.iter_mut().zip(ids).enumerate() {
+                let z = base + iz[0] * x as f32;
+                let empty = (*depth == 0.0) & (z > far);
+                *depth = if empty { z } else { *depth };
+                *seen = if empty { id } else { *seen };
+            }
+        }
+    }
+}

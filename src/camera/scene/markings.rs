@@ -1,0 +1,264 @@
+//! Paint: lines between lanes and directions, stop lines, zebra crossings, arrows.
+
+use super::roads::{Station, Surface, stations, surface};
+use super::tiles::Tiles;
+use crate::camera::model::PaintColour;
+use crate::geometry::{Point, Pose, Vector, direction};
+use crate::network::{EdgeId, EdgeKind, LaneId, LinkDirection, Network, VehicleClass};
+use nalgebra::Point3;
+
+/// Breadth of a line (m).
+const LINE: f64 = 0.12;
+/// Borders of opposite directions further apart than this (m) have a median between them.
+const ADJACENT: f64 = 1.0;
+
+/// A painter for one line of stations.
+struct Painter<'a> {
+    tiles: &'a mut Tiles,
+    line: Vec<Station>,
+    length: f64,
+    strength: f32,
+}
+
+impl Painter<'_> {
+    /// A stripe `d` (m) left of the line from `from` to `to` along it (m).
+    fn stripe(&mut self, d: f64, breadth: f64, from: f64, to: f64) {
+        let (from, to) = (from.max(0.0), to.min(self.length));
+        if to - from < 0.05 {
+            return;
+        }
+        let inner = |s: f64| s > from + 0.01 && s < to - 0.01;
+        let at = |s: f64| -> Station {
+            let i = self.line.partition_point(|k| k.s <= s).clamp(1, self.line.len() - 1);
+            let (a, b) = (&self.line[i - 1], &self.line[i]);
+            let t = ((s - a.s) / (b.s - a.s).max(1e-9)).clamp(0.0, 1.0);
+            Station { at: a.at + (b.at - a.at) * t, left: a.left + (b.left - a.left) * t, s }
+        };
+        let mut line = vec![at(from)];
+        line.extend(self.line.iter().filter(|k| inner(k.s)).copied());
+        line.push(at(to));
+        let (lo, hi) = (d - 0.5 * breadth, d + 0.5 * breadth);
+        let last = line.len() - 2;
+        for (i, pair) in line.windows(2).enumerate() {
+            let q = [pair[0].off(lo, 0.0), pair[1].off(lo, 0.0), pair[1].off(hi, 0.0), pair[0].off(hi, 0.0)];
+            self.tiles.paint(q, PaintColour::White, self.strength, [i == last, i == 0]);
+        }
+    }
+
+    fn dashes(&mut self, d: f64, dash: f64, gap: f64) {
+        let period = dash + gap;
+        let count = ((self.length - dash) / period).floor().max(0.0);
+        // Centred, so that both ends look alike.
+        let mut s = 0.5 * (self.length - count * period - dash);
+        while s + 0.5 * dash < self.length {
+            self.stripe(d, LINE, s, s + dash);
+            s += period;
+        }
+    }
+}
+
+/// The leftmost driven lane of an edge (rightmost where traffic keeps left).
+pub(super) fn innermost(network: &Network, edge: EdgeId) -> Option<LaneId> {
+    network.edge(edge).lanes.iter().rev().copied().find(|&l| surface(network.lane(l)) == Surface::Road)
+}
+
+/// The edge of the other direction beside this one, and the gap (m) between their carriageways.
+pub(super) fn opposite(network: &Network, edge: EdgeId) -> Option<(EdgeId, f64)> {
+    let this = network.edge(edge);
+    let (from, to) = (this.from?, this.to?);
+    let lane = network.lane(innermost(network, edge)?);
+    let middle = lane.shape.at(0.5 * lane.shape.length());
+    let mut best: Option<(EdgeId, f64)> = None;
+    for &other in &network.junction(to).outgoing_edges {
+        if network.edge(other).to != Some(from) || other == edge {
+            continue;
+        }
+        let Some(id) = innermost(network, other) else { continue };
+        let theirs = network.lane(id);
+        let p = theirs.shape.project(middle.xy());
+        let gap = p.distance - 0.5 * (lane.width + theirs.width);
+        if best.is_none_or(|(_, g)| gap.abs() < g.abs()) {
+            best = Some((other, gap));
+        }
+    }
+    best.filter(|(_, gap)| *gap < 15.0)
+}
+
+/// Paints the whole network.
+pub(super) fn build(network: &Network, seed: u64, tiles: &mut Tiles) {
+    let inward = if network.left_hand { -1.0 } else { 1.0 };
+    for number in 0..network.edges.len() {
+        let id = EdgeId(number as u32);
+        if network.edge(id).kind == EdgeKind::Normal {
+            edge(network, id, inward, seed, tiles);
+        }
+    }
+    for crossing in &network.crossings {
+        let lane = network.lane(crossing.lane);
+        let line = stations(&lane.shape, 1e6);
+        let length = lane.shape.length();
+        if length < 1.0 || line.len() < 2 {
+            continue;
+        }
+        let half = 0.5 * lane.width - 0.25;
+        let (bar, gap) = (0.5, 0.5);
+        let count = ((length - 0.5) / (bar + gap)).floor().max(1.0);
+        let mut s = 0.5 * (length - count * (bar + gap) + gap);
+        while s + bar < length - 0.1 {
+            let a = lane.shape.at(s);
+            let b = lane.shape.at(s + bar);
+            let p = |pose: &Pose, d: f64| {
+                let q = pose.to_world(Vector::new(0.0, d));
+                Point3::new(q.x, q.y, pose.position.z)
+            };
+            // The long sides lie along the traffic.
+            let q = [p(&b, -half), p(&b, half), p(&a, half), p(&a, -half)];
+            tiles.paint(q, PaintColour::White, 0.85, [true, true]);
+            s += bar + gap;
+        }
+    }
+}
+
+fn edge(network: &Network, id: EdgeId, inward: f64, seed: u64, tiles: &mut Tiles) {
+    let edge = network.edge(id);
+    let driven: Vec<LaneId> =
+        edge.lanes.iter().copied().filter(|&l| surface(network.lane(l)) == Surface::Road).collect();
+    let (Some(&outer), Some(&inner)) = (driven.first(), driven.last()) else { return };
+    let across = opposite(network, id);
+    let strength =
+        0.6 + 0.35 * ((crate::seeds::derive(seed ^ u64::from(id.0), "paint") % 100) as f32 / 100.0);
+    let narrow = network.lane(inner).width < 2.9;
+    for &lane_id in &driven {
+        let lane = network.lane(lane_id);
+        let half = 0.5 * lane.width;
+        let line = stations(&lane.shape, 16.0);
+        if line.len() < 2 || lane.shape.length() < 2.0 {
+            continue;
+        }
+        let mut painter = Painter { tiles, line, length: lane.shape.length(), strength };
+        let length = painter.length;
+        if lane_id == outer && !narrow {
+            painter.stripe(-inward * (half - 0.22), LINE, 0.0, length);
+        }
+        if lane_id == inner {
+            match across {
+                Some((other, gap)) if gap < ADJACENT => {
+                    // Painted once for both directions.
+                    if id < other {
+                        let middle = inward * (half + 0.5 * gap.max(0.0));
+                        if narrow {
+                            painter.dashes(middle, 3.0, 3.0);
+                        } else {
+                            painter.stripe(middle - 0.12, 0.10, 0.0, length);
+                            painter.stripe(middle + 0.12, 0.10, 0.0, length);
+                        }
+                    }
+                }
+                _ => painter.stripe(inward * (half - 0.22), LINE, 0.0, length),
+            }
+        } else {
+            let fast = lane.speed_limit > 20.0;
+            let car = VehicleClass::Passenger;
+            let next = driven.iter().position(|&l| l == lane_id).map(|i| network.lane(driven[i + 1]));
+            let open = lane.change_up.allows(car) || next.is_some_and(|n| n.change_down.allows(car));
+            let cycle_lane =
+                !lane.permissions.allows(car) || next.is_some_and(|n| !n.permissions.allows(car));
+            if !open || cycle_lane {
+                painter.stripe(inward * half, LINE, 0.0, length);
+            } else if fast {
+                painter.dashes(inward * half, 6.0, 12.0);
+            } else {
+                painter.dashes(inward * half, 3.0, 6.0);
+            }
+        }
+        ends(network, lane_id, tiles, strength);
+    }
+}
+
+/// Stop line, give-way line and arrows at a lane's end.
+fn ends(network: &Network, id: LaneId, tiles: &mut Tiles, strength: f32) {
+    let lane = network.lane(id);
+    let length = lane.shape.length();
+    if lane.outgoing.is_empty() || length < 6.0 {
+        return;
+    }
+    let links: Vec<_> = lane.outgoing.iter().map(|&l| network.link(l)).collect();
+    let half = 0.5 * lane.width - 0.05;
+    let bar = |tiles: &mut Tiles, from: f64, to: f64, right: f64, left: f64| {
+        let (a, b) = (lane.shape.at(from), lane.shape.at(to));
+        let p = |pose: &Pose, d: f64| {
+            let q = pose.to_world(Vector::new(0.0, d));
+            Point3::new(q.x, q.y, pose.position.z)
+        };
+        // Its sides lie across the lane.
+        tiles.paint(
+            [p(&b, right), p(&b, left), p(&a, left), p(&a, right)],
+            PaintColour::White,
+            strength,
+            [true, true],
+        );
+    };
+    let yields = links.iter().any(|l| matches!(l.state, 'm' | 'w'))
+        && links.iter().any(|l| !l.must_yield_to.is_empty());
+    if links.iter().any(|l| l.signal.is_some() || matches!(l.state, 's')) {
+        bar(tiles, length - 0.85, length - 0.4, -half, half);
+    } else if yields {
+        let mut d = -half + 0.15;
+        while d + 0.5 <= half {
+            bar(tiles, length - 0.75, length - 0.4, d, d + 0.5);
+            d += 0.8;
+        }
+    }
+    let edge = network.edge(lane.edge);
+    let many = edge.lanes.iter().filter(|&&l| surface(network.lane(l)) == Surface::Road).count() > 1;
+    let signalled = links.iter().any(|l| l.signal.is_some());
+    let car = lane.permissions.allows(VehicleClass::Passenger);
+    if !car || !(many || signalled) || length < 24.0 {
+        return;
+    }
+    let goes = |wanted: &[LinkDirection]| links.iter().any(|l| wanted.contains(&l.direction));
+    use LinkDirection as D;
+    let ways = [goes(&[D::Left, D::PartLeft]), goes(&[D::Straight]), goes(&[D::Right, D::PartRight])];
+    let rows: &[f64] = if length > 60.0 { &[9.0, 30.0] } else { &[9.0] };
+    for &back in rows {
+        arrow(tiles, &lane.shape.at(length - back - 4.0), ways, strength);
+    }
+}
+
+/// An arrow of 4 m at `pose` (its tail): left, straight, right.
+fn arrow(tiles: &mut Tiles, pose: &Pose, [left, straight, right]: [bool; 3], strength: f32) {
+    let mut quad = |corners: [[f64; 2]; 4]| {
+        let mut q = corners.map(|[x, y]| pose.to_world(Vector::new(x, y)));
+        let area: f64 = (0..4).map(|i| q[i].coords.perp(&q[(i + 1) % 4].coords)).sum();
+        if area < 0.0 {
+            q.reverse();
+        }
+        let z = pose.position.z;
+        tiles.paint(q.map(|p: Point| Point3::new(p.x, p.y, z)), PaintColour::White, strength, [true, true]);
+    };
+    let shaft = if straight { 2.6 } else { 1.7 };
+    if left || straight || right {
+        quad([[0.0, -0.075], [shaft, -0.075], [shaft, 0.075], [0.0, 0.075]]);
+    }
+    if straight {
+        quad([[2.6, -0.32], [4.0, 0.0], [4.0, 0.0], [2.6, 0.32]]);
+    }
+    for (wanted, side) in [(left, 1.0), (right, -1.0)] {
+        if wanted {
+            let base = if straight { 1.0 } else { 1.55 };
+            quad([[base, 0.0], [base + 0.55, side * 0.45], [base + 0.75, side * 0.45], [base + 0.25, 0.0]]);
+            quad([
+                [base + 0.30, side * 0.42],
+                [base + 1.0, side * 0.42],
+                [base + 0.65, side * 0.98],
+                [base + 0.65, side * 0.98],
+            ]);
+        }
+    }
+}
+
+/// Unit vector along a lane at its end.
+pub(super) fn end_direction(network: &Network, lane: LaneId) -> Vector {
+    let shape = &network.lane(lane).shape;
+    direction(shape.at(shape.length()).heading)
+}

@@ -1,0 +1,229 @@
+//! Where the town's buildings, trees and poles keep the sun off the ground.
+//!
+//! A map of texels round the camera, filled cell by cell as the camera first sees them and kept while
+//! the sun stands still. Each texel holds its right, upper and diagonal neighbours' values too.
+
+use super::lanes::Lane;
+use super::model::{Chunk, Library, Scene};
+
+use super::view::View;
+use nalgebra::Point3;
+
+/// Texels per metre, along a cell and along the map; the map wraps round.
+const DENSITY: f32 = 4.0;
+const CELL: usize = 128;
+const SIDE: usize = 1024;
+const CELLS: i32 = (SIDE / CELL) as i32;
+const CELL_M: f64 = CELL as f64 / DENSITY as f64;
+/// Cells filled on each side of the camera's.
+const REACH: i32 = 3;
+/// Longest shadow (m).
+const LONGEST: f64 = 80.0;
+
+/// The map.
+pub struct ShadowMap {
+    texels: Vec<u32>,
+    owners: Vec<Option<(i32, i32)>>,
+    sun: [f32; 3],
+    scratch: Vec<u8>,
+}
+
+impl Default for ShadowMap {
+    fn default() -> Self {
+        let slots = (CELLS * CELLS) as usize;
+        Self {
+            texels: vec![u32::MAX; SIDE * SIDE],
+            owners: vec![None; slots],
+            sun: [0.0; 3],
+            scratch: vec![0; (CELL + 4) * (CELL + 4)],
+        }
+    }
+}
+
+impl ShadowMap {
+    /// Forgets everything: another scene.
+    pub fn forget(&mut self) {
+        self.owners.fill(None);
+    }
+
+    /// Fills what the view can see.
+    pub fn prepare(&mut self, scene: &Scene, view: &View, sun: [f32; 3]) {
+        if self.sun != sun {
+            self.sun = sun;
+            self.forget();
+        }
+        let cell = |v: f64| (v / CELL_M).floor() as i32;
+        let (cx, cy) = (cell(view.eye.x), cell(view.eye.y));
+        let ground = scene.ground.map_or(0.0, |g| g.1);
+        for y in cy - REACH..=cy + REACH {
+            for x in cx - REACH..=cx + REACH {
+                let slot = (y.rem_euclid(CELLS) * CELLS + x.rem_euclid(CELLS)) as usize;
+                if self.owners[slot] == Some((x, y)) {
+                    continue;
+                }
+                let middle = |c: i32| (f64::from(c) + 0.5) * CELL_M;
+                let centre = view.point(&Point3::new(middle(x), middle(y), ground));
+                if view.sees_ball(centre, 0.75 * CELL_M as f32) {
+                    self.fill(scene, (x, y), slot);
+                    self.owners[slot] = Some((x, y));
+                }
+            }
+        }
+    }
+
+    fn fill(&mut self, scene: &Scene, (x, y): (i32, i32), slot: usize) {
+        self.scratch.fill(0);
+        let corner = [f64::from(x) * CELL_M, f64::from(y) * CELL_M];
+        let mut numbers = Vec::new();
+        let half = 0.5 * CELL_M;
+        scene.grid.near(corner[0] + half, corner[1] + half, half + LONGEST, &mut numbers);
+        for number in numbers {
+            let chunk = &scene.chunks[number as usize];
+            // Can its shadow fall into the cell?
+            let height = f64::from(chunk.bounds[1][2] - chunk.bounds[0][2]);
+            let throw = self.throw();
+            let fits = |i: usize| {
+                let at = |k: usize| chunk.origin[i] + f64::from(chunk.bounds[k][i]);
+                let shift = f64::from(throw[i]) * height;
+                at(0) + shift.min(0.0) < corner[i] + CELL_M + 1.0 && at(1) + shift.max(0.0) > corner[i] - 1.0
+            };
+            if fits(0) && fits(1) {
+                self.cast_chunk(chunk, &scene.library, corner, scene.ground.map_or(0.0, |g| g.1));
+            }
+        }
+        self.store(slot);
+    }
+
+    /// How far the shadow of something 1 m high falls (m).
+    fn throw(&self) -> [f32; 2] {
+        let z = self.sun[2].max(0.1);
+        [-self.sun[0] / z, -self.sun[1] / z]
+    }
+
+    fn cast_chunk(&mut self, chunk: &Chunk, library: &Library, corner: [f64; 2], ground: f64) {
+        let throw = self.throw();
+        let base = [
+            (chunk.origin.x - corner[0]) as f32,
+            (chunk.origin.y - corner[1]) as f32,
+            (chunk.origin.z - ground) as f32,
+        ];
+        let land = |p: [f32; 3]| {
+            let h = (p[2] + base[2]).max(0.0);
+            [(p[0] + base[0] + throw[0] * h) * DENSITY, (p[1] + base[1] + throw[1] * h) * DENSITY]
+        };
+        if let Some((_, mesh)) = chunk.levels.first() {
+            for triangle in &mesh.triangles {
+                let corners = triangle.corners.map(|i| mesh.vertices[i as usize].position);
+                if corners.iter().any(|p| p[2] + base[2] > 0.6) {
+                    self.triangle(corners.map(land));
+                }
+            }
+        }
+        for instance in &chunk.instances {
+            let model = &library.models[instance.model.0 as usize];
+            let Some(level) = model.levels.get(1).or(model.levels.first()).filter(|_| model.casts_shadow)
+            else {
+                continue;
+            };
+            let (sin, cos) = (instance.pose.heading.sin() as f32, instance.pose.heading.cos() as f32);
+            let r = instance.pose.position - chunk.origin;
+            let at = [r.x as f32, r.y as f32, r.z as f32];
+            let points: Vec<[f32; 2]> = level
+                .mesh
+                .vertices
+                .iter()
+                .map(|v| {
+                    let [x, y, z]: [f32; 3] = std::array::from_fn(|i| v.position[i] * instance.scale[i]);
+                    land([at[0] + cos * x - sin * y, at[1] + sin * x + cos * y, at[2] + z])
+                })
+                .collect();
+            for triangle in &level.mesh.triangles {
+                self.triangle(triangle.corners.map(|i| points[i as usize]));
+            }
+        }
+    }
+
+    /// Marks a triangle (texels from the cell's corner).
+    fn triangle(&mut self, p: [[f32; 2]; 3]) {
+        const W: i32 = CELL as i32 + 4;
+        let range = |i: usize| {
+            let (least, most) = (p[0][i].min(p[1][i]).min(p[2][i]), p[0][i].max(p[1][i]).max(p[2][i]));
+            // Scratch begins two texels before the cell.
+            ((least + 1.5).ceil().max(0.0) as i32, ((most + 1.5).floor() as i32).min(W - 1))
+        };
+        let ((x0, x1), (y0, y1)) = (range(0), range(1));
+        if x0 > x1 || y0 > y1 {
+            return;
+        }
+        let area = (p[1][0] - p[0][0]) * (p[2][1] - p[0][1]) - (p[2][0] - p[0][0]) * (p[1][1] - p[0][1]);
+        let sign = if area < 0.0 { -1.0 } else { 1.0 };
+        let edges: [[f32; 3]; 3] = std::array::from_fn(|i| {
+            let (a, b) = (p[i], p[(i + 1) % 3]);
+            let (dx, dy) = ((b[0] - a[0]) * sign, (b[1] - a[1]) * sign);
+            // A sliver thinner than a texel still leaves its mark.
+            let slack = 0.3 * (dx.abs() + dy.abs());
+            [-dy, dx, dy * a[0] - dx * a[1] + slack]
+        });
+        for y in y0..=y1 {
+            let fy = y as f32 - 1.5;
+            for x in x0..=x1 {
+                let fx = x as f32 - 1.5;
+                if edges.iter().all(|e| e[0] * fx + e[1] * fy + e[2] >= 0.0) {
+                    self.scratch[(y * W + x) as usize] = 1;
+                }
+            }
+        }
+    }
+
+    /// Softens the scratch and packs it into the map.
+    fn store(&mut self, slot: usize) {
+        const W: usize = CELL + 4;
+        let soft = |x: usize, y: usize| -> u32 {
+            // Middle texel (x + 2, y + 2) of the scratch.
+            let row = |r: usize| {
+                let s = &self.scratch[r * W + x + 1..];
+                u32::from(s[0]) + 2 * u32::from(s[1]) + u32::from(s[2])
+            };
+            255 - (row(y + 1) + 2 * row(y + 2) + row(y + 3)) * 255 / 16
+        };
+        let (left, low) = (slot % CELLS as usize * CELL, slot / CELLS as usize * CELL);
+        let mut line: Vec<u32> = (0..=CELL).map(|x| soft(x, 0)).collect();
+        for y in 0..CELL {
+            let next: Vec<u32> =
+                (0..=CELL).map(|x| if y + 1 < W - 3 { soft(x, y + 1) } else { line[x] }).collect();
+            for x in 0..CELL {
+                self.texels[(low + y) * SIDE + left + x] =
+                    line[x] | line[x + 1] << 8 | next[x] << 16 | next[x + 1] << 24;
+            }
+            line = next;
+        }
+    }
+
+    /// The texels, for [`sample`].
+    pub fn texels(&self) -> &[u32; SIDE * SIDE] {
+        self.texels.as_slice().try_into().unwrap_or(&[u32::MAX; SIDE * SIDE])
+    }
+
+    /// Where a world coordinate (m) lies in the map (m), so that single precision suffices.
+    pub fn wrap(v: f64) -> f32 {
+        v.rem_euclid(f64::from(SIDE as f32 / DENSITY)) as f32
+    }
+
+    /// Share of sun at a world point, its height counted from the ground.
+    pub fn sun_at(&self, p: &Point3<f64>, height: f64) -> f32 {
+        let throw = self.throw();
+        let x = Self::wrap(p.x + f64::from(throw[0]) * height);
+        let y = Self::wrap(p.y + f64::from(throw[1]) * height);
+        sample(self.texels(), x, y)
+    }
+}
+
+/// Share of sun at wrapped coordinates (m).
+#[inline(always)]
+pub fn sample<L: Lane>(texels: &Texels, x: L, y: L) -> L {
+    let (density, half) = (L::splat(DENSITY), L::splat(0.5));
+    L::texel(texels.as_slice(), SIDE.ilog2(), x * density - half, y * density - half) * L::splat(1.0 / 255.0)
+}
+
+/// The type that [`sample`] reads.
+pub type Texels = [u32; SIDE * SIDE];

@@ -1,0 +1,193 @@
+//! `wad-cosim bench camera`: what a frame costs.
+
+use super::{Exit, print, run};
+use anyhow::Context;
+use serde::Serialize;
+use std::time::Instant;
+use wad_cosim::bench::median;
+use wad_cosim::bridge::BridgeOptions;
+use wad_cosim::bundled;
+use wad_cosim::camera::{Camera, CameraConfig, Outputs, Preset, Town, Weather};
+use wad_cosim::drive::{Drive, DriveOptions};
+use wad_cosim::sight;
+use wad_cosim::traffic::TrafficSpec;
+
+const EXAMPLES: &str = "\
+Examples:
+  wad-cosim bench camera
+  wad-cosim bench camera town3 --traffic 100,250 --frames 300 --json
+  wad-cosim bench camera --weather ClearNoon,WetSunset --sizes 512x512";
+
+/// Frames of a drive through a town, rendered on one core; nothing but the rendering is timed.
+#[derive(clap::Args, Debug)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// Config or bundled town.
+    #[arg(default_value = "town5")]
+    config: String,
+    /// Background traffic.
+    #[arg(long, default_value = "70,100", value_name = "T")]
+    traffic: TrafficSpec,
+    /// Weathers, separated by commas.
+    #[arg(long, value_delimiter = ',', default_value = "ClearNoon,HardRainNoon")]
+    weather: Vec<Preset>,
+    /// Sizes in pixels, separated by commas.
+    #[arg(long, value_delimiter = ',', default_value = "512x512,128x128", value_parser = super::snapshot::size)]
+    sizes: Vec<(usize, usize)>,
+    /// Frames per row, one each second of the drive.
+    #[arg(long, default_value_t = 120)]
+    frames: usize,
+    /// Also measure with the town repeated this many times side by side.
+    #[arg(long, default_value_t = 10, value_name = "N")]
+    town_times: usize,
+    /// Seed of the traffic.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Print one JSON object as the last line of stdout; everything else goes to stderr.
+    #[arg(long)]
+    json: bool,
+}
+
+/// One way to render, and what its frames took.
+#[derive(Serialize)]
+struct Row {
+    weather: Preset,
+    width: usize,
+    height: usize,
+    /// `rgb`, or `all`: with depth, semantic, instance and boxes.
+    outputs: &'static str,
+    /// The town's size: 1 as it is.
+    town_times: usize,
+    /// Wall time and the thread's processor time; the latter hardly depends on other load.
+    median_ms: f64,
+    median_cpu_ms: f64,
+    p95_ms: f64,
+    frames: usize,
+}
+
+struct Way {
+    camera: Camera,
+    weather: Weather,
+    outputs: &'static str,
+    times: usize,
+    wall: Vec<f64>,
+    cpu: Vec<f64>,
+}
+
+/// Processor time of this thread (s).
+fn cpu_seconds() -> f64 {
+    let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+    // SAFETY: `time` is a valid place to write to.
+    unsafe { libc::clock_gettime(libc::CLOCK_THREAD_CPUTIME_ID, &mut time) };
+    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
+}
+
+/// Runs the command.
+pub async fn run(args: Args) -> anyhow::Result<Exit> {
+    let config = bundled::resolve(&args.config).map_err(|e| Exit::Input.because(e))?;
+    let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
+    let mut ways = Vec::new();
+    for &(width, height) in &args.sizes {
+        for &preset in &args.weather {
+            for outputs in ["rgb", "all"] {
+                ways.push(way((width, height), preset, outputs, 1)?);
+            }
+        }
+    }
+    if args.town_times > 1
+        && let (Some(&size), Some(&preset)) = (args.sizes.first(), args.weather.first())
+    {
+        ways.push(way(size, preset, "rgb", args.town_times)?);
+    }
+    let mut drive = Drive::start(DriveOptions {
+        bridge: BridgeOptions {
+            seed: args.seed,
+            traffic: args.traffic,
+            ..BridgeOptions::new(config, scratch.path().join("sumo"))
+        },
+        route: None,
+        ego: Default::default(),
+        autopilot: Default::default(),
+        criteria: Default::default(),
+        out: scratch.path().join("run"),
+    })
+    .await
+    .map_err(run::with_exit)?;
+    let mut town = sight::town(drive.bridge(), args.seed);
+    let large = (args.town_times > 1).then(|| town.scene().repeated(args.town_times));
+    let mut next = drive.bridge().time() + 20.0;
+    for frame in 0..args.frames.max(1) {
+        while drive.bridge().time() < next {
+            drive.tick().await.map_err(run::with_exit)?;
+            sight::follow(&mut town, drive.ego());
+        }
+        next += 1.0;
+        for way in &mut ways {
+            time(way, &town, large.as_ref(), &drive);
+        }
+        if frame % 30 == 0 {
+            tracing::info!("frame {frame} of {}", args.frames);
+        }
+    }
+    drive.finish("survived", false).await.map_err(run::with_exit)?;
+    report(&ways, args.json)
+}
+
+fn way(
+    (width, height): (usize, usize),
+    preset: Preset,
+    outputs: &'static str,
+    times: usize,
+) -> anyhow::Result<Way> {
+    let camera = Camera::new(CameraConfig::sized(width, height)).map_err(|e| Exit::Input.because(e))?;
+    Ok(Way { camera, weather: Weather::from(preset), outputs, times, wall: Vec::new(), cpu: Vec::new() })
+}
+
+fn time(way: &mut Way, town: &Town, large: Option<&wad_cosim::camera::model::Scene>, drive: &Drive) {
+    let scene = large.filter(|_| way.times > 1).unwrap_or(town.scene());
+    let outputs = if way.outputs == "all" { Outputs::ALL } else { Outputs::RGB };
+    let pose = drive.ego().state().pose;
+    let (cpu, wall) = (cpu_seconds(), Instant::now());
+    way.camera.render(scene, town.actors(), &pose, &way.weather, outputs);
+    way.wall.push(wall.elapsed().as_secs_f64() * 1000.0);
+    way.cpu.push((cpu_seconds() - cpu) * 1000.0);
+}
+
+fn report(ways: &[Way], json: bool) -> anyhow::Result<Exit> {
+    let say = |line: &str| if json { eprintln!("{line}") } else { println!("{line}") };
+    say(&format!(
+        "{:>16} {:>10} {:>7} {:>10} {:>10} {:>8} {:>8}",
+        "weather", "size", "outputs", "town times", "median ms", "cpu ms", "p95 ms"
+    ));
+    let mut rows = Vec::new();
+    for way in ways {
+        let mut sorted = way.wall.clone();
+        sorted.sort_by(f64::total_cmp);
+        let row = Row {
+            weather: way.weather.preset,
+            width: way.camera.config().width,
+            height: way.camera.config().height,
+            outputs: way.outputs,
+            town_times: way.times,
+            median_ms: median(way.wall.clone()),
+            median_cpu_ms: median(way.cpu.clone()),
+            p95_ms: sorted.get(sorted.len() * 95 / 100).copied().unwrap_or(f64::NAN),
+            frames: way.wall.len(),
+        };
+        say(&format!(
+            "{:>16} {:>10} {:>7} {:>10} {:>10.3} {:>8.3} {:>8.3}",
+            row.weather.name(),
+            format!("{}x{}", row.width, row.height),
+            row.outputs,
+            row.town_times,
+            row.median_ms,
+            row.median_cpu_ms,
+            row.p95_ms
+        ));
+        rows.push(row);
+    }
+    if json {
+        print(&format!("{}\n", serde_json::json!({ "rows": rows })))?;
+    }
+    Ok(Exit::Done)
+}

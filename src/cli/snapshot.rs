@@ -1,0 +1,186 @@
+//! `wad-cosim snapshot`: one picture out of a town.
+
+use super::{Exit, print, run};
+use anyhow::Context;
+use clap::{ValueEnum, ValueHint};
+use std::path::PathBuf;
+use wad_cosim::bridge::BridgeOptions;
+use wad_cosim::bundled;
+use wad_cosim::camera::{Camera, CameraConfig, Outputs, Picture, Preset, Town, Weather};
+use wad_cosim::drive::{Drive, DriveOptions};
+use wad_cosim::geometry::Pose;
+use wad_cosim::sight;
+use wad_cosim::traffic::TrafficSpec;
+
+const EXAMPLES: &str = "\
+Examples:
+  wad-cosim snapshot town5 --out front.png
+  wad-cosim snapshot town5 --weather HardRainNoon --time 60 --seed 3 --out rain.png
+  wad-cosim snapshot town3 --overlay boxes --out boxes.png
+  wad-cosim snapshot town5 --view chase --size 1280x720 --out chase.png
+  wad-cosim snapshot town5 --sheet --out weathers.png";
+
+/// Drive into a town under the autopilot, and take a picture.
+#[derive(clap::Args, Debug)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// A .sumocfg, a .net.xml(.gz), a folder with one .sumocfg, or a bundled town (town3, town5).
+    #[arg(value_hint = ValueHint::FilePath)]
+    config: String,
+    /// One of CARLA's 14 weathers, e.g. ClearNoon, WetCloudySunset, MidRainyNoon.
+    #[arg(long, default_value = "ClearNoon")]
+    weather: Preset,
+    /// Simulation seconds to drive before the picture is taken.
+    #[arg(long, value_name = "SECONDS", default_value_t = 30.0)]
+    time: f64,
+    /// Further pictures: N in all, one every --every seconds, numbered.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    count: usize,
+    /// Simulation seconds between the pictures.
+    #[arg(long, value_name = "SECONDS", default_value_t = 5.0)]
+    every: f64,
+    /// PNG file to write.
+    #[arg(long, value_name = "FILE", default_value = "snapshot.png", value_hint = ValueHint::FilePath)]
+    out: PathBuf,
+    /// Background traffic: as-is, empty, regular, dense, or VEHICLES,PEDESTRIANS.
+    #[arg(long, default_value = "dense", value_name = "T")]
+    traffic: TrafficSpec,
+    /// Everything random derives from it.
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    seed: u64,
+    /// Drive from one edge (or lane) to another first.
+    #[arg(long, value_name = "FROM,TO", allow_hyphen_values = true)]
+    route: Option<String>,
+    /// WIDTHxHEIGHT in pixels [default: 512x512; 1280x720 for chase].
+    #[arg(long, value_name = "WxH", value_parser = size)]
+    size: Option<(usize, usize)>,
+    /// From where.
+    #[arg(long, value_enum, default_value_t = Place::Front)]
+    view: Place,
+    /// What to show in place of the plain picture.
+    #[arg(long, value_enum)]
+    overlay: Option<Overlay>,
+    /// All 14 weathers in one picture.
+    #[arg(long, conflicts_with_all = ["weather", "overlay"])]
+    sheet: bool,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Place {
+    /// Behind the windscreen, as the ego sees it.
+    Front,
+    /// Behind and above the ego.
+    Chase,
+    /// From above.
+    Bird,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Overlay {
+    /// Bright near, dark far.
+    Depth,
+    /// CARLA's colours of what things are.
+    Semantic,
+    /// A colour for each object.
+    Instance,
+    /// The picture with boxes of what is seen.
+    Boxes,
+}
+
+pub fn size(text: &str) -> Result<(usize, usize), String> {
+    let wrong = || format!("`{text}` is not WIDTHxHEIGHT, e.g. 512x512");
+    let (width, height) = text.split_once('x').ok_or_else(wrong)?;
+    Ok((width.trim().parse().map_err(|_| wrong())?, height.trim().parse().map_err(|_| wrong())?))
+}
+
+/// Runs the command.
+pub fn run(args: Args) -> anyhow::Result<Exit> {
+    let config = match args.view {
+        Place::Front => args.size.map_or(CameraConfig::default(), |(w, h)| CameraConfig::sized(w, h)),
+        Place::Chase => args.size.map_or(CameraConfig::chase(1280, 720), |(w, h)| CameraConfig::chase(w, h)),
+        Place::Bird => args.size.map_or(CameraConfig::bird(720, 720), |(w, h)| CameraConfig::bird(w, h)),
+    };
+    let camera = Camera::new(config).map_err(|e| Exit::Input.because(e))?;
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .context("cannot start the asynchronous runtime")?;
+    runtime.block_on(take(args, camera))
+}
+
+async fn take(args: Args, mut camera: Camera) -> anyhow::Result<Exit> {
+    let config = bundled::resolve(&args.config).map_err(|e| Exit::Input.because(e))?;
+    let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
+    let options = DriveOptions {
+        bridge: BridgeOptions {
+            seed: args.seed,
+            traffic: args.traffic,
+            ..BridgeOptions::new(config, scratch.path().join("sumo"))
+        },
+        route: args.route.clone(),
+        ego: Default::default(),
+        autopilot: Default::default(),
+        criteria: Default::default(),
+        out: scratch.path().join("run"),
+    };
+    let mut drive = Drive::start(options).await.map_err(run::with_exit)?;
+    let mut town = sight::town(drive.bridge(), args.seed);
+    let begin = drive.bridge().time();
+    for number in 0..args.count.max(1) {
+        let until = begin + args.time + number as f64 * args.every;
+        while drive.bridge().time() < until {
+            drive.tick().await.map_err(run::with_exit)?;
+            sight::follow(&mut town, drive.ego());
+        }
+        sight::follow(&mut town, drive.ego());
+        let pose = drive.ego().state().pose;
+        let picture = picture(&args, &mut camera, &town, &pose);
+        let out = if args.count > 1 {
+            let stem = args.out.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+            args.out.with_file_name(format!("{stem}-{number:03}.png"))
+        } else {
+            args.out.clone()
+        };
+        picture
+            .save(&out)
+            .map_err(|e| Exit::Input.because(e))
+            .with_context(|| format!("cannot write the picture {}", out.display()))?;
+        print(&format!("{} at {:.1} s\n", out.display(), drive.bridge().time()))?;
+    }
+    drive.finish("survived", false).await.map_err(run::with_exit)?;
+    Ok(Exit::Done)
+}
+
+fn picture(args: &Args, camera: &mut Camera, town: &Town, pose: &Pose) -> Picture {
+    let mut shoot = |preset: Preset, outputs: Outputs| {
+        camera.render(town.scene(), town.actors(), pose, &Weather::from(preset), outputs).clone()
+    };
+    if args.sheet {
+        return sheet(|preset| Picture::rgb(&shoot(preset, Outputs::RGB)));
+    }
+    let frame = shoot(args.weather, Outputs::ALL);
+    match args.overlay {
+        None => Picture::rgb(&frame),
+        Some(Overlay::Depth) => Picture::depth(&frame),
+        Some(Overlay::Semantic) => Picture::semantic(&frame),
+        Some(Overlay::Instance) => Picture::instances(&frame),
+        Some(Overlay::Boxes) => Picture::boxes(&frame),
+    }
+}
+
+/// Noon in the upper rows, sunset in the lower: four pictures to a row.
+fn sheet(mut shoot: impl FnMut(Preset) -> Picture) -> Picture {
+    const COLUMNS: usize = 4;
+    const GAP: usize = 6;
+    let mut pages: Option<Picture> = None;
+    for (half, presets) in Preset::ALL.chunks(7).enumerate() {
+        for (n, &preset) in presets.iter().enumerate() {
+            let mut picture = shoot(preset);
+            picture.label(preset.name(), 0, 0, (picture.width / 256).max(1));
+            let (w, h) = (picture.width + GAP, picture.height + GAP);
+            let page = pages.get_or_insert_with(|| Picture::new(COLUMNS * w - GAP, 4 * h - GAP));
+            page.paste(&picture, n % COLUMNS * w, (2 * half + n / COLUMNS) * h);
+        }
+    }
+    pages.unwrap_or_else(|| Picture::new(1, 1))
+}

@@ -1,0 +1,48 @@
+//! What a run looks like: its town, followed tick by tick, for any camera to look at.
+
+use crate::bridge::{Bridge, Ego};
+use crate::camera::Town;
+use crate::network::Shapes;
+use crate::world::{Actor, ActorKind, ActorType, VehicleSignals};
+use std::sync::Arc;
+
+/// The town of a bridge's network, with the buildings of its config's additional files.
+pub fn town(bridge: &Bridge, seed: u64) -> Town {
+    let network = bridge.network();
+    let mut shapes = Shapes::default();
+    for file in bridge.config().additional_files() {
+        match Shapes::load(&file, network) {
+            Ok(found) => {
+                shapes.polygons.extend(found.polygons);
+                shapes.points.extend(found.points);
+            }
+            Err(error) => tracing::warn!("no polygons from an additional file: {error}"),
+        }
+    }
+    Town::new(network, &shapes, seed)
+}
+
+/// Moves the town's road users to where `ego` sees them, and the ego itself for outside views.
+pub fn follow(town: &mut Town, ego: &Ego) {
+    let (params, state) = (ego.params(), ego.state());
+    let actor_type = ActorType {
+        id: ego.id.clone(),
+        kind: ActorKind::Car,
+        length: params.length,
+        width: params.width,
+        height: params.height,
+        min_gap: 0.0,
+    };
+    let braking = if state.acceleration < -0.5 { VehicleSignals::BRAKE_LIGHT } else { 0 };
+    let actor = Actor {
+        id: Arc::from(ego.id.as_str()),
+        key: u64::MAX,
+        actor_type: Arc::new(actor_type),
+        pose: state.pose,
+        speed: state.speed,
+        signals: VehicleSignals(braking),
+        lane: None,
+        lane_position: 0.0,
+    };
+    town.follow(ego.world(), Some(&actor));
+}
