@@ -36,7 +36,9 @@ impl Cores {
     pub fn confine(&self, pid: u32) -> bool {
         let Ok(pid) = libc::pid_t::try_from(pid) else { return false };
         // SAFETY: the call reads one cpu_set_t through a live pointer.
-        unsafe { libc::sched_setaffinity(pid, std::mem::size_of::<libc::cpu_set_t>(), &raw const self.0) == 0 }
+        unsafe {
+            libc::sched_setaffinity(pid, std::mem::size_of::<libc::cpu_set_t>(), &raw const self.0) == 0
+        }
     }
 }
 

@@ -38,6 +38,7 @@ pub mod destination;
 pub mod drive;
 pub mod geometry;
 pub mod network;
+pub mod record;
 pub mod seeds;
 pub mod sight;
 pub mod sumo_config;

@@ -274,7 +274,8 @@ impl Bridge {
             let Ego { id, world, previous, .. } = &mut **ego;
             std::mem::swap(world, previous);
             let actors = (&mut world.vehicles, &mut world.pedestrians);
-            let observed = self.catalog.observe(&mut self.client, &self.network, &replies, id, tick, actors).await;
+            let observed =
+                self.catalog.observe(&mut self.client, &self.network, &replies, id, tick, actors).await;
             if let Err(error) = observed {
                 return Err(self.explain(error).await);
             }

@@ -60,23 +60,14 @@ pub fn subscribe(batch: &mut Batch, id: &str, sight: f64) {
         id,
         vehicle::Vehicle,
         sight,
-        &[
-            vehicle::POSITION_3D.id(),
-            vehicle::ANGLE.id(),
-            vehicle::SIGNALS.id(),
-            vehicle::LANE_ID.id(),
-        ],
+        &[vehicle::POSITION_3D.id(), vehicle::ANGLE.id(), vehicle::SIGNALS.id(), vehicle::LANE_ID.id()],
     );
     batch.subscribe_context(
         vehicle::Vehicle,
         id,
         person::Person,
         sight,
-        &[
-            person::POSITION_3D.id(),
-            person::ANGLE.id(),
-            person::LANE_ID.id(),
-        ],
+        &[person::POSITION_3D.id(), person::ANGLE.id(), person::LANE_ID.id()],
     );
 }
 

@@ -97,7 +97,10 @@ impl CameraConfig {
     /// A size of zero, or too large for memory; a field of view that is no angle below 170 degrees.
     pub fn check(&self) -> Result<(), CameraError> {
         let (width, height) = (self.width, self.height);
-        if !(1..=MAX_SIDE).contains(&width) || !(1..=MAX_SIDE).contains(&height) || width * height > MAX_PIXELS {
+        if !(1..=MAX_SIDE).contains(&width)
+            || !(1..=MAX_SIDE).contains(&height)
+            || width * height > MAX_PIXELS
+        {
             return Err(CameraError::Size { width, height, max_side: MAX_SIDE, max_pixels: MAX_PIXELS });
         }
         if !(1.0..=170.0).contains(&self.fov_deg) {

@@ -11,13 +11,13 @@ use super::effects;
 use super::frame::{Frame, ObjectTruth, Outputs};
 use super::gather::{Gather, Geometry};
 use super::ground_marks::Marks;
-use super::model::{Library, Scene, SemanticTag, Texture};
+use super::model::{Scene, SemanticTag};
 use super::raster::{CamVertex, PAD, Visibility, draw_ground};
 use super::shade::{self, Ground, Row, Run, Wall};
 use super::shadow_map::ShadowMap;
 use super::simd::{multiversion, pack, tone};
 use super::sky::{Look, Sky};
-use super::surface::{FacadeNumbers, Kind, Lighting, Surface, facade_numbers};
+use super::surface::{FacadeNumbers, GroundNumbers, Kind, Lighting, Surface, facade_numbers, ground_numbers};
 use super::view::{NEAR, View};
 use super::{Renderer, Shot};
 
@@ -34,6 +34,7 @@ pub struct CpuRenderer {
     look: Look,
     surfaces: Vec<Surface>,
     facades: Vec<FacadeNumbers>,
+    grounds: Vec<GroundNumbers>,
     row: Row,
     pixels: Vec<u32>,
     mirrors: Vec<u8>,
@@ -125,7 +126,14 @@ impl CpuRenderer {
                 if seen.moving || seen.instance.object.is_some() && seen.instance.signal.is_none() {
                     let library = &shot.scene.library;
                     let sunny = sunny && seen.moving;
-                    self.marks.shadow(seen.instance, library, shot.weather, shot.view, &self.visibility, sunny);
+                    self.marks.shadow(
+                        seen.instance,
+                        library,
+                        shot.weather,
+                        shot.view,
+                        &self.visibility,
+                        sunny,
+                    );
                 }
             }
         }
@@ -143,6 +151,8 @@ impl CpuRenderer {
         }
         self.facades.clear();
         self.facades.extend(library.materials.iter().map(facade_numbers));
+        self.grounds.clear();
+        self.grounds.extend(library.materials.iter().map(ground_numbers));
         self.seen.clear();
         self.seen.resize(geometry.items.len(), NOTHING);
         self.row.resize(width);
@@ -156,34 +166,33 @@ impl CpuRenderer {
         let mut row = std::mem::take(&mut self.row);
         let follow = outputs.boxes || outputs.instance;
         for y in 0..height {
-            let ids = &self.visibility.id[y * stride..][..width];
+            let ids = &self.visibility.id[y * stride..][..stride];
             let iz = &self.visibility.iz[y * stride..][..stride];
             let at = y * width;
             if outputs.rgb {
                 row.mirror.fill(0);
-                if let Some(sky) = &self.sky
-                    && iz[..width].contains(&0.0)
-                {
-                    sky.row(view, &self.look, y, &mut self.pixels[at..]);
-                }
             }
-            let (mut x, mut any) = (0, false);
+            // The first and the end of the pixels that show something.
+            let (mut x, mut any, mut last) = (0, width, 0);
             while x < width {
                 let id = ids[x];
                 let x0 = x;
-                x += 1;
-                while x < width && ids[x] == id {
-                    x += 1;
-                }
-                let Some(index) = (id as usize).checked_sub(1) else { continue };
-                any = true;
+                x = run_end(ids, x, id, width);
+                let Some(index) = (id as usize).checked_sub(1) else {
+                    if let (true, Some(sky)) = (outputs.rgb, &self.sky) {
+                        sky.row(view, &self.look, y, (x0, x), &mut self.pixels[at..]);
+                    }
+                    continue;
+                };
+                any = any.min(x0);
+                last = x;
                 if outputs.rgb {
                     if self.surfaces[index].kind == Kind::Unknown {
                         self.surfaces[index] = lighting.surface(geometry, &self.vertices, index);
                     }
                     let surface = &self.surfaces[index];
                     let run = Run { surface, x0, x1: x, y: y as f32 + 0.5, iz };
-                    self.shade(&run, &mut row, shot, library, y);
+                    self.shade(&run, &mut row, shot, y);
                 }
                 let tri = geometry.tris.get(index);
                 if outputs.semantic {
@@ -216,10 +225,10 @@ impl CpuRenderer {
                 }
             }
             if outputs.rgb {
-                if any {
-                    let pixels = &mut self.pixels[at..];
+                if any < last {
                     // The last lanes write into the next row, which is yet to come.
-                    shade::finish(&row, iz, &self.look.haze, weather.fog, width, pixels);
+                    let pixels = &mut self.pixels[at..];
+                    shade::finish(&row, iz, &self.look.haze, weather.fog, (any, last), pixels);
                 }
                 self.mirrors[at..at + width].copy_from_slice(&row.mirror[..width]);
             }
@@ -228,7 +237,7 @@ impl CpuRenderer {
     }
 
     /// The colours of a run.
-    fn shade(&self, run: &Run<'_>, row: &mut Row, shot: &Shot<'_>, library: &Library, y: usize) {
+    fn shade(&self, run: &Run<'_>, row: &mut Row, shot: &Shot<'_>, y: usize) {
         let (view, weather) = (shot.view, shot.weather);
         let material = run.surface.material as usize;
         match run.surface.kind {
@@ -241,11 +250,6 @@ impl CpuRenderer {
                 let ry = (view.centre[1] - run.y) / view.focal;
                 let left = (0.5 - view.centre[0]) / view.focal;
                 let base = |i: usize| view.ahead[i] + ry * view.up[i] + left * view.right[i];
-                let (slabs, wear, tracks) = match library.materials[material].texture {
-                    Texture::Paving { size } => (size, 0.2, false),
-                    Texture::Asphalt { wear, tracks } => ([1.0; 2], wear, tracks),
-                    _ => ([1.0; 2], 0.2, false),
-                };
                 let lies = run.surface.lies;
                 let plane = shot.scene.ground.map_or(0.0, |g| g.1);
                 let ground = Ground {
@@ -259,10 +263,8 @@ impl CpuRenderer {
                     paint: &self.marks.paint[start..end],
                     shade: &self.marks.shade[start..end],
                     shadow_reach: if lies && weather.shadows > 0.02 { 96.0 } else { 1e-3 },
-                    slabs,
-                    wear,
-                    tracks,
-                    wetness: if lies { library.materials[material].wetness } else { 0.0 },
+                    numbers: &self.grounds[material],
+                    lies,
                 };
                 shade::ground(run, &ground, row);
             }
@@ -315,7 +317,8 @@ impl CpuRenderer {
             let (w, h) = (view.width as f32, view.height as f32);
             let full_box =
                 [full[0].clamp(0.0, w), full[1].clamp(0.0, h), full[2].clamp(0.0, w), full[3].clamp(0.0, h)];
-            let middle = object.bounds.pose.position + nalgebra::Vector3::new(0.0, 0.0, 0.5 * object.bounds.size[2]);
+            let middle =
+                object.bounds.pose.position + nalgebra::Vector3::new(0.0, 0.0, 0.5 * object.bounds.size[2]);
             frame.objects.push(ObjectTruth {
                 class: object.class,
                 id: object.id,
@@ -328,6 +331,20 @@ impl CpuRenderer {
         }
         frame.objects.sort_by_key(|object| object.id);
     }
+}
+
+/// Where the run of `id` that begins at `x` ends; `ids` is padded.
+#[inline(always)]
+fn run_end(ids: &[u32], mut x: usize, id: u32, width: usize) -> usize {
+    while x < width {
+        let Some(block) = ids[x..].first_chunk::<8>() else { break };
+        if block.iter().fold(0, |differ, other| differ | (other ^ id)) != 0 {
+            x += block.iter().take_while(|other| **other == id).count();
+            break;
+        }
+        x += 8;
+    }
+    x.min(width)
 }
 
 /// Fills a buffer that is wanted, and empties one that is not.

@@ -41,29 +41,59 @@ multiversion! {
 }
 
 /// Smooths the outlines: the share of a pixel that the nearer surface covers follows from its edge.
-pub fn smooth_edges(pixels: &mut [u32], visibility: &Visibility, geometry: &Geometry<'_>, vertices: &[CamVertex]) {
+pub fn smooth_edges(
+    pixels: &mut [u32],
+    visibility: &Visibility,
+    geometry: &Geometry<'_>,
+    vertices: &[CamVertex],
+) {
     let (width, height, stride) = (visibility.width, visibility.height, visibility.stride);
     let outline = Outline { geometry, vertices };
+    let mut borders = Vec::with_capacity(width);
     for y in 0..height {
-        let ids = &visibility.id[y * stride..][..width];
-        let below = (y + 1 < height).then(|| &visibility.id[(y + 1) * stride..][..width]);
-        for x in 0..width {
-            let id = ids[x];
-            let at = y * width + x;
-            if x + 1 < width && ids[x + 1] != id {
-                let z = &visibility.iz[y * stride + x..];
-                if let Some(cut) = outline.cut((id, z[0]), (ids[x + 1], z[1]), 0, x as f32 + 0.5, y as f32 + 0.5) {
-                    blend(pixels, at, at + 1, cut - (x as f32 + 1.0));
-                }
-            }
-            if let Some(below) = below
-                && below[x] != id
+        let next = if y + 1 < height { y + 1 } else { y };
+        let row = |y: usize| (&visibility.id[y * stride..][..stride], &visibility.iz[y * stride..][..stride]);
+        let ((ids, iz), (below, iz_below)) = (row(y), row(next));
+        find_borders(ids, below, width, &mut borders);
+        for &x in &borders {
+            let x = x as usize;
+            let (id, at) = (ids[x], y * width + x);
+            let centre = (x as f32 + 0.5, y as f32 + 0.5);
+            if x + 1 < width
+                && ids[x + 1] != id
+                && let Some(cut) = outline.cut((id, iz[x]), (ids[x + 1], iz[x + 1]), 0, centre)
             {
-                let (z0, z1) = (visibility.iz[y * stride + x], visibility.iz[(y + 1) * stride + x]);
-                if let Some(cut) = outline.cut((id, z0), (below[x], z1), 1, x as f32 + 0.5, y as f32 + 0.5) {
-                    blend(pixels, at, at + width, cut - (y as f32 + 1.0));
+                blend(pixels, at, at + 1, cut - (x as f32 + 1.0));
+            }
+            if below[x] != id
+                && let Some(cut) = outline.cut((id, iz[x]), (below[x], iz_below[x]), 1, centre)
+            {
+                blend(pixels, at, at + width, cut - (y as f32 + 1.0));
+            }
+        }
+    }
+}
+
+multiversion! {
+    /// The pixels whose right or lower neighbour shows another triangle. Rows are padded.
+    fn find_borders(ids: &[u32], below: &[u32], width: usize, out: &mut Vec<u32>) {
+        out.clear();
+        let mut x = 0;
+        while x < width {
+            let (Some(own), Some(low)) = (ids[x..].first_chunk::<8>(), below[x..].first_chunk::<8>()) else { break };
+            let Some(right) = ids[x + 1..].first_chunk::<8>().or(ids[x..].first_chunk::<8>()) else { break };
+            let mut any = 0;
+            for i in 0..8 {
+                any |= (own[i] ^ low[i]) | (own[i] ^ right[i]);
+            }
+            if any != 0 {
+                for i in 0..8.min(width - x) {
+                    if own[i] != low[i] || own[i] != right[i] {
+                        out.push((x + i) as u32);
+                    }
                 }
             }
+            x += 8;
         }
     }
 }
@@ -87,7 +117,7 @@ impl Outline<'_> {
     /// Where the edge of the nearer of two neighbours crosses the line from one centre to the next,
     /// along `axis`; None where their border is no outline.
     #[inline]
-    fn cut(&self, a: (u32, f32), b: (u32, f32), axis: usize, x: f32, y: f32) -> Option<f32> {
+    fn cut(&self, a: (u32, f32), b: (u32, f32), axis: usize, (x, y): (f32, f32)) -> Option<f32> {
         let (near, far) = if a.1 >= b.1 { (a, b) } else { (b, a) };
         let tri = self.geometry.tris.get((near.0 as usize).checked_sub(1)?)?;
         let item = self.geometry.items.get(tri.item as usize)?;
@@ -128,7 +158,14 @@ impl Outline<'_> {
 }
 
 /// Lamps that shine spread a glow.
-pub fn glow(pixels: &mut [u32], seen: &[Seen<'_>], library: &Library, view: &View, visibility: &Visibility, gain: f32) {
+pub fn glow(
+    pixels: &mut [u32],
+    seen: &[Seen<'_>],
+    library: &Library,
+    view: &View,
+    visibility: &Visibility,
+    gain: f32,
+) {
     for thing in seen {
         let model = &library.models[thing.instance.model.0 as usize];
         for (centre, channel) in &model.glows {
@@ -151,7 +188,9 @@ pub fn glow(pixels: &mut [u32], seen: &[Seen<'_>], library: &Library, view: &Vie
             }
             let (colour, size) = match channel {
                 Channel::Brake | Channel::Tail | Channel::SignalRed => ([255.0, 40.0, 20.0], 0.30),
-                Channel::BlinkLeft | Channel::BlinkRight | Channel::SignalYellow => ([255.0, 150.0, 20.0], 0.30),
+                Channel::BlinkLeft | Channel::BlinkRight | Channel::SignalYellow => {
+                    ([255.0, 150.0, 20.0], 0.30)
+                }
                 Channel::SignalGreen => ([40.0, 255.0, 130.0], 0.30),
                 Channel::Head => ([255.0, 244.0, 220.0], 0.55),
                 _ => ([255.0, 214.0, 150.0], 0.7),
@@ -271,9 +310,16 @@ multiversion! {
     /// Packed pixels into bytes.
     pub fn unpack(pixels: &[u32], out: &mut Vec<u8>) {
         out.resize(pixels.len() * 3, 0);
-        for (bytes, pixel) in out.chunks_exact_mut(3).zip(pixels) {
-            let [r, g, b, _] = pixel.to_le_bytes();
-            bytes.copy_from_slice(&[r, g, b]);
+        let (fours, rest) = pixels.as_chunks::<4>();
+        let (twelves, tail) = out.as_chunks_mut::<12>();
+        for (bytes, &[a, b, c, d]) in twelves.iter_mut().zip(fours) {
+            let words = [a | b << 24, b >> 8 | c << 16, c >> 16 | d << 8];
+            for (bytes, word) in bytes.as_chunks_mut::<4>().0.iter_mut().zip(words) {
+                *bytes = word.to_le_bytes();
+            }
+        }
+        for (bytes, pixel) in tail.chunks_exact_mut(3).zip(rest) {
+            bytes.copy_from_slice(&pixel.to_le_bytes()[..3]);
         }
     }
 }

@@ -78,7 +78,7 @@ impl<'a> Gather<'a, '_> {
         let mut actors = actors.into_iter().peekable();
         let chunks = std::mem::take(&mut out.chunks);
         // After these distances (m) the picture so far tells what is hidden.
-        let mut looks = [14.0, 40.0, 75.0, 130.0].into_iter().peekable();
+        let mut looks = [16.0, 45.0, 110.0].into_iter().peekable();
         for &(number, distance) in &chunks {
             while let Some((_, actor)) = actors.next_if(|actor| actor.0 < distance) {
                 self.instance(actor, true, &mut out);
@@ -292,7 +292,8 @@ impl Place {
 fn bone_places(model: &Model, root: &Place, phase: f32) -> Vec<Place> {
     let mut places: Vec<Place> = Vec::with_capacity(model.bones.len());
     for (index, bone) in model.bones.iter().enumerate() {
-        let parent = bone.parent.filter(|&p| usize::from(p) < index).map_or(*root, |p| places[usize::from(p)]);
+        let parent =
+            bone.parent.filter(|&p| usize::from(p) < index).map_or(*root, |p| places[usize::from(p)]);
         let angle = if bone.spins { phase } else { bone.amplitude * (phase + bone.offset).sin() };
         if angle == 0.0 {
             places.push(parent);

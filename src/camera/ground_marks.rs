@@ -105,7 +105,8 @@ impl Marks {
             }
         };
         if sunny && weather.shadows > 0.05 {
-            let throw = [-weather.sun[0] / weather.sun[2].max(0.1), -weather.sun[1] / weather.sun[2].max(0.1)];
+            let throw =
+                [-weather.sun[0] / weather.sun[2].max(0.1), -weather.sun[1] / weather.sun[2].max(0.1)];
             for b in boxes {
                 let mut points: Vec<[f32; 2]> = (0..8)
                     .map(|corner| {
@@ -135,9 +136,8 @@ impl Marks {
 /// Convex hull, counter-clockwise.
 fn hull(points: &mut [[f32; 2]]) -> Vec<[f32; 2]> {
     points.sort_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));
-    let turn = |a: [f32; 2], b: [f32; 2], c: [f32; 2]| {
-        (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-    };
+    let turn =
+        |a: [f32; 2], b: [f32; 2], c: [f32; 2]| (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
     let mut out: Vec<[f32; 2]> = Vec::with_capacity(10);
     for pass in 0..2 {
         let start = out.len();
@@ -210,7 +210,8 @@ fn extent(points: &[[f32; 2]], margin: f32, view: &View) -> Option<((f32, f32), 
     let least = |i: usize| points.iter().fold(f32::MAX, |m, p| m.min(p[i])) - margin;
     let most = |i: usize| points.iter().fold(f32::MIN, |m, p| m.max(p[i])) + margin;
     let (columns, rows) = ((least(0), most(0)), (least(1), most(1)));
-    let inside = columns.1 > 0.0 && columns.0 < view.width as f32 && rows.1 > 0.0 && rows.0 < view.height as f32;
+    let inside =
+        columns.1 > 0.0 && columns.0 < view.width as f32 && rows.1 > 0.0 && rows.0 < view.height as f32;
     inside.then_some((rows, columns))
 }
 
@@ -227,7 +228,8 @@ fn paint_shape(paint: &Paint, origin: [f32; 3], view: &View) -> Option<Shape> {
         return None;
     }
     // Quick look: wholly beside the picture.
-    let beside = |side: f32| corners.iter().all(|c| c[0] * side > c[2].max(0.0) * view.centre[0] / view.focal + 0.5);
+    let beside =
+        |side: f32| corners.iter().all(|c| c[0] * side > c[2].max(0.0) * view.centre[0] / view.focal + 0.5);
     if beside(1.0) || beside(-1.0) {
         return None;
     }

@@ -23,10 +23,10 @@ pub mod model;
 mod noise;
 mod picture;
 mod raster;
+pub mod scene;
 mod shade;
 mod shadow_map;
 mod simd;
-pub mod scene;
 mod sky;
 mod surface;
 mod town;
@@ -123,7 +123,8 @@ impl Camera {
     ) -> &Frame {
         let view = View::new(&self.config, pose);
         let shows_ego = self.config.shows_ego();
-        self.renderer.render(&Shot { scene, actors, view: &view, weather, outputs, shows_ego }, &mut self.frame);
+        self.renderer
+            .render(&Shot { scene, actors, view: &view, weather, outputs, shows_ego }, &mut self.frame);
         &self.frame
     }
 

@@ -181,9 +181,11 @@ impl Picture {
             }
         }
         for (n, letter) in text.chars().enumerate() {
-            let Some(index) = letter.to_ascii_uppercase().is_ascii_uppercase().then(|| {
-                (letter.to_ascii_uppercase() as u8 - b'A') as usize
-            }) else {
+            let Some(index) = letter
+                .to_ascii_uppercase()
+                .is_ascii_uppercase()
+                .then(|| (letter.to_ascii_uppercase() as u8 - b'A') as usize)
+            else {
                 continue;
             };
             for bit in 0..15 {
@@ -257,8 +259,9 @@ mod tests {
         let mut picture = Picture::new(5, 3);
         picture.set(4, 2, [9, 8, 7]);
         picture.save(&path).unwrap();
-        let mut reader =
-            png::Decoder::new(std::io::BufReader::new(std::fs::File::open(path).unwrap())).read_info().unwrap();
+        let mut reader = png::Decoder::new(std::io::BufReader::new(std::fs::File::open(path).unwrap()))
+            .read_info()
+            .unwrap();
         let mut bytes = vec![0; 45];
         reader.next_frame(&mut bytes).unwrap();
         assert_eq!(bytes, picture.rgb);

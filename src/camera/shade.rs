@@ -4,7 +4,7 @@ use super::lanes::{Lane, lanes};
 use super::noise::{Tile, Tiles, tiles};
 use super::raster::PAD;
 use super::shadow_map::{Texels, sample};
-use super::surface::{FacadeNumbers, Kind, Surface};
+use super::surface::{FacadeNumbers, GroundNumbers, Kind, Surface};
 use super::weather::Weather;
 
 /// One row of the picture while it is shaded: scene light, and how much it mirrors. Padded: a run's last
@@ -44,11 +44,9 @@ pub struct Ground<'a> {
     pub shade: &'a [u16],
     /// How far away (m) the map of shadows ends.
     pub shadow_reach: f32,
-    /// Material: joints of slabs (m), wear, wetness.
-    pub slabs: [f32; 2],
-    pub wear: f32,
-    pub tracks: bool,
-    pub wetness: f32,
+    pub numbers: &'a GroundNumbers,
+    /// Horizontal and low: shadows and puddles lie on it.
+    pub lies: bool,
 }
 
 /// A run of pixels of one surface.
@@ -134,7 +132,7 @@ lanes! {
 
 #[inline(always)]
 fn ground_run<L: Lane, const KIND: u8>(run: &Run<'_>, g: &Ground<'_>, row: &mut Row) {
-    let s = run.surface;
+    let (s, n) = (run.surface, g.numbers);
     let tiles = tiles();
     let (x0, x1) = (run.x0, run.x1);
     let middle = 1.0 / run.iz[(x0 + x1) / 2].max(1e-6);
@@ -144,9 +142,9 @@ fn ground_run<L: Lane, const KIND: u8>(run: &Run<'_>, g: &Ground<'_>, row: &mut 
     let (fine, mid, large) = (fade(footprint, 0.05), fade(footprint, 0.5), fade(footprint, 8.0));
     let grazing = (g.height / middle).min(1.0);
     let fresnel = 0.03 + 0.75 * (1.0 - grazing).powi(4);
-    let wet = g.weather.wetness * g.wetness;
+    let wet = if g.lies { g.weather.wetness * n.wetness } else { 0.0 };
     let puddle_from = 1.02 - 0.52 * g.weather.wetness;
-    let joint = [g.slabs[0].max(0.05), g.slabs[1].max(0.05)];
+    let joint = n.slabs;
     let joint_fade = fade(footprint.min(across * 4.0), 0.25);
     let (s_at, t_at) = (Linear::of(&s.planes[0], run.y), Linear::of(&s.planes[1], run.y));
     let world = [0, 1].map(|i| Linear { base: g.base[i], step: g.step[i], rest: g.eye[i] });
@@ -168,9 +166,9 @@ fn ground_run<L: Lane, const KIND: u8>(run: &Run<'_>, g: &Ground<'_>, row: &mut 
         if KIND == 0 {
             let mut m = one + n_fine * v(0.55) + n_mid * v(0.22) + n_large * v(0.34);
             if with_mid {
-                m = m - tiles.cracks.sample(wx * v(5.0), wy * v(5.0)) * v(mid * g.wear * 0.35);
+                m = m - tiles.cracks.sample(wx * v(5.0), wy * v(5.0)) * v(mid * n.wear * 0.35);
             }
-            if g.tracks {
+            if n.tracks {
                 let t = t_at.at(at, z);
                 let d = (t.abs() - v(0.82)) * v(3.2);
                 let d = d * d;
@@ -201,7 +199,7 @@ fn ground_run<L: Lane, const KIND: u8>(run: &Run<'_>, g: &Ground<'_>, row: &mut 
         if KIND <= 1 && any_paint(words) {
             let (cover, colour) = L::load_bytes(words);
             // Worn paint lets the asphalt through.
-            let worn = one - v(0.30 * g.wear) * ((n_mid + half * n_fine + v(0.1)) * v(4.0)).unit();
+            let worn = one - v(0.30 * n.wear) * ((n_mid + half * n_fine + v(0.1)) * v(4.0)).unit();
             let cover = cover * v(1.0 / 255.0) * worn;
             let grain = one + n_fine * v(0.15);
             for i in 0..3 {
@@ -427,13 +425,13 @@ fn tone<L: Lane>(x: L) -> L {
 }
 
 lanes! {
-    /// Haze and the display's curve over a row of `width` pixels; where nothing is, `out` keeps its sky.
+    /// Haze and the display's curve over some pixels of a row; where nothing is, `out` keeps its sky.
     /// All are padded.
-    pub fn finish<L>(row: &Row, iz: &[f32], haze: &[Vec<f32>; 3], fog: f32, width: usize, out: &mut [u32]) {
+    pub fn finish<L>(row: &Row, iz: &[f32], haze: &[Vec<f32>; 3], fog: f32, span: (usize, usize), out: &mut [u32]) {
         let v = L::splat;
         let one = v(1.0);
-        let mut x = 0;
-        while x < width {
+        let mut x = span.0;
+        while x < span.1 {
             let iz = L::load(&iz[x..]);
             let t = v(fog) / iz.max(v(1e-9));
             let clear = one / (one + t * (one + t * (v(0.5) + t * v(0.166_667))));

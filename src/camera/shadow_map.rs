@@ -121,7 +121,8 @@ impl ShadowMap {
         }
         for instance in &chunk.instances {
             let model = &library.models[instance.model.0 as usize];
-            let Some(level) = model.levels.get(1).or(model.levels.first()).filter(|_| model.casts_shadow) else {
+            let Some(level) = model.levels.get(1).or(model.levels.first()).filter(|_| model.casts_shadow)
+            else {
                 continue;
             };
             let (sin, cos) = (instance.pose.heading.sin() as f32, instance.pose.heading.cos() as f32);
@@ -188,7 +189,8 @@ impl ShadowMap {
         let (left, low) = (slot % CELLS as usize * CELL, slot / CELLS as usize * CELL);
         let mut line: Vec<u32> = (0..=CELL).map(|x| soft(x, 0)).collect();
         for y in 0..CELL {
-            let next: Vec<u32> = (0..=CELL).map(|x| if y + 1 < W - 3 { soft(x, y + 1) } else { line[x] }).collect();
+            let next: Vec<u32> =
+                (0..=CELL).map(|x| if y + 1 < W - 3 { soft(x, y + 1) } else { line[x] }).collect();
             for x in 0..CELL {
                 self.texels[(low + y) * SIDE + left + x] =
                     line[x] | line[x + 1] << 8 | next[x] << 16 | next[x + 1] << 24;

@@ -76,14 +76,14 @@ impl Sky {
         }
     }
 
-    /// The sky's pixels of row `y`; `out` is padded.
-    pub fn row(&self, view: &View, look: &Look, y: usize, out: &mut [u32]) {
+    /// The sky's pixels `span` of row `y`; `out` is padded.
+    pub fn row(&self, view: &View, look: &Look, y: usize, span: (usize, usize), out: &mut [u32]) {
         if look.level {
             let ry = (view.centre[1] - y as f32 - 0.5) / view.focal;
-            level_row(&self.pixels, &look.column, &look.squeeze, ry, view.width, out);
+            level_row(&self.pixels, &look.column, &look.squeeze, ry, span, out);
             return;
         }
-        for (x, pixel) in out.iter_mut().take(view.width).enumerate() {
+        for (x, pixel) in out.iter_mut().enumerate().take(span.1).skip(span.0) {
             let r = view.ray(x as f32 + 0.5, y as f32 + 0.5);
             let across = (r[0] * r[0] + r[1] * r[1]).sqrt().max(1e-6);
             let column = ((r[1].atan2(r[0]).rem_euclid(TAU) / TAU * COLUMNS as f32) as usize) & (COLUMNS - 1);
@@ -110,12 +110,12 @@ fn row_of(height: f32) -> usize {
 
 lanes! {
     /// A row of a level view; all are padded.
-    fn level_row<L>(pixels: &[u32], column: &[f32], squeeze: &[f32], ry: f32, width: usize, out: &mut [u32]) {
+    fn level_row<L>(pixels: &[u32], column: &[f32], squeeze: &[f32], ry: f32, span: (usize, usize), out: &mut [u32]) {
         let scale = (ROWS - 1) as f32 / (HIGHEST - LOWEST);
         let (first, last) = (L::splat(0.5 - LOWEST * scale), L::splat((ROWS - 1) as f32 + 0.25));
         let zero = L::splat(0.0);
-        let mut x = 0;
-        while x < width {
+        let mut x = span.0;
+        while x < span.1 {
             let at = L::splat(ry * scale) * L::load(&squeeze[x..]) + first;
             let row = at.max(zero).min(last).floor().max(zero);
             let index = row * L::splat(COLUMNS as f32) + L::load(&column[x..]);
@@ -206,11 +206,12 @@ mod tests {
         let mut differing = 0;
         for y in 0..30 {
             look.level = true;
-            sky.row(&view, &look, y, &mut fast);
+            sky.row(&view, &look, y, (0, 64), &mut fast);
             look.level = false;
-            sky.row(&view, &look, y, &mut slow);
+            sky.row(&view, &look, y, (0, 64), &mut slow);
             for (a, b) in fast[..64].iter().zip(&slow) {
-                let gap = (0..3).map(|i| (a >> (8 * i) & 255).abs_diff(b >> (8 * i) & 255)).max().unwrap_or(0);
+                let gap =
+                    (0..3).map(|i| (a >> (8 * i) & 255).abs_diff(b >> (8 * i) & 255)).max().unwrap_or(0);
                 differing += usize::from(gap > 6);
             }
         }

@@ -126,8 +126,10 @@ impl Lighting<'_> {
             let facing = dot(n, w.sun).max(0.0) * item.sun;
             let ambient = self.ambient(n);
             // The lower parts of things see less sky.
-            let low = if item.instance.is_some() { (0.55 + vertex.position[2] * 0.6).clamp(0.4, 1.0) } else { 1.0 };
-            let mut c: Rgb = std::array::from_fn(|i| albedo[i] * (ambient[i] * low + w.sun_light[i] * facing));
+            let low =
+                if item.instance.is_some() { (0.55 + vertex.position[2] * 0.6).clamp(0.4, 1.0) } else { 1.0 };
+            let mut c: Rgb =
+                std::array::from_fn(|i| albedo[i] * (ambient[i] * low + w.sun_light[i] * facing));
             if material.gloss > 0.0 {
                 let v = &self.view;
                 let scale = -1.0 / dot(p, p).sqrt().max(1e-3);
@@ -250,4 +252,24 @@ pub fn facade_numbers(material: &Material) -> FacadeNumbers {
         lit_share: f.lit_share,
         seed: f.seed,
     }
+}
+
+/// A ground material's numbers as the shading reads them.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct GroundNumbers {
+    /// Joints of slabs (m).
+    pub slabs: [f32; 2],
+    pub wear: f32,
+    pub tracks: bool,
+    pub wetness: f32,
+}
+
+/// The numbers of a material's texture.
+pub fn ground_numbers(material: &Material) -> GroundNumbers {
+    let (slabs, wear, tracks) = match material.texture {
+        Texture::Paving { size } => (size.map(|s| s.max(0.05)), 0.2, false),
+        Texture::Asphalt { wear, tracks } => ([1.0; 2], wear, tracks),
+        _ => ([1.0; 2], 0.2, false),
+    };
+    GroundNumbers { slabs, wear, tracks, wetness: material.wetness }
 }

@@ -19,7 +19,13 @@ impl Town {
     /// The town of a network and its polygons; equal `seed`, equal town.
     pub fn new(network: &Network, shapes: &Shapes, seed: u64) -> Self {
         let (scene, cast) = scene::build(network, shapes, seed);
-        Self { scene, cast, animation: Animation::default(), frame: ActorFrame::default(), ego: Default::default() }
+        Self {
+            scene,
+            cast,
+            animation: Animation::default(),
+            frame: ActorFrame::default(),
+            ego: Default::default(),
+        }
     }
 
     /// Moves the road users to where a tick has them. `ego` is how the ego looks from outside.

@@ -133,7 +133,12 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
     report(&ways, args.json)
 }
 
-fn way((width, height): (usize, usize), preset: Preset, outputs: &'static str, times: usize) -> anyhow::Result<Way> {
+fn way(
+    (width, height): (usize, usize),
+    preset: Preset,
+    outputs: &'static str,
+    times: usize,
+) -> anyhow::Result<Way> {
     let camera = Camera::new(CameraConfig::sized(width, height)).map_err(|e| Exit::Input.because(e))?;
     Ok(Way { camera, weather: Weather::from(preset), outputs, times, wall: Vec::new(), cpu: Vec::new() })
 }

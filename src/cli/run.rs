@@ -9,8 +9,11 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 use wad_cosim::bridge::{BridgeError, BridgeOptions};
 use wad_cosim::bundled;
+use wad_cosim::camera::{Preset, Town, Weather};
 use wad_cosim::criteria::Event;
 use wad_cosim::drive::{Drive, DriveError, DriveOptions, Status, Summary};
+use wad_cosim::record::{RecordView, Recorder};
+use wad_cosim::sight;
 use wad_cosim::telemetry::FolderError;
 use wad_cosim::traffic::TrafficSpec;
 
@@ -59,6 +62,15 @@ pub struct Args {
     /// Show it in sumo-gui, the ego followed.
     #[arg(long)]
     gui: bool,
+    /// The weather of the recording, by CARLA's name.
+    #[arg(long, default_value = "ClearNoon", value_name = "NAME")]
+    weather: Preset,
+    /// Film the run: a .mp4 file, or a folder with a trailing / for numbered PNG pictures.
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::AnyPath)]
+    record: Option<PathBuf>,
+    /// What the film shows: front, chase, bird, or all.
+    #[arg(long, value_name = "VIEW", default_value = "chase", requires = "record")]
+    record_view: RecordView,
     /// Run no faster than real time.
     #[arg(long)]
     realtime: bool,
@@ -112,6 +124,7 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
     };
     let mut drive = started.map_err(with_exit)?;
     let limit = tick_limit(&args, &drive)?;
+    let mut film = args.record.as_ref().map(|path| Film::begin(path, &args, &drive, seed)).transpose()?;
     let mut line = StatusLine::new(args.quiet_status(), limit);
     let (began, tick) = (Instant::now(), drive.bridge().tick());
     let mut interrupted = false;
@@ -133,6 +146,9 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
                 return Err(with_exit(error));
             }
         }
+        if let Some(film) = &mut film {
+            film.add(&drive)?;
+        }
         ticks += 1;
         if args.realtime {
             let due = began + Duration::from_secs_f64(ticks as f64 * tick);
@@ -143,6 +159,9 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
         }
     }
     line.clear();
+    if let Some(film) = film {
+        film.recorder.finish()?;
+    }
     let summary = drive.finish("survived", interrupted).await.map_err(with_exit)?;
     report(&summary, args.json)?;
     Ok(if interrupted { Exit::Interrupted } else { Exit::Done })
@@ -194,6 +213,28 @@ pub fn with_exit(error: DriveError) -> anyhow::Error {
         DriveError::Folder(FolderError::Write(_)) => Exit::Other,
     };
     exit.because(error)
+}
+
+/// A recording of the run.
+struct Film {
+    recorder: Recorder,
+    town: Town,
+    weather: Weather,
+}
+
+impl Film {
+    fn begin(path: &std::path::Path, args: &Args, drive: &Drive, seed: u64) -> anyhow::Result<Self> {
+        let fps = 1.0 / drive.bridge().tick();
+        let recorder = Recorder::create(path, args.record_view, fps).map_err(|e| Exit::Input.because(e))?;
+        let town = sight::town(drive.bridge(), seed);
+        Ok(Self { recorder, town, weather: Weather::from(args.weather) })
+    }
+
+    fn add(&mut self, drive: &Drive) -> anyhow::Result<()> {
+        sight::follow(&mut self.town, drive.ego());
+        let pose = drive.ego().state().pose;
+        Ok(self.recorder.add(&self.town, &pose, &self.weather)?)
+    }
 }
 
 /// Ctrl-C and SIGTERM.

@@ -116,9 +116,16 @@ fn drives_through_exact_traffic_and_says_so() {
     assert_eq!((s["ticks"].as_u64(), s["end"].as_str()), (Some(200), Some("survived")));
     assert_eq!((s["vehicles_mean"].as_f64(), s["pedestrians_mean"].as_f64()), (Some(70.0), Some(150.0)));
     assert!(s["distance_m"].as_f64() > Some(30.0), "{s}");
-    for key in ["sim_seconds", "wall_seconds", "ticks_per_second", "mean_speed_mps", "destinations_reached",
-        "red_lights_run", "outside_lane_ticks", "seed"]
-    {
+    for key in [
+        "sim_seconds",
+        "wall_seconds",
+        "ticks_per_second",
+        "mean_speed_mps",
+        "destinations_reached",
+        "red_lights_run",
+        "outside_lane_ticks",
+        "seed",
+    ] {
         assert!(s[key].is_number(), "{key} is missing in {s}");
     }
     for key in ["collisions", "collisions_caused"] {
@@ -337,7 +344,8 @@ fn joins_a_running_sumo() {
     let out = BufReader::new(sumo.stdout.take().expect("its output"));
     let _ready = out.lines().map_while(Result::ok).find(|line| line.contains("port"));
     let address = format!("127.0.0.1:{port}");
-    let (s, _) = run(dir.path(), "joined", &["town5", "--ticks", "50", "--attach", &address, "--traffic", "10,10"]);
+    let (s, _) =
+        run(dir.path(), "joined", &["town5", "--ticks", "50", "--attach", &address, "--traffic", "10,10"]);
     assert_eq!(s["ticks"], 50);
     assert_eq!(s["vehicles_mean"].as_f64(), Some(10.0));
     let _ = sumo.kill();
@@ -355,7 +363,11 @@ fn runs_untouched_on_the_nets_that_ship_with_sumo() {
         let (s, _) = run(dir.path(), name, &[&config, "--ticks", "150"]);
         assert_eq!(s["ticks"], 150, "{name}");
         assert!(s["distance_m"].as_f64() > Some(5.0), "{name}: {s}");
-        assert_eq!(before, folder_listing(&install.home().join("tools/game")), "{name} wrote beside its config");
+        assert_eq!(
+            before,
+            folder_listing(&install.home().join("tools/game")),
+            "{name} wrote beside its config"
+        );
     }
 }
 
@@ -382,7 +394,12 @@ fn edge_ids_may_begin_with_a_minus() {
     .expect("written");
     let built = install
         .command("netconvert")
-        .arg("-n").arg(&nodes).arg("-e").arg(&edges).arg("-o").arg(&net)
+        .arg("-n")
+        .arg(&nodes)
+        .arg("-e")
+        .arg(&edges)
+        .arg("-o")
+        .arg(&net)
         .output()
         .expect("netconvert runs");
     assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));

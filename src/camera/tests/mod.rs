@@ -73,7 +73,8 @@ fn road() -> Scene {
 }
 
 fn car(scene: &mut Scene) -> ModelId {
-    let material = Material { albedo: [0.6, 0.1, 0.1], tag: SemanticTag::Car, gloss: 0.4, ..Default::default() };
+    let material =
+        Material { albedo: [0.6, 0.1, 0.1], tag: SemanticTag::Car, gloss: 0.4, ..Default::default() };
     block(&mut scene.library, material, [4.5, 1.8, 1.5])
 }
 
@@ -171,7 +172,13 @@ fn equal_shots_give_equal_bits_whatever_was_rendered_before() {
         let mut first = camera(200);
         first.render(&scene, &actors, &EGO(), &weather, Outputs::ALL);
         let mut second = camera(200);
-        second.render(&scene, &ActorFrame::default(), &EGO().advanced(40.0), &Weather::default(), Outputs::RGB);
+        second.render(
+            &scene,
+            &ActorFrame::default(),
+            &EGO().advanced(40.0),
+            &Weather::default(),
+            Outputs::RGB,
+        );
         second.render(&scene, &actors, &EGO(), &weather, Outputs::ALL);
         assert_eq!(first.frame().rgb, second.frame().rgb, "{preset}");
         assert_eq!(first.frame().depth, second.frame().depth);

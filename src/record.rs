@@ -1,0 +1,259 @@
+//! A run as a film: chase, front or bird view, or all of them in one picture.
+
+use crate::camera::{Camera, CameraConfig, CameraError, Outputs, Picture, Town, Weather};
+use crate::geometry::Pose;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+/// What a film shows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum RecordView {
+    /// What the ego's camera sees.
+    Front,
+    /// From behind and above the ego.
+    #[default]
+    Chase,
+    /// From above.
+    Bird,
+    /// Chase view with front and bird view inset.
+    All,
+}
+
+impl FromStr for RecordView {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "front" => Ok(Self::Front),
+            "chase" => Ok(Self::Chase),
+            "bird" => Ok(Self::Bird),
+            "all" => Ok(Self::All),
+            _ => Err(format!("`{text}` is no view: expected front, chase, bird or all")),
+        }
+    }
+}
+
+/// Why a film cannot be made.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordError {
+    #[error(transparent)]
+    Camera(#[from] CameraError),
+    #[error("cannot write {path}: {source}")]
+    Write { path: PathBuf, source: std::io::Error },
+    #[error(
+        "{path} is no place for a film: expected a .mp4 file, a folder that ends with `/` or a .png name for \
+         numbered pictures"
+    )]
+    Kind { path: PathBuf },
+    #[error(
+        "{path}: this OpenCV can encode neither H.264 (avc1) nor MPEG-4 (mp4v). Install its FFmpeg or \
+         GStreamer backend (Debian: libopencv-videoio-dev with libavcodec), or give a folder such as film/ for \
+         numbered pictures"
+    )]
+    Codec { path: PathBuf },
+    #[error(
+        "{path}: this build has no video encoder: build it with the feature `vision`, or give a folder such as \
+         film/ for numbered pictures"
+    )]
+    NoEncoder { path: PathBuf },
+    #[error("cannot encode {path}: {why}")]
+    Encode { path: PathBuf, why: String },
+}
+
+/// A film under way.
+pub struct Recorder {
+    view: RecordView,
+    front: Option<Camera>,
+    chase: Option<Camera>,
+    bird: Option<Camera>,
+    sink: Sink,
+}
+
+/// Size of the large views (pixels).
+const WIDE: (usize, usize) = (1280, 720);
+
+impl Recorder {
+    /// A film at `path`, `fps` pictures a second. A folder or a `.png` name gives numbered pictures.
+    ///
+    /// # Errors
+    /// The place cannot be written, or no codec is there.
+    pub fn create(path: &Path, view: RecordView, fps: f64) -> Result<Self, RecordError> {
+        use RecordView::{All, Bird, Chase, Front};
+        let camera = |wanted: &[RecordView], config: CameraConfig| {
+            wanted.contains(&view).then(|| Camera::new(config)).transpose()
+        };
+        let bird = if view == All { CameraConfig::bird(320, 320) } else { CameraConfig::bird(720, 720) };
+        let size = match view {
+            Front => (512, 512),
+            Bird => (720, 720),
+            Chase | All => WIDE,
+        };
+        Ok(Self {
+            view,
+            front: camera(&[Front, All], CameraConfig::default())?,
+            chase: camera(&[Chase, All], CameraConfig::chase(WIDE.0, WIDE.1))?,
+            bird: camera(&[Bird, All], bird)?,
+            sink: Sink::create(path, size, fps)?,
+        })
+    }
+
+    /// Adds a picture of the town as seen round an ego at `pose`.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn add(&mut self, town: &Town, pose: &Pose, weather: &Weather) -> Result<(), RecordError> {
+        let mut shoot = |camera: &mut Option<Camera>| {
+            camera.as_mut().map(|camera| {
+                Picture::rgb(camera.render(town.scene(), town.actors(), pose, weather, Outputs::RGB))
+            })
+        };
+        let (front, chase, bird) = (shoot(&mut self.front), shoot(&mut self.chase), shoot(&mut self.bird));
+        let picture = match (self.view, front, chase, bird) {
+            (RecordView::All, Some(front), Some(mut chase), Some(bird)) => {
+                chase.inset(&front.scaled(320, 320), WIDE.0 - 336, 16);
+                chase.inset(&bird.scaled(320, 320), WIDE.0 - 336, WIDE.1 - 336);
+                chase
+            }
+            (_, front, chase, bird) => match front.or(chase).or(bird) {
+                Some(picture) => picture,
+                None => return Ok(()),
+            },
+        };
+        self.sink.write(&picture)
+    }
+
+    /// Completes the film.
+    ///
+    /// # Errors
+    /// It cannot be completed.
+    pub fn finish(self) -> Result<(), RecordError> {
+        self.sink.finish()
+    }
+}
+
+/// Where pictures go.
+enum Sink {
+    /// `stem-000000.png`, ...
+    Pictures { folder: PathBuf, stem: String, next: u64 },
+    #[cfg(feature = "vision")]
+    Video(video::Video),
+}
+
+impl Sink {
+    fn create(path: &Path, size: (usize, usize), fps: f64) -> Result<Self, RecordError> {
+        let text = path.to_string_lossy();
+        let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+        if text.ends_with('/') || path.is_dir() {
+            std::fs::create_dir_all(path)
+                .map_err(|source| RecordError::Write { path: path.to_path_buf(), source })?;
+            return Ok(Self::Pictures { folder: path.to_path_buf(), stem: "frame".to_string(), next: 0 });
+        }
+        match extension.as_deref() {
+            Some("png") => Ok(Self::Pictures {
+                folder: path.parent().map(Path::to_path_buf).unwrap_or_default(),
+                stem: path.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
+                next: 0,
+            }),
+            #[cfg(feature = "vision")]
+            Some("mp4") => {
+                if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
+                    std::fs::create_dir_all(folder)
+                        .map_err(|source| RecordError::Write { path: folder.to_path_buf(), source })?;
+                }
+                // OpenCV says nothing of why a file cannot be written; the system does.
+                std::fs::File::create(path)
+                    .map_err(|source| RecordError::Write { path: path.to_path_buf(), source })?;
+                Ok(Self::Video(video::Video::create(path, size, fps)?))
+            }
+            #[cfg(not(feature = "vision"))]
+            Some("mp4") => {
+                let _ = (size, fps);
+                Err(RecordError::NoEncoder { path: path.to_path_buf() })
+            }
+            _ => Err(RecordError::Kind { path: path.to_path_buf() }),
+        }
+    }
+
+    fn write(&mut self, picture: &Picture) -> Result<(), RecordError> {
+        match self {
+            Self::Pictures { folder, stem, next } => {
+                let path = folder.join(format!("{stem}-{next:06}.png"));
+                *next += 1;
+                picture.save(&path).map_err(|source| RecordError::Write { path, source })
+            }
+            #[cfg(feature = "vision")]
+            Self::Video(video) => video.write(picture),
+        }
+    }
+
+    fn finish(self) -> Result<(), RecordError> {
+        match self {
+            Self::Pictures { .. } => Ok(()),
+            #[cfg(feature = "vision")]
+            Self::Video(video) => video.finish(),
+        }
+    }
+}
+
+#[cfg(feature = "vision")]
+mod video {
+    use super::{Picture, RecordError};
+    use opencv::core::{Mat, Size, Vec3b};
+    use opencv::prelude::{VideoWriterTrait, VideoWriterTraitConst};
+    use opencv::videoio::VideoWriter;
+    use std::path::{Path, PathBuf};
+
+    /// An .mp4 file under way.
+    pub struct Video {
+        writer: VideoWriter,
+        path: PathBuf,
+        line: Vec<Vec3b>,
+    }
+
+    impl Video {
+        /// H.264 where OpenCV has it, else MPEG-4.
+        pub fn create(path: &Path, (width, height): (usize, usize), fps: f64) -> Result<Self, RecordError> {
+            let failed = |e: opencv::Error| RecordError::Encode { path: path.to_path_buf(), why: e.message };
+            for codec in [['a', 'v', 'c', '1'], ['m', 'p', '4', 'v']] {
+                let [a, b, c, d] = codec;
+                let fourcc = VideoWriter::fourcc(a, b, c, d).map_err(failed)?;
+                let size = Size::new(width as i32, height as i32);
+                let writer =
+                    VideoWriter::new(&path.to_string_lossy(), fourcc, fps, size, true).map_err(failed)?;
+                if writer.is_opened().map_err(failed)? {
+                    return Ok(Self { writer, path: path.to_path_buf(), line: Vec::new() });
+                }
+                tracing::info!("OpenCV cannot encode {}", codec.iter().collect::<String>());
+            }
+            Err(RecordError::Codec { path: path.to_path_buf() })
+        }
+
+        pub fn write(&mut self, picture: &Picture) -> Result<(), RecordError> {
+            self.line.clear();
+            self.line.extend(picture.rgb.chunks_exact(3).map(|p| Vec3b::from([p[2], p[1], p[0]])));
+            let (rows, columns) = (picture.height as i32, picture.width as i32);
+            Mat::new_rows_cols_with_data(rows, columns, &self.line)
+                .and_then(|mat| self.writer.write(&mat))
+                .map_err(|e| RecordError::Encode { path: self.path.clone(), why: e.message })
+        }
+
+        pub fn finish(mut self) -> Result<(), RecordError> {
+            self.writer.release().map_err(|e| RecordError::Encode { path: self.path, why: e.message })
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_film_has_a_place_that_can_hold_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| Recorder::create(&folder.path().join(name), RecordView::Front, 6.0);
+        assert!(at("frames/").is_ok() && at("new/film.png").is_ok());
+        let error = at("film.avi").err().map(|e| e.to_string()).unwrap_or_default();
+        assert!(error.contains("film.avi") && error.contains(".mp4"), "{error}");
+        assert!("side".parse::<RecordView>().unwrap_err().contains("chase"));
+    }
+}
