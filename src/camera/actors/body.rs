@@ -318,13 +318,7 @@ impl BodyLines {
                     }
                     (false, 1 | 2) => m.black,
                     (false, 4) if fine && outer => blink,
-                    (false, 5 | 4) => {
-                        if middle {
-                            m.paint
-                        } else {
-                            m.brake
-                        }
-                    }
+                    (false, 5) if outer || !fine && !middle => m.brake,
                     _ => m.paint,
                 };
                 let q = [grid[r][c], grid[r][c + 1], grid[r + 1][c + 1], grid[r + 1][c]];

@@ -14,6 +14,28 @@ pub(super) const MOTORCYCLE_AXLE: f32 = 0.73;
 pub(super) const BICYCLE_WHEEL: f32 = 0.34;
 pub(super) const BICYCLE_AXLE: f32 = 0.53;
 
+const MOTORCYCLE_SEAT: Seat = Seat {
+    hip: [-0.28, 0.0, 0.86],
+    shoulder: [-0.02, 0.0, 1.30],
+    head: [0.06, 0.0, 1.47],
+    elbow: [0.12, 0.30, 1.08],
+    hand: [0.36, 0.31, 1.03],
+    knees: [[0.14, 0.22, 0.70]; 2],
+    feet: [[-0.10, 0.20, 0.32]; 2],
+    helmet: true,
+};
+
+const BICYCLE_SEAT: Seat = Seat {
+    hip: [-0.24, 0.0, 1.02],
+    shoulder: [0.02, 0.0, 1.44],
+    head: [0.10, 0.0, 1.63],
+    elbow: [0.14, 0.26, 1.20],
+    hand: [0.30, 0.26, 1.06],
+    knees: [[0.13, 0.12, 0.70], [0.05, 0.11, 0.60]],
+    feet: [[-0.06, 0.11, 0.40], [-0.10, 0.11, 0.16]],
+    helmet: false,
+};
+
 /// A ring about an axle along y.
 fn tyre(s: &mut Shaper, m: &VehiclePalette, c: V3, radius: f32, thick: f32, sides: usize) {
     let ring = |r: f32, y: f32| -> Vec<V3> {
@@ -25,6 +47,22 @@ fn tyre(s: &mut Shaper, m: &VehiclePalette, c: V3, radius: f32, thick: f32, side
             .collect()
     };
     let inner = radius - 2.2 * thick;
+    if sides < 8 {
+        for side in [-1.0, 1.0_f32] {
+            let mut disc = ring(radius, side * thick);
+            if side > 0.0 {
+                disc.reverse();
+            }
+            s.cap(&disc, m.tyre);
+        }
+        return;
+    }
+    if sides < 10 {
+        // Seen from the side mostly: the rim's inner face goes.
+        let rings = [ring(inner, -thick), ring(radius, 0.0), ring(inner, thick)];
+        s.loft(&rings, |_, _| Some(m.tyre));
+        return;
+    }
     let rings = [
         ring(inner, -thick),
         ring(radius, -0.6 * thick),
@@ -48,8 +86,8 @@ pub(super) fn motorcycle(s: &mut Shaper, v: &VehiclePalette, p: &PersonPalette, 
     let near = detail == Detail::Near;
     let sides = match detail {
         Detail::Near => 18,
-        Detail::Middle => 10,
-        Detail::Far => 6,
+        Detail::Middle => 8,
+        Detail::Far => 5,
     };
     for (i, x) in [MOTORCYCLE_AXLE, -MOTORCYCLE_AXLE].into_iter().enumerate() {
         let c = [x, 0.0, MOTORCYCLE_WHEEL];
@@ -60,10 +98,20 @@ pub(super) fn motorcycle(s: &mut Shaper, v: &VehiclePalette, p: &PersonPalette, 
         }
         s.bone = 0;
     }
+    if detail == Detail::Far {
+        s.cuboid([-0.95, -0.12, 0.45], [0.60, 0.12, 0.90], false, v.paint);
+        s.plate(
+            [[-0.97, 0.08, 0.65], [-0.97, -0.08, 0.65], [-0.97, -0.08, 0.82], [-0.97, 0.08, 0.82]],
+            v.brake,
+        );
+        rider(s, p, &MOTORCYCLE_SEAT, detail);
+        return;
+    }
     let round = if near { 10 } else { 5 };
+    let rows = |fine: usize| if near { fine } else { 3 };
     let front = [MOTORCYCLE_AXLE, 0.0, MOTORCYCLE_WHEEL];
     let head = [0.42, 0.0, 0.95];
-    if detail != Detail::Far {
+    {
         for y in [-0.09, 0.09] {
             s.tube(
                 &[(add(front, [0.0, y, 0.0]), 0.028), (add(head, [-0.02, y, 0.0]), 0.03)],
@@ -73,20 +121,22 @@ pub(super) fn motorcycle(s: &mut Shaper, v: &VehiclePalette, p: &PersonPalette, 
             );
         }
         // Mudguards, engine, exhaust.
-        s.ball(add(front, [0.0, 0.0, 0.14]), [0.28, 0.075, 0.20], (4, round), (0.1, 1.0), v.paint);
-        s.ball([0.05, 0.0, 0.42], [0.26, 0.17, 0.20], (5, round), (-1.0, 1.0), v.chrome);
-        s.tube(
-            &[([0.0, -0.17, 0.30], 0.045), ([-0.5, -0.19, 0.32], 0.05), ([-0.92, -0.2, 0.40], 0.058)],
-            round,
-            true,
-            v.chrome,
-        );
-        s.tube(
-            &[([-0.1, 0.0, 0.40], 0.05), ([-MOTORCYCLE_AXLE, 0.12, MOTORCYCLE_WHEEL], 0.035)],
-            5,
-            true,
-            v.black,
-        );
+        s.ball(add(front, [0.0, 0.0, 0.14]), [0.28, 0.075, 0.20], (rows(4), round), (0.1, 1.0), v.paint);
+        s.ball([0.05, 0.0, 0.42], [0.26, 0.17, 0.20], (rows(5), round), (-1.0, 1.0), v.chrome);
+        if near {
+            s.tube(
+                &[([0.0, -0.17, 0.30], 0.045), ([-0.5, -0.19, 0.32], 0.05), ([-0.92, -0.2, 0.40], 0.058)],
+                round,
+                true,
+                v.chrome,
+            );
+            s.tube(
+                &[([-0.1, 0.0, 0.40], 0.05), ([-MOTORCYCLE_AXLE, 0.12, MOTORCYCLE_WHEEL], 0.035)],
+                5,
+                true,
+                v.black,
+            );
+        }
         // Handlebar and mirrors.
         s.tube(
             &[([0.36, -0.34, 1.02], 0.016), ([0.40, 0.0, 0.99], 0.018), ([0.36, 0.34, 1.02], 0.016)],
@@ -94,7 +144,8 @@ pub(super) fn motorcycle(s: &mut Shaper, v: &VehiclePalette, p: &PersonPalette, 
             true,
             v.black,
         );
-        for y in [-0.33, 0.33_f32] {
+        for y in if near { &[-0.33, 0.33_f32][..] } else { &[] } {
+            let y = *y;
             s.tube(&[([0.38, 0.8 * y, 1.0], 0.01), ([0.42, y, 1.15], 0.01)], 4, false, v.black);
             s.ball([0.42, y, 1.17], [0.02, 0.06, 0.04], (3, 6), (-1.0, 1.0), v.black);
         }
@@ -106,7 +157,7 @@ pub(super) fn motorcycle(s: &mut Shaper, v: &VehiclePalette, p: &PersonPalette, 
         );
     }
     // Tank, seat, tail.
-    s.ball([0.16, 0.0, 0.78], [0.30, 0.16, 0.16], (6, round), (-1.0, 1.0), v.paint);
+    s.ball([0.16, 0.0, 0.78], [0.30, 0.16, 0.16], (rows(6), round), (-1.0, 1.0), v.paint);
     s.oval_tube(
         &[
             ([0.05, 0.0, 0.72], 0.12, 0.06),
@@ -136,7 +187,7 @@ pub(super) fn motorcycle(s: &mut Shaper, v: &VehiclePalette, p: &PersonPalette, 
     disc(s, [0.605, 0.0, 0.955], 0.08, 1.0, v.head);
     disc(s, [-1.0, 0.0, 0.77], 0.055, -1.0, v.brake);
     disc(s, [-0.99, 0.0, 0.70], 0.03, -1.0, v.tail);
-    if detail != Detail::Far {
+    if near {
         for (side, material) in [(1.0, v.blink_left), (-1.0, v.blink_right)] {
             s.ball([-0.93, side * 0.14, 0.74], [0.035, 0.04, 0.03], (3, 6), (-1.0, 1.0), material);
             s.ball([0.50, side * 0.19, 0.90], [0.035, 0.04, 0.03], (3, 6), (-1.0, 1.0), material);
@@ -146,17 +197,7 @@ pub(super) fn motorcycle(s: &mut Shaper, v: &VehiclePalette, p: &PersonPalette, 
             v.plate,
         );
     }
-    let seat = Seat {
-        hip: [-0.28, 0.0, 0.86],
-        shoulder: [-0.02, 0.0, 1.30],
-        head: [0.06, 0.0, 1.47],
-        elbow: [0.12, 0.30, 1.08],
-        hand: [0.36, 0.31, 1.03],
-        knees: [[0.14, 0.22, 0.70]; 2],
-        feet: [[-0.10, 0.20, 0.32]; 2],
-        helmet: true,
-    };
-    rider(s, p, &seat, detail);
+    rider(s, p, &MOTORCYCLE_SEAT, detail);
 }
 
 /// A bicycle; bones 1 and 2 are its wheels.
@@ -164,8 +205,8 @@ pub(super) fn bicycle(s: &mut Shaper, v: &VehiclePalette, p: &PersonPalette, det
     let near = detail == Detail::Near;
     let sides = match detail {
         Detail::Near => 20,
-        Detail::Middle => 10,
-        Detail::Far => 6,
+        Detail::Middle => 8,
+        Detail::Far => 5,
     };
     let axle = |x: f32| [x, 0.0, BICYCLE_WHEEL];
     let (front, rear) = (axle(BICYCLE_AXLE), axle(-BICYCLE_AXLE));
@@ -176,6 +217,11 @@ pub(super) fn bicycle(s: &mut Shaper, v: &VehiclePalette, p: &PersonPalette, det
             spokes(s, v, c, 0.31, 8, 0.004);
         }
         s.bone = 0;
+    }
+    if detail == Detail::Far {
+        s.cuboid([-0.35, -0.03, 0.35], [0.40, 0.03, 0.85], false, v.paint);
+        rider(s, p, &BICYCLE_SEAT, detail);
+        return;
     }
     let crank = [-0.08, 0.0, 0.29];
     let saddle = [-0.26, 0.0, 0.94];
@@ -204,15 +250,5 @@ pub(super) fn bicycle(s: &mut Shaper, v: &VehiclePalette, p: &PersonPalette, det
         s.ball([0.46, 0.0, 0.93], [0.03, 0.03, 0.03], (3, 6), (-1.0, 1.0), v.head);
         s.ball([-0.62, 0.0, 0.72], [0.02, 0.03, 0.03], (3, 6), (-1.0, 1.0), v.tail);
     }
-    let seat = Seat {
-        hip: [-0.24, 0.0, 1.02],
-        shoulder: [0.02, 0.0, 1.44],
-        head: [0.10, 0.0, 1.63],
-        elbow: [0.14, 0.26, 1.20],
-        hand: [0.30, 0.26, 1.06],
-        knees: [[0.13, 0.12, 0.70], [0.05, 0.11, 0.60]],
-        feet: [[-0.06, 0.11, 0.40], [-0.10, 0.11, 0.16]],
-        helmet: false,
-    };
-    rider(s, p, &seat, detail);
+    rider(s, p, &BICYCLE_SEAT, detail);
 }

@@ -74,20 +74,20 @@ impl VehiclePalette {
             chrome: m(plain("chrome", tag, srgb(176, 178, 180), 0.7)),
             head: m(lamp("head lamp", tag, srgb(214, 220, 226), [2.4, 2.3, 2.0], Channel::Head)),
             tail: m(lamp("tail lamp", tag, srgb(140, 16, 20), [0.9, 0.04, 0.03], Channel::Tail)),
-            brake: m(lamp("brake lamp", tag, srgb(150, 18, 22), [2.2, 0.10, 0.06], Channel::Brake)),
+            brake: m(lamp("brake lamp", tag, srgb(150, 18, 22), [1.35, 0.07, 0.05], Channel::Brake)),
             reverse: m(plain("reversing lamp", tag, srgb(190, 190, 190), 0.4)),
             blink_left: m(lamp(
                 "left indicator",
                 tag,
                 srgb(196, 108, 30),
-                [2.0, 0.9, 0.06],
+                [1.5, 0.62, 0.04],
                 Channel::BlinkLeft,
             )),
             blink_right: m(lamp(
                 "right indicator",
                 tag,
                 srgb(196, 108, 30),
-                [2.0, 0.9, 0.06],
+                [1.5, 0.62, 0.04],
                 Channel::BlinkRight,
             )),
             plate: m(Material {

@@ -90,8 +90,8 @@ pub(super) fn pedestrian(s: &mut Shaper, m: &PersonPalette, build: &Build, walki
     let near = detail == Detail::Near;
     let sides = match detail {
         Detail::Near => 10,
-        Detail::Middle => 6,
-        Detail::Far => 4,
+        Detail::Middle => 4,
+        Detail::Far => 3,
     };
     let wide = build.broad;
     let deep = build.stout;
@@ -107,9 +107,9 @@ pub(super) fn pedestrian(s: &mut Shaper, m: &PersonPalette, build: &Build, walki
         let shin = |p: V3| about_y(p, knee, bend);
         s.bone = if walking { 1 + i } else { 0 };
         if detail == Detail::Far {
-            limb(s, &[(hip, 0.088), (knee, 0.06)], 4, legs);
+            s.tube(&[(hip, 0.095), (knee, 0.065)], 3, false, legs);
             s.bone = if walking { 3 + i } else { 0 };
-            limb(s, &[(knee, 0.062), (shin(ankle), 0.05)], 4, legs);
+            s.tube(&[(knee, 0.065), (shin([0.0, side * 0.095, 0.0]), 0.06)], 3, false, legs);
         } else {
             limb(
                 s,
@@ -145,7 +145,7 @@ pub(super) fn pedestrian(s: &mut Shaper, m: &PersonPalette, build: &Build, walki
         let hand = add(wrist, [0.02, 0.0, -0.075]);
         s.bone = if walking { 5 + i } else { 0 };
         if detail == Detail::Far {
-            limb(s, &[(shoulder, 0.055), (wrist, 0.04)], 4, m.top);
+            s.tube(&[(shoulder, 0.06), (wrist, 0.045)], 3, false, m.top);
             continue;
         }
         limb(
@@ -172,7 +172,7 @@ pub(super) fn pedestrian(s: &mut Shaper, m: &PersonPalette, build: &Build, walki
             m.top,
         );
         let half = [0.026, 0.018, 0.075];
-        s.ball(add(hand, [0.0; 3]), half, if near { (4, 6) } else { (2, 4) }, (-1.0, 1.0), m.skin);
+        s.ball(add(hand, [0.0; 3]), half, if near { (4, 6) } else { (2, 3) }, (-1.0, 1.0), m.skin);
         if build.handbag && side < 0.0 {
             s.cuboid(add(hand, [-0.14, -0.05, -0.30]), add(hand, [0.14, 0.04, -0.08]), true, m.bag);
         }
@@ -182,7 +182,7 @@ pub(super) fn pedestrian(s: &mut Shaper, m: &PersonPalette, build: &Build, walki
 
 fn shoe(s: &mut Shaper, m: &PersonPalette, bend: &dyn Fn(V3) -> V3, y: f32, near: bool) {
     let start = s.len();
-    let rows = if near { (4, 8) } else { (2, 5) };
+    let rows = if near { (4, 8) } else { (2, 4) };
     s.ball([0.055, y, 0.045], [0.145, 0.05, 0.052], rows, (-0.75, 1.0), m.shoes);
     s.displace(start, bend);
 }
@@ -191,7 +191,7 @@ fn torso(s: &mut Shaper, m: &PersonPalette, build: &Build, detail: Detail) {
     let (w, d) = (build.broad, build.stout);
     let sides = match detail {
         Detail::Near => 14,
-        Detail::Middle => 8,
+        Detail::Middle => 7,
         Detail::Far => 4,
     };
     // Height, half breadth, half depth, forward.
@@ -265,8 +265,8 @@ fn head(s: &mut Shaper, m: &PersonPalette, build: &Build, at: V3, detail: Detail
     let centre = [at[0], at[1], HEIGHT - 0.125 * k];
     let (rows, sides) = match detail {
         Detail::Near => (8, 12),
-        Detail::Middle => (4, 8),
-        Detail::Far => (3, 5),
+        Detail::Middle => (4, 6),
+        Detail::Far => (2, 4),
     };
     s.ball(centre, [0.098 * k, 0.078 * k, 0.122 * k], (rows, sides), (-1.0, 1.0), m.skin);
     // Hair: a cap set back, leaving the face free.
@@ -278,9 +278,9 @@ fn head(s: &mut Shaper, m: &PersonPalette, build: &Build, at: V3, detail: Detail
         let front = ((p[0] - back[0]) / (0.09 * k)).max(0.0);
         let low = ((back[2] + 0.05 * k - p[2]) / (0.1 * k)).max(0.0);
         [
-            p[0] - 0.05 * k * front * low.min(1.0),
+            p[0] - 0.02 * k * front * low.min(1.0),
             p[1],
-            (p[2] + 0.11 * k * front * low).min(back[2] + 0.113 * k),
+            (p[2] + 0.075 * k * front * low).min(back[2] + 0.113 * k),
         ]
     });
     if build.long_hair && detail != Detail::Far {
@@ -310,8 +310,8 @@ pub(super) struct Seat {
 pub(super) fn rider(s: &mut Shaper, m: &PersonPalette, seat: &Seat, detail: Detail) {
     let (sides, near) = match detail {
         Detail::Near => (10, true),
-        Detail::Middle => (6, false),
-        Detail::Far => (4, false),
+        Detail::Middle => (4, false),
+        Detail::Far => (3, false),
     };
     let (hip, shoulder) = (seat.hip, seat.shoulder);
     let up = |t: f32| mix(hip, shoulder, t);
@@ -329,8 +329,14 @@ pub(super) fn rider(s: &mut Shaper, m: &PersonPalette, seat: &Seat, detail: Deta
         s.oval_tube(&stops, sides + 2, true, m.top);
     }
     let k = 1.0;
-    let (rows, round) = if near { (8, 12) } else { (3, 6) };
-    s.ball(seat.head, [0.095 * k, 0.078 * k, 0.118 * k], (rows, round), (-1.0, 1.0), m.skin);
+    let (rows, round) = match detail {
+        Detail::Near => (8, 12),
+        Detail::Middle => (3, 6),
+        Detail::Far => (2, 4),
+    };
+    if detail != Detail::Far || !seat.helmet {
+        s.ball(seat.head, [0.095 * k, 0.078 * k, 0.118 * k], (rows, round), (-1.0, 1.0), m.skin);
+    }
     if seat.helmet {
         s.ball(
             add(seat.head, [-0.005, 0.0, 0.01]),
@@ -355,8 +361,22 @@ pub(super) fn rider(s: &mut Shaper, m: &PersonPalette, seat: &Seat, detail: Deta
         let to = |p: V3| [p[0], side * p[1], p[2]];
         let (elbow, hand) = (to(seat.elbow), to(seat.hand));
         let joint = [shoulder[0], side * 0.185, shoulder[2] - 0.02];
+        if detail == Detail::Far {
+            s.tube(&[(joint, 0.06), (hand, 0.04)], 3, false, m.top);
+            s.tube(
+                &[
+                    ([hip[0], side * 0.095, hip[2]], 0.09),
+                    (to(seat.knees[i]), 0.06),
+                    (to(seat.feet[i]), 0.05),
+                ],
+                3,
+                false,
+                m.legs,
+            );
+            continue;
+        }
         limb(s, &[(joint, 0.062), (elbow, 0.047), (hand, 0.036)], sides.min(8), m.top);
-        if detail != Detail::Far {
+        if near {
             s.ball(hand, [0.05, 0.035, 0.035], (3, 6), (-1.0, 1.0), m.skin);
         }
         let (knee, foot) = (to(seat.knees[i]), to(seat.feet[i]));

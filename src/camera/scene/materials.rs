@@ -92,10 +92,10 @@ impl Materials {
         let plain = |name: &str, tag: Tag, albedo: Rgb| solid(name, tag, albedo, Texture::Plain);
         let sign = |name: &str, albedo: Rgb| plain(name, Tag::TrafficSign, albedo);
         Self {
-            asphalt: m(asphalt("asphalt", 84, 0.35, true)),
-            worn: m(asphalt("worn asphalt", 96, 0.8, true)),
-            junction: m(asphalt("asphalt of junctions", 84, 0.45, false)),
-            parking: m(asphalt("asphalt of car parks", 92, 0.7, false)),
+            asphalt: m(asphalt("asphalt", 112, 0.35, true)),
+            worn: m(asphalt("worn asphalt", 120, 0.8, true)),
+            junction: m(asphalt("asphalt of junctions", 111, 0.45, false)),
+            parking: m(asphalt("asphalt of car parks", 108, 0.7, false)),
             kerb: m(Material {
                 wetness: 0.5,
                 ..solid("kerb", Tag::SideWalk, srgb(168, 164, 156), Texture::Concrete)

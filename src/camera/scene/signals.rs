@@ -55,11 +55,11 @@ fn hang(site: &mut Site<'_>, model: ModelId, signal: SignalIndex, pose: Pose, si
 }
 
 /// A free place for a pole beside an edge: back from `s` along it and outwards from its border.
-fn pole_place(site: &Site<'_>, lane: &Lane, s: f64, step: f64) -> Option<(Pose, Point)> {
+fn pole_place(site: &Site<'_>, lane: &Lane, s: f64) -> Option<(Pose, Point)> {
     let outer = site.outer();
     for back in [0.0, 0.8, 1.8, 3.2, 5.0, 7.5] {
         for out in [0.45, 0.7, 1.1, 1.7] {
-            let pose = lane.shape.at((s + step * back).clamp(0.0, lane.shape.length()));
+            let pose = lane.shape.at((s - back).clamp(0.0, lane.shape.length()));
             let place = pose.to_world(Vector::new(0.0, outer * (0.5 * lane.width + out)));
             if site.ground.disc_free(place, 0.12, uses::WAY | uses::BUILDING | uses::WATER) {
                 return Some((pose, place));
@@ -84,7 +84,7 @@ fn approach(site: &mut Site<'_>, id: EdgeId) {
         return;
     }
     let (signal_model, pole) = (site.furniture.signal, site.materials.dark_pole);
-    if let Some((_, place)) = pole_place(site, border, border.shape.length() - 0.6, -1.0) {
+    if let Some((_, place)) = pole_place(site, border, border.shape.length() - 0.6) {
         let z = site.terrain.at(place);
         let road_z = border.shape.at(border.shape.length()).position.z;
         // Heads over the lanes, abreast of the pole.
@@ -121,36 +121,46 @@ fn approach(site: &mut Site<'_>, id: EdgeId) {
         hang(site, signal_model, first, low, HEAD);
         site.ground.fill_strip(place, place + Vector::new(0.2, 0.0), 0.2, uses::OBJECT);
     }
-    // A repeater beyond the junction, for those at the line.
-    let beyond = signalled.iter().find_map(|&(lane, signal)| {
-        let links = network.lane(lane).outgoing.iter().map(|&l| network.link(l));
-        let exit = links.filter(|l| l.direction == LinkDirection::Straight).map(|l| l.to).next()?;
-        Some((network.lane(lane), network.edge(network.lane(exit).edge), signal))
+    repeater(site, &signalled);
+}
+
+/// A head beyond the junction, for those who wait at the line and no longer see the near ones.
+fn repeater(site: &mut Site<'_>, signalled: &[(LaneId, SignalIndex)]) {
+    let network = site.network;
+    let straight = |lane: LaneId| {
+        let links = network.lane(lane).outgoing.iter().copied();
+        links.into_iter().find(|&l| network.link(l).direction == LinkDirection::Straight)
+    };
+    let found = signalled
+        .iter()
+        .find_map(|&(lane, signal)| Some((lane, signal, network.link_length(straight(lane)?))));
+    let Some((lane, signal, across)) =
+        found.or(signalled.first().map(|&(lane, signal)| (lane, signal, 10.0)))
+    else {
+        return;
+    };
+    let shape = &network.lane(lane).shape;
+    let end = shape.at(shape.length());
+    let outer = site.outer();
+    // The nearest free place ahead, best on the outer side.
+    let place = (0..40).map(|i| across + 1.0 + 1.5 * f64::from(i)).find_map(|ahead| {
+        [3.0, 4.0, 5.0, 6.0, 7.0, 8.5, 10.0, 12.0, -4.0, -6.0, -8.0, -10.0, 0.0]
+            .into_iter()
+            .filter(|side: &f64| side.abs() < 0.6 * ahead)
+            .map(|side| end.to_world(Vector::new(ahead, outer * side)))
+            .find(|&p| site.ground.disc_free(p, 0.15, uses::WAY | uses::BUILDING | uses::WATER))
     });
-    let Some((lane, exit, signal)) = beyond else { return };
-    let Some(border) = exit.lanes.first().map(|&l| network.lane(l)) else { return };
-    let heading = lane.shape.at(lane.shape.length()).heading;
-    if let Some((_, place)) = pole_place(site, border, 0.8, 1.0) {
-        let z = site.terrain.at(place);
-        let mut post = Shaper::new(50.0);
-        post.tube(
-            &[([0.0, 0.0, -0.3], 0.075), ([0.0, 0.0, (FAR + HEAD[2] + 0.12) as f32], 0.06)],
-            8,
-            true,
-            pole,
-        );
-        let mesh = post.finish();
-        site.tiles.mesh(Point3::new(place.x, place.y, z), &mesh, Levels::All);
-        let ahead = direction(heading) * -0.24;
-        hang(
-            site,
-            signal_model,
-            signal,
-            Pose::new(place.x + ahead.x, place.y + ahead.y, z + FAR, heading),
-            HEAD,
-        );
-        site.ground.fill_strip(place, place + Vector::new(0.2, 0.0), 0.2, uses::OBJECT);
-    }
+    let Some(place) = place.filter(|p| (p - end.xy()).norm() < 75.0) else { return };
+    let z = site.terrain.at(place);
+    let mut post = Shaper::new(50.0);
+    let top = (FAR + HEAD[2] + 0.12) as f32;
+    post.tube(&[([0.0, 0.0, -0.3], 0.075), ([0.0, 0.0, top], 0.06)], 8, true, site.materials.dark_pole);
+    let mesh = post.finish();
+    site.tiles.mesh(Point3::new(place.x, place.y, z), &mesh, Levels::All);
+    let ahead = direction(end.heading) * -0.24;
+    let pose = Pose::new(place.x + ahead.x, place.y + ahead.y, z + FAR, end.heading);
+    hang(site, site.furniture.signal, signal, pose, HEAD);
+    site.ground.fill_strip(place, place + Vector::new(0.2, 0.0), 0.2, uses::OBJECT);
 }
 
 /// Pedestrians' heads at both ends of a signalled crossing, where there is room beside the sidewalk.

@@ -84,6 +84,10 @@ impl Site<'_> {
         if !self.ground.disc_free(at, 1.3 * size, uses::BUILDING) {
             return false;
         }
+        // Conifers' branches begin at breast height.
+        if model == self.plants.conifer && !self.ground.disc_free(at, 2.7 * size, uses::WAY) {
+            return false;
+        }
         let Some(mut tree) = self.put(model, at, heading, 0.35) else { return false };
         let wide = size * self.dice.between(0.9, 1.12);
         tree.scale = [wide as f32, wide as f32, (size * self.dice.between(0.92, 1.15)) as f32];
@@ -95,7 +99,14 @@ impl Site<'_> {
 
     /// A bench that looks along `heading`.
     pub fn bench(&mut self, at: Point, heading: f64) {
-        let Some(mut bench) = self.put(self.furniture.bench, at, heading, 0.9) else { return };
+        let pose = Pose::new(at.x, at.y, self.terrain.at(at), heading);
+        let corners = [(-0.35, -0.95), (0.35, -0.95), (0.35, 0.95), (-0.35, 0.95)]
+            .map(|(x, y)| pose.to_world(Vector::new(x, y)));
+        if !self.ground.convex_free(&corners, TAKEN) {
+            return;
+        }
+        self.ground.fill(&corners, uses::OBJECT);
+        let mut bench = Instance::new(self.furniture.bench, pose);
         let id = self.static_id();
         let bounds = Box3 { pose: bench.pose, size: BENCH };
         bench.object = Some(Object { class: ObjectClass::Bench, id, bounds });
@@ -238,8 +249,8 @@ fn median(site: &mut Site<'_>, lane: &Lane, side: f64, gap: f64) {
         if gap > 3.0 && site.dice.chance(0.4) {
             let kind = site.plants.broad[2];
             site.tree(kind, at, 0.8);
-        } else if let Some(mut bush) = site.put(site.plants.bush, at, heading, 0.35) {
-            let size = (0.35 * gap).clamp(0.4, 0.9) as f32;
+        } else if let Some(mut bush) = site.put(site.plants.bush, at, heading, 0.42 * gap) {
+            let size = (0.35 * gap).clamp(0.3, 0.9) as f32;
             bush.scale = [size, size, 0.9];
             bush.tints[0] = leaf_colour(site.dice.next());
             site.tiles.instance(bush);
@@ -289,8 +300,8 @@ fn furnish(site: &mut Site<'_>, side: &Side<'_>, fast: bool, lanes: usize, key: 
         } else if hedged {
             hedge(site, side, s);
         } else if what < 0.85 {
-            let (at, _) = side.place(s, 1.1);
-            if let Some(mut bush) = site.put(site.plants.bush, at, heading + 1.0, 0.55) {
+            let (at, _) = side.place(s, 1.5);
+            if let Some(mut bush) = site.put(site.plants.bush, at, heading + 1.0, 1.05) {
                 bush.scale = [0.9, 0.9, site.dice.between(0.7, 1.3) as f32];
                 bush.tints[0] = leaf_colour(site.dice.next());
                 site.tiles.instance(bush);
@@ -374,12 +385,16 @@ fn parked_cars(site: &mut Site<'_>, side: &Side<'_>) {
 
 fn hedge(site: &mut Site<'_>, side: &Side<'_>, s: f64) {
     let pieces = 3 + (site.dice.next() % 5) as usize;
-    for i in 0..pieces {
-        let (at, heading) = side.place(s + i as f64 * 0.98, 1.0);
-        if let Some(mut piece) = site.put(site.plants.hedge, at, heading + FRAC_PI_2, 0.1) {
-            piece.scale = [1.02, 1.0, 1.0];
-            site.tiles.instance(piece);
-        }
+    let places: Vec<(Point, f64)> = (0..pieces).map(|i| side.place(s + i as f64 * 0.98, 1.1)).collect();
+    if !places.iter().all(|(at, _)| site.ground.disc_free(*at, 0.75, TAKEN)) {
+        return;
+    }
+    for (at, heading) in places {
+        let pose = Pose::new(at.x, at.y, site.terrain.at(at), heading + FRAC_PI_2);
+        let mut piece = Instance::new(site.plants.hedge, pose);
+        piece.scale = [1.02, 1.0, 1.0];
+        site.tiles.instance(piece);
+        site.ground.fill_strip(at, at + Vector::new(0.01, 0.0), 0.4, uses::OBJECT);
     }
 }
 

@@ -11,7 +11,8 @@ fn town(name: &str) -> (Network, Shapes) {
     let net = bundled::resolve(&format!("{name}.net.xml")).unwrap();
     let network = Network::load(&net).unwrap();
     let polygons = net.with_file_name(format!("{name}.poly.xml"));
-    let shapes = if polygons.is_file() { Shapes::load(&polygons, &network).unwrap() } else { Shapes::default() };
+    let shapes =
+        if polygons.is_file() { Shapes::load(&polygons, &network).unwrap() } else { Shapes::default() };
     (network, shapes)
 }
 
@@ -61,41 +62,48 @@ fn stands(tag: SemanticTag) -> bool {
 }
 
 /// Every place (world, m) where something stands between `low` and `high` over its chunk's ground.
-fn standing_points(scene: &Scene, low: f32, high: f32) -> Vec<Point3<f64>> {
+fn standing_points(scene: &Scene, low: f32, high: f32) -> Vec<(Point3<f64>, &str)> {
     let mut points = Vec::new();
-    let mut sample = |corners: [Point3<f64>; 3]| {
+    let mut sample = |corners: [Point3<f64>; 3], what| {
         for (a, b) in [(0, 1), (1, 2), (2, 0)] {
             let (a, b) = (corners[a], corners[b]);
             let steps = ((b - a).norm() / 0.8).ceil().max(1.0);
             for k in 0..steps as usize {
-                points.push(a + (b - a) * (k as f64 / steps));
+                points.push((a + (b - a) * (k as f64 / steps), what));
             }
         }
     };
     for chunk in &scene.chunks {
         let mesh = &chunk.levels[0].1;
         for t in &mesh.triangles {
-            if stands(scene.library.materials[usize::from(t.material.0)].tag) {
-                sample(t.corners.map(|i| {
-                    let p = mesh.vertices[i as usize].position;
-                    chunk.origin + nalgebra::Vector3::new(p[0], p[1], p[2]).cast()
-                }));
+            let material = &scene.library.materials[usize::from(t.material.0)];
+            if stands(material.tag) {
+                sample(
+                    t.corners.map(|i| {
+                        let p = mesh.vertices[i as usize].position;
+                        chunk.origin + nalgebra::Vector3::new(p[0], p[1], p[2]).cast()
+                    }),
+                    material.name.as_str(),
+                );
             }
         }
         for instance in &chunk.instances {
             let model = &scene.library.models[usize::from(instance.model.0)];
             let mesh = &model.levels[0].mesh;
             for t in &mesh.triangles {
-                sample(t.corners.map(|i| {
-                    let p = mesh.vertices[i as usize].position;
-                    let s: [f64; 3] = std::array::from_fn(|k| f64::from(p[k] * instance.scale[k]));
-                    let at = instance.pose.to_world(nalgebra::Vector2::new(s[0], s[1]));
-                    Point3::new(at.x, at.y, instance.pose.position.z + s[2])
-                }));
+                sample(
+                    t.corners.map(|i| {
+                        let p = mesh.vertices[i as usize].position;
+                        let s: [f64; 3] = std::array::from_fn(|k| f64::from(p[k] * instance.scale[k]));
+                        let at = instance.pose.to_world(nalgebra::Vector2::new(s[0], s[1]));
+                        Point3::new(at.x, at.y, instance.pose.position.z + s[2])
+                    }),
+                    model.name.as_str(),
+                );
             }
         }
     }
-    points.retain(|p| p.z > f64::from(low) && p.z < f64::from(high));
+    points.retain(|(p, _)| p.z > f64::from(low) && p.z < f64::from(high));
     points
 }
 
@@ -108,10 +116,16 @@ fn nothing_stands_on_a_lane_or_crossing_of_any_bundled_town() {
         assert!(points.len() > 100_000, "{name}: only {} points stand", points.len());
         let worst = points
             .iter()
-            .map(|p| (intrusion(&network, Point3::new(p.x, p.y, 0.0)), p))
+            .map(|(p, what)| (intrusion(&network, Point3::new(p.x, p.y, 0.0)), p, what))
             .max_by(|a, b| a.0.total_cmp(&b.0))
             .unwrap();
-        assert!(worst.0 < 0.05, "{name}: {:.2} m inside a lane or crossing at {:?}", worst.0, worst.1);
+        assert!(
+            worst.0 < 0.05,
+            "{name}: {} {:.2} m inside a lane or crossing at {:?}",
+            worst.2,
+            worst.0,
+            worst.1
+        );
     }
 }
 
@@ -160,7 +174,8 @@ fn every_traffic_light_has_heads_that_face_its_traffic() {
             let light = network.traffic_light(signal.traffic_light);
             assert!(signal.index < light.signals);
             seen.insert(signal.traffic_light);
-            let Some(link) = light.links.iter().map(|&l| network.link(l)).find(|l| l.signal == Some(signal)) else {
+            let Some(link) = light.links.iter().map(|&l| network.link(l)).find(|l| l.signal == Some(signal))
+            else {
                 continue;
             };
             // Over or beside the end of its approach, or beyond the junction, and seen by those who come.
@@ -170,6 +185,30 @@ fn every_traffic_light_has_heads_that_face_its_traffic() {
             assert!(direction(end.heading).dot(&direction(head.pose.heading)) > 0.8, "{name} {signal:?}");
         }
         assert_eq!(seen.len(), network.traffic_lights.len(), "{name}");
+    }
+}
+
+#[test]
+fn who_waits_at_the_line_sees_a_head_ahead() {
+    for name in bundled::towns() {
+        let (network, shapes) = town(&name);
+        let (scene, _) = build(&network, &shapes, 1);
+        let heads: Vec<_> =
+            scene.chunks.iter().flat_map(|c| &c.instances).filter(|i| i.signal.is_some()).collect();
+        for link in network.links.iter().filter(|l| l.signal.is_some()) {
+            let lane = network.lane(link.from);
+            let end = lane.shape.at(lane.shape.length());
+            let light = link.signal.map(|s| s.traffic_light);
+            let seen = heads.iter().any(|head| {
+                let local = end.to_local(head.pose.xy());
+                let ours = head.signal.map(|s| s.traffic_light) == light;
+                ours && local.x > 6.0
+                    && local.x < 75.0
+                    && local.y.abs() < 0.9 * local.x
+                    && direction(end.heading).dot(&direction(head.pose.heading)) > 0.9
+            });
+            assert!(seen, "{name}: nothing ahead of {}", lane.id);
+        }
     }
 }
 
@@ -195,8 +234,12 @@ fn paint_lies_on_the_road() {
         for paint in &chunk.paint {
             let sum = paint.corners.iter().fold([0.0; 2], |s, c| [s[0] + c[0] / 4.0, s[1] + c[1] / 4.0]);
             let p = Point::new(chunk.origin.x + f64::from(sum[0]), chunk.origin.y + f64::from(sum[1]));
-            let on = network.lanes_near(p, None, 4.0).iter().any(|n| n.distance < 0.5 * network.lane(n.lane).width + 0.4);
-            let parking = shapes.polygons.iter().any(|q| q.kind == "parking" && polygon_contains(&q.shape, p));
+            let on = network
+                .lanes_near(p, None, 4.0)
+                .iter()
+                .any(|n| n.distance < 0.5 * network.lane(n.lane).width + 0.4);
+            let parking =
+                shapes.polygons.iter().any(|q| q.kind == "parking" && polygon_contains(&q.shape, p));
             all += 1;
             off += usize::from(!on && !parking);
         }
@@ -279,7 +322,7 @@ fn nets_without_polygons_get_houses_beside_their_roads() {
     assert!(walls > 1000, "{walls}");
     let worst = standing_points(&scene, 0.2, 2.0)
         .iter()
-        .map(|p| intrusion(&network, Point3::new(p.x, p.y, 0.0)))
+        .map(|(p, _)| intrusion(&network, Point3::new(p.x, p.y, 0.0)))
         .fold(f64::MIN, f64::max);
     assert!(worst < 0.05, "{worst:.2} m inside a lane");
 }
@@ -295,7 +338,8 @@ fn the_games_of_sumo_build() {
                 continue;
             }
             let network = Network::load(&file).unwrap();
-            let lanes = network.lanes.iter().filter(|l| network.edge(l.edge).kind == EdgeKind::Normal).count();
+            let lanes =
+                network.lanes.iter().filter(|l| network.edge(l.edge).kind == EdgeKind::Normal).count();
             let (scene, _) = build(&network, &Shapes::default(), 1);
             assert!(!scene.chunks.is_empty(), "{name} with {lanes} lanes");
             built += 1;

@@ -22,14 +22,14 @@ const PIXELS: [f32; 3] = [64.0, 20.0, 1.5];
 
 /// Leaf colours (tint 0).
 const LEAVES: [[u8; 3]; 8] = [
-    [92, 122, 52],
-    [78, 108, 46],
-    [108, 130, 58],
-    [70, 98, 48],
-    [122, 138, 62],
-    [86, 112, 62],
-    [134, 128, 58],
-    [98, 116, 44],
+    [74, 94, 48],
+    [64, 86, 42],
+    [84, 100, 54],
+    [58, 80, 46],
+    [80, 98, 52],
+    [70, 90, 58],
+    [70, 84, 44],
+    [78, 92, 44],
 ];
 
 /// A leaf colour by a number.
@@ -62,7 +62,7 @@ fn leaves(s: &mut Shaper, centre: V3, radii: V3, count: u64, size: f32, seed: u6
         let (sin, cos) = (n(1) * std::f32::consts::TAU).sin_cos();
         let r = (1.0 - z * z).sqrt();
         let out = [r * cos, r * sin, z];
-        let reach = 0.92 + 0.22 * n(2);
+        let reach = 0.84 + 0.2 * n(2);
         let at =
             add(centre, [out[0] * radii[0] * reach, out[1] * radii[1] * reach, out[2] * radii[2] * reach]);
         let jitter = |k: u64| [n(k) - 0.5, n(k + 1) - 0.5, n(k + 2) - 0.5];
@@ -128,11 +128,11 @@ fn crown(s: &mut Shaper, (spread, rise, middle): (f32, f32, f32), level: usize, 
         let out = 0.5 * spread;
         let up = rise * (noise(seed, 40 + i as u64) - 0.55) * 0.9;
         let size = 0.45 + 0.16 * noise(seed, 80 + i as u64);
-        let radii = [size * spread, size * spread, size * rise * 0.95];
+        let radii = [size * spread, size * spread, size * rise * 1.05];
         let at = add(centre, [out * cos, out * sin, up]);
         lump(s, at, radii, detail, seed + i as u64, leaf);
-        let cards = [16, 5][level];
-        leaves(s, at, radii, cards, [0.30, 0.5][level], seed + 31 * i as u64, leaf);
+        let cards = [34, 6][level];
+        leaves(s, at, radii, cards, [0.26, 0.5][level], seed + 31 * i as u64, leaf);
     }
 }
 
