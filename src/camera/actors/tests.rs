@@ -16,7 +16,6 @@ fn actor(kind: ActorKind, id: &str, size: [f64; 3]) -> Actor {
         }),
         pose: Pose::new(0.0, 0.0, 0.0, 0.0),
         speed: 1.4,
-        acceleration: 0.0,
         signals: VehicleSignals(0),
         lane: None,
         lane_position: 0.0,

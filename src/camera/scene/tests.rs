@@ -11,7 +11,8 @@ fn town(name: &str) -> (Network, Shapes) {
     let net = bundled::resolve(&format!("{name}.net.xml")).unwrap();
     let network = Network::load(&net).unwrap();
     let polygons = net.with_file_name(format!("{name}.poly.xml"));
-    let shapes = if polygons.is_file() { Shapes::load(&polygons, &network).unwrap() } else { Shapes::default() };
+    let shapes =
+        if polygons.is_file() { Shapes::load(&polygons, &network).unwrap() } else { Shapes::default() };
     (network, shapes)
 }
 
@@ -160,7 +161,8 @@ fn every_traffic_light_has_heads_that_face_its_traffic() {
             let light = network.traffic_light(signal.traffic_light);
             assert!(signal.index < light.signals);
             seen.insert(signal.traffic_light);
-            let Some(link) = light.links.iter().map(|&l| network.link(l)).find(|l| l.signal == Some(signal)) else {
+            let Some(link) = light.links.iter().map(|&l| network.link(l)).find(|l| l.signal == Some(signal))
+            else {
                 continue;
             };
             // Over or beside the end of its approach, or beyond the junction, and seen by those who come.
@@ -195,8 +197,12 @@ fn paint_lies_on_the_road() {
         for paint in &chunk.paint {
             let sum = paint.corners.iter().fold([0.0; 2], |s, c| [s[0] + c[0] / 4.0, s[1] + c[1] / 4.0]);
             let p = Point::new(chunk.origin.x + f64::from(sum[0]), chunk.origin.y + f64::from(sum[1]));
-            let on = network.lanes_near(p, None, 4.0).iter().any(|n| n.distance < 0.5 * network.lane(n.lane).width + 0.4);
-            let parking = shapes.polygons.iter().any(|q| q.kind == "parking" && polygon_contains(&q.shape, p));
+            let on = network
+                .lanes_near(p, None, 4.0)
+                .iter()
+                .any(|n| n.distance < 0.5 * network.lane(n.lane).width + 0.4);
+            let parking =
+                shapes.polygons.iter().any(|q| q.kind == "parking" && polygon_contains(&q.shape, p));
             all += 1;
             off += usize::from(!on && !parking);
         }
@@ -295,7 +301,8 @@ fn the_games_of_sumo_build() {
                 continue;
             }
             let network = Network::load(&file).unwrap();
-            let lanes = network.lanes.iter().filter(|l| network.edge(l.edge).kind == EdgeKind::Normal).count();
+            let lanes =
+                network.lanes.iter().filter(|l| network.edge(l.edge).kind == EdgeKind::Normal).count();
             let (scene, _) = build(&network, &Shapes::default(), 1);
             assert!(!scene.chunks.is_empty(), "{name} with {lanes} lanes");
             built += 1;
