@@ -259,7 +259,7 @@ impl Drive {
         self.totals.outside_ticks += u64::from(self.criteria.is_outside_lane());
         let record = self.record(&network, &decision, events);
         self.folder.record(&record)?;
-        self.go_on(&network, &record.events)?;
+        self.go_on(&network, &record.events).await?;
         let elapsed = self.began.elapsed().as_secs_f64().max(1e-9);
         Ok(Status { record, ticks_per_second: self.totals.ticks as f64 / elapsed })
     }
@@ -290,8 +290,8 @@ impl Drive {
         }
     }
 
-    /// A new destination on arrival; a new start where the ego is blocked or can go nowhere.
-    fn go_on(&mut self, network: &Network, events: &[Event]) -> Result<(), DriveError> {
+    /// A new destination on arrival; a new start where the ego is blocked or has nowhere to go.
+    async fn go_on(&mut self, network: &Network, events: &[Event]) -> Result<(), DriveError> {
         let blocked = events.contains(&Event::VehicleBlocked);
         if events.contains(&Event::Arrival) {
             // The new route begins a car's length behind the ego, on the lane that it is on.
@@ -299,17 +299,24 @@ impl Drive {
             let here = network.lane(lane).shape.project(self.ego.state().pose.xy()).s;
             let from = LanePosition { lane, s: (here - self.ego.params().length).max(0.0) };
             match self.destinations.route_from(network, from) {
-                Ok(route) => {
+                Ok(route) if route.length() >= SHORTEST_ROUTE => {
                     self.ego.set_route(route, here - from.s);
                     self.criteria.route_changed();
                     return Ok(());
                 }
+                Ok(route) => tracing::info!("only {:.0} m of way on, starting elsewhere", route.length()),
                 Err(error) => tracing::info!("no way on from the destination, starting elsewhere: {error}"),
             }
         } else if !blocked {
             return Ok(());
         }
-        let route = first_route(network, &mut self.destinations)?;
+        let mut route = first_route(network, &mut self.destinations)?;
+        for _ in 0..20 {
+            if self.bridge.is_free(&[route.at(0.0).lane]).await? {
+                break;
+            }
+            route = first_route(network, &mut self.destinations)?;
+        }
         self.ego.respawn(route, 0.0);
         self.criteria.route_changed();
         self.totals.respawns += 1;
@@ -426,15 +433,21 @@ fn polygons(bridge: &Bridge, network: &Network) -> Vec<Polygon> {
     polygons
 }
 
-/// A random route from a random place.
+/// A shorter way to the next destination is not worth going (m).
+const SHORTEST_ROUTE: f64 = 60.0;
+
+/// A random route from a random place: the first of some length, else the longest found.
 fn first_route(network: &Network, destinations: &mut Destinations) -> Result<Route, DestinationError> {
-    let mut last = None;
+    let mut best: Result<Route, DestinationError> = Err(DestinationError::NoLane);
     for _ in 0..20 {
         let from: LanePosition = destinations.place(network);
-        match destinations.route_from(network, from) {
-            Ok(route) => return Ok(route),
-            Err(error) => last = Some(error),
+        match (destinations.route_from(network, from), &best) {
+            (Ok(route), _) if route.length() >= 4.0 * SHORTEST_ROUTE => return Ok(route),
+            (Ok(route), Ok(longest)) if route.length() <= longest.length() => {}
+            (Ok(route), _) => best = Ok(route),
+            (Err(error), Err(_)) => best = Err(error.into()),
+            (Err(_), Ok(_)) => {}
         }
     }
-    Err(last.map_or(DestinationError::NoLane, DestinationError::Route))
+    best
 }

@@ -102,7 +102,7 @@ impl Recorder {
     /// # Errors
     /// It cannot be written.
     pub fn add(&mut self, town: &Town, pose: &Pose, weather: &Weather) -> Result<(), RecordError> {
-        let mut shoot = |camera: &mut Option<Camera>| {
+        let shoot = |camera: &mut Option<Camera>| {
             camera.as_mut().map(|camera| {
                 Picture::rgb(camera.render(town.scene(), town.actors(), pose, weather, Outputs::RGB))
             })
@@ -218,8 +218,7 @@ mod video {
                 let [a, b, c, d] = codec;
                 let fourcc = VideoWriter::fourcc(a, b, c, d).map_err(failed)?;
                 let size = Size::new(width as i32, height as i32);
-                let writer =
-                    VideoWriter::new(&path.to_string_lossy(), fourcc, fps, size, true).map_err(failed)?;
+                let writer = VideoWriter::new(path, fourcc, fps, size, true).map_err(failed)?;
                 if writer.is_opened().map_err(failed)? {
                     return Ok(Self { writer, path: path.to_path_buf(), line: Vec::new() });
                 }

@@ -84,7 +84,7 @@ pub struct Decision {
     pub leader: Option<Leader>,
     /// State of the next signal and the distance of its stop line from the front bumper (m).
     pub light: Option<(SignalState, f64)>,
-    /// Held by a light, a jam, right of way, a pedestrian or a missing gap, not by its own choice.
+    /// Held by a light, a jam (a leader slower than 2 m/s), right of way, a pedestrian or a full junction.
     pub held: bool,
     /// Indicators and brake lights to show.
     pub blinker_left: bool,
@@ -156,8 +156,7 @@ impl Autopilot {
         let params = self.params;
         let model = self.model;
         let speed = ego.speed.max(0.0);
-        // The mean delay of what is decided now, with the pedals' own lag.
-        let latency = 0.5 * tick_s + 0.1;
+        let latency = speed::latency(tick_s);
         let front_s = route_s + 0.5 * model.length;
         let rear_s = route_s - 0.5 * model.length;
 
@@ -172,7 +171,7 @@ impl Autopilot {
 
         let (located, obstacles) =
             leader::find(&self.path, route_s, world, &mut self.tracker, tick_s, &model, &params);
-        let profile = speed::profile(&self.path, route_s, speed, latency, &params);
+        let profile = speed::profile(&self.path, route_s, speed, tick_s, &params);
         let mut choice = Choice { acceleration: params.max_acceleration, reason: Reason::Free };
         let bound = if profile.curve { Reason::Curve } else { Reason::Limit };
         choice.offer(profile.acceleration.max(-4.5), bound);
@@ -225,7 +224,7 @@ impl Autopilot {
         }
         self.last_acceleration = acceleration;
         let mut control = self.pedals.press(acceleration, speed, tick_s, &model);
-        let wheel = steering::wheel_angle(&self.path, route_s, ego, &model, speed);
+        let wheel = steering::wheel_angle(&self.path, route_s, ego, &model, acceleration, tick_s);
         // At rest the wheels stay where they are.
         let wheel = if speed < 0.05 && control.throttle == 0.0 { ego.steer_angle } else { wheel };
         control.steer = (wheel / model.max_steer).clamp(-1.0, 1.0);
@@ -383,12 +382,20 @@ impl Autopilot {
                 impatience,
                 breaks_deadlock: waited >= params.patience_end,
                 yields,
+                signalled: network
+                    .link(plan.link)
+                    .signal
+                    .is_some_and(|s| world.signal(s) != Some(SignalState::Off)),
+                ends_standoff: waited >= right_of_way::STANDOFF,
             };
             let outcome = right_of_way::judge(network, plan, world, &by_lane, &motion, &params);
             for merging in &outcome.merging {
                 let gap = merging.gap - (speed - merging.speed) * latency;
                 let a = follow(speed, gap, merging.speed, profile.target.max(1.0), &params).max(-4.0);
                 choice.offer(a, Reason::Merge { gap: merging.gap, speed: merging.speed });
+                if merging.speed < 0.3 && front_s > plan.stop_s {
+                    yielding_at = yielding_at.or(Some(plan.link));
+                }
             }
             if let Some(hold) = outcome.hold {
                 let distance = hold.stop_s - front_s;
@@ -433,8 +440,12 @@ fn is_held(reason: &Reason) -> bool {
         | Reason::Yield { .. }
         | Reason::JunctionBlocked { .. }
         | Reason::Pedestrian { .. }
-        | Reason::Crossing { .. }
-        | Reason::LaneChange { .. } => true,
-        Reason::Free | Reason::Limit | Reason::Curve | Reason::RouteEnd { .. } | Reason::OffRoute => false,
+        | Reason::Crossing { .. } => true,
+        Reason::Free
+        | Reason::Limit
+        | Reason::Curve
+        | Reason::LaneChange { .. }
+        | Reason::RouteEnd { .. }
+        | Reason::OffRoute => false,
     }
 }

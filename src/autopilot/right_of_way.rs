@@ -47,6 +47,10 @@ pub struct Motion {
     pub breaks_deadlock: bool,
     /// Whether those with right of way are to be let pass.
     pub yields: bool,
+    /// Whether a light rules the junction.
+    pub signalled: bool,
+    /// Whether it has stood opposite another who stands too for so long that it goes first.
+    pub ends_standoff: bool,
 }
 
 /// A reason to wait.
@@ -55,6 +59,9 @@ pub struct Hold {
     /// Where the front bumper is to stand (m on the route).
     pub stop_s: f64,
 }
+
+/// Waiting for one who waits for the ego ends after this (s).
+pub const STANDOFF: f64 = 3.0;
 
 /// Someone to line up behind at a merge.
 #[derive(Clone, Copy, Debug)]
@@ -178,6 +185,16 @@ fn consider(
     let in_zone = to_enter <= 0.0;
     let standing = speed < 0.3;
     let ego_in = ego.front_s >= conflict.enter_s - 0.3;
+    // Once in the junction it clears it rather than stand in the next one's way.
+    let entered = ego.front_s > plan.stop_s + 1.0
+        && plan.wait_s.is_none_or(|w| w > conflict.enter_s + 0.3 || ego.front_s > w + 0.3);
+    // Without a light SUMO's vehicles wait for those who are in the junction, whoever has right of way:
+    // one who stands before the ego's path waits for the ego.
+    let committed = entered && !ego.signalled;
+    if committed && standing && (!in_zone || conflict.merge && ego.ends_standoff) {
+        // What stands in the path itself is a leader.
+        return;
+    }
 
     // At a merge, whoever is ahead on the common stretch leads.
     if conflict.merge && (in_zone || foe.inside && foe.x > 0.0) {
@@ -230,9 +247,6 @@ fn consider(
     };
 
     let share = 1.0 - (1.0 - params.impatient_share) * ego.impatience;
-    // Once in the junction it clears it rather than stand in the next one's way.
-    let entered = ego.front_s > plan.stop_s + 1.0
-        && plan.wait_s.is_none_or(|w| w > conflict.enter_s + 0.3 || ego.front_s > w + 0.3);
     let (before, after) = if !yields || entered {
         (0.5, 0.2)
     } else if conflict.merge {

@@ -115,20 +115,32 @@ pub fn curve_speed(curvature: f64, params: &AutopilotParams) -> f64 {
     (params.lateral_acceleration / curvature.abs().max(1e-4)).sqrt()
 }
 
-/// The speed limits and curves from `route_s` (m) on.
-pub fn profile(path: &Path, route_s: f64, speed: f64, latency: f64, params: &AutopilotParams) -> Profile {
+/// The mean delay of what is decided for a tick of `tick_s` (s), with the pedals' own lag.
+pub fn latency(tick_s: f64) -> f64 {
+    0.5 * tick_s + 0.1
+}
+
+/// How far off its way a curve may lead the ego within a tick (m): the wheels move once a tick.
+const DRIFT: f64 = 0.15;
+
+/// The speed limits and curves from `route_s` (m) on, in ticks of `tick_s` (s).
+pub fn profile(path: &Path, route_s: f64, speed: f64, tick_s: f64, params: &AutopilotParams) -> Profile {
+    let latency = latency(tick_s);
     let here = path.at(route_s);
     let mut result = Profile { acceleration: f64::INFINITY, target: here.limit, curve: false };
     let first = path.index_at(route_s);
     for sample in &path.samples[first..] {
         let distance = (sample.s - route_s - speed * latency).max(0.0);
-        let bend = curve_speed(sample.curvature, params);
+        let drift = (8.0 * DRIFT / sample.curvature.abs().max(1e-4)).sqrt() / tick_s.max(0.01);
+        let bend = curve_speed(sample.curvature, params).min(drift);
         let allowed = bend.min(sample.limit);
         let a = if distance <= 0.5 {
             track(speed, allowed)
         } else {
             slow_down(speed, allowed, distance, params.comfortable_deceleration)
         };
+        // In a long tick it would end up slower than anything asks for.
+        let a = if speed > allowed { a.max((allowed - speed) / tick_s) } else { a };
         if a < result.acceleration {
             result.acceleration = a;
             result.curve = bend < sample.limit;

@@ -39,7 +39,6 @@ pub struct Ego {
     d: f64,
     front_s: f64,
     lamps: Lamps,
-    shown_lamps: Option<Lamps>,
     /// The route has changed since SUMO heard of it.
     route_is_news: bool,
     /// How many of the route's edges SUMO has been told of.
@@ -77,7 +76,6 @@ impl Ego {
             d: 0.0,
             front_s,
             lamps: Lamps::default(),
-            shown_lamps: None,
             route_is_news: true,
             told_edges: 0,
         };
@@ -205,7 +203,7 @@ impl Ego {
         self.route_is_news = false;
     }
 
-    /// Appends its pose, and route and lamps where they changed, to the next step's message.
+    /// Appends its pose and lamps, and its route where that changed, to the next step's message.
     pub(super) fn report(&mut self, network: &Network, batch: &mut Batch) -> Reported {
         let mut route = None;
         if self.route_is_news || self.needs_more_edges() {
@@ -214,10 +212,8 @@ impl Ego {
             route = Some(batch.set(vehicle::SET_ROUTE, &self.id, &edges));
             self.route_is_news = false;
         }
-        if self.shown_lamps != Some(self.lamps) {
-            batch.set(vehicle::SET_SIGNALS, &self.id, self.lamps.to_sumo());
-            self.shown_lamps = Some(self.lamps);
-        }
+        // SUMO keeps them for one step only.
+        batch.set(vehicle::SET_SIGNALS, &self.id, self.lamps.to_sumo());
         let (front, angle) = self.vehicle.state().pose.to_sumo(self.params().length);
         let pose = vehicle::move_to_xy(
             batch,

@@ -17,12 +17,13 @@ pub use ego::{Ego, Lamps};
 pub use error::BridgeError;
 
 use crate::cores::SharedCore;
+use crate::destination::EGO_CLASS;
 use crate::geometry::Point;
 use crate::network::{LaneId, Network};
 use crate::seeds;
 use crate::sumo_config::{OptionSchema, Overrides, SumoConfig};
 use crate::traci::process::{LaunchOptions, SumoInstall, SumoProcess};
-use crate::traci::{self, Batch, Replies, TcpClient, gui, person, simulation, vehicle};
+use crate::traci::{self, Batch, Replies, TcpClient, gui, simulation, vehicle};
 use crate::traffic::{self, Population, StepEvents, TrafficSpec};
 use observe::ActorCatalog;
 use serde::{Deserialize, Serialize};
@@ -110,6 +111,7 @@ impl Bridge {
             tracing::info!("{}: {option} is not an option of this SUMO, left out", config.path().display());
         }
         let network = Arc::new(Network::load(&config.net_file()?)?);
+        network.require_drivable(EGO_CLASS)?;
         let timeout = Duration::from_secs_f64(options.tick_timeout.max(0.001));
         let wanted = match options.tick_ms {
             Some(ms) => Some(ms),
@@ -188,7 +190,7 @@ impl Bridge {
         (self.begin_ms + self.ticks as f64 * self.tick_ms) / 1000.0
     }
 
-    /// Background vehicles after the last step, and pedestrians before it, in the network.
+    /// Background vehicles and pedestrians in the network after the last step.
     pub fn counts(&self) -> (usize, usize) {
         self.counts
     }
@@ -203,27 +205,43 @@ impl Bridge {
     /// # Errors
     /// SUMO refuses the ego, or fails.
     pub async fn spawn(&mut self, ego: &mut Ego) -> Result<(), BridgeError> {
-        ego.insert(&self.network, &mut self.batch);
-        observe::subscribe(&mut self.batch, &ego.id, self.sight);
+        self.spawn_all(&mut [ego]).await
+    }
+
+    /// Brings several egos into SUMO with one step; the population appears round the first.
+    ///
+    /// # Errors
+    /// SUMO refuses one of them, or fails.
+    pub async fn spawn_all(&mut self, egos: &mut [&mut Ego]) -> Result<(), BridgeError> {
+        for ego in egos.iter_mut() {
+            ego.insert(&self.network, &mut self.batch);
+            observe::subscribe(&mut self.batch, &ego.id, self.sight);
+        }
         if !self.subscribed {
             self.subscribed = true;
             // Id "" is the domain itself: how many there are.
             self.batch.subscribe(vehicle::Vehicle, "", &[vehicle::ID_COUNT.id()]);
+            StepEvents::subscribe(&mut self.batch);
             if let Some(population) = &mut self.population {
                 population.define_types(&mut self.batch);
-                Population::subscribe(&mut self.batch);
-                population.populate(&mut self.batch, Some(ego.state().pose));
+                population.populate(&mut self.batch, egos.first().map(|ego| ego.state().pose));
             }
         }
-        if self.gui {
+        if let (true, Some(ego)) = (self.gui, egos.first()) {
             self.batch.set(gui::TRACK_VEHICLE, gui::MAIN_VIEW, &ego.id);
             self.batch.set(gui::SET_ZOOM, gui::MAIN_VIEW, 800.0);
         }
-        let replies = self.exchange(&mut [ego]).await?;
+        let replies = self.exchange(egos).await?;
         if let Err(refusal) = replies.check() {
             return Err(traci::Error::from(refusal).into());
         }
         Ok(())
+    }
+
+    /// The connection, for what the bridge does not ask for itself. It must not step SUMO, and what it
+    /// sets holds from the next tick on.
+    pub fn client_mut(&mut self) -> &mut TcpClient {
+        &mut self.client
     }
 
     /// One SUMO step with the egos where their physics put them; each then has a new world.
@@ -244,8 +262,6 @@ impl Bridge {
         self.signals.follow(&self.network, &observers, &mut self.batch);
         let reported: Vec<_> =
             egos.iter_mut().map(|ego| ego.report(&self.network, &mut self.batch)).collect();
-        // SUMO drops a subscription to the persons' number, so it is asked for before the step.
-        let persons = self.batch.get(person::ID_COUNT, "");
         self.batch.step();
         let replies = match self.client.send(&self.batch).await {
             Ok(replies) => replies,
@@ -269,7 +285,10 @@ impl Bridge {
                 self.counts.0 = (count.max(0) as usize).saturating_sub(egos.len());
             }
         }
-        self.counts.1 = replies.get(persons).unwrap_or_default().max(0) as usize;
+        let events = StepEvents::read(&replies).map_err(traci::Error::from)?;
+        // SUMO's own number of persons counts those who have yet to depart.
+        self.counts.1 =
+            (self.counts.1 + events.departed_persons.len()).saturating_sub(events.arrived_persons.len());
         for ego in egos.iter_mut() {
             let Ego { id, world, previous, .. } = &mut **ego;
             std::mem::swap(world, previous);
@@ -292,8 +311,9 @@ impl Bridge {
                 .map(|actor| actor.pose.xy())
                 .collect();
             let pose = ego.map(|ego| ego.state().pose);
-            let events = StepEvents::read(&replies).map_err(traci::Error::from)?;
             population.update(&events, &replies, pose, &near, &mut self.batch);
+            // Those that the population itself took out do not arrive.
+            self.counts.1 = population.alive().pedestrians;
         }
         Ok(replies)
     }

@@ -251,9 +251,9 @@ fn streaks() -> &'static [u8; TILE * TILE] {
 multiversion! {
     fn fall(pixels: &mut [u32], width: usize, offset: (usize, usize), strength: u32, colour: u32, tile: &[u8; TILE * TILE]) {
         for (y, row) in pixels.chunks_exact_mut(width).enumerate() {
-            let line = (y + offset.1 & (TILE - 1)) * TILE;
+            let line = ((y + offset.1) & (TILE - 1)) * TILE;
             for (x, pixel) in row.iter_mut().enumerate() {
-                let t = u32::from(tile[line | (x + offset.0 & (TILE - 1))]) * strength >> 8;
+                let t = (u32::from(tile[line | ((x + offset.0) & (TILE - 1))]) * strength) >> 8;
                 *pixel = mix_packed(*pixel, colour, t);
             }
         }

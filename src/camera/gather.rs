@@ -1,7 +1,7 @@
 //! What of the scene is drawn in a frame: culled, nearest first, each thing in the level of detail
 //! that its size in the picture asks for.
 
-use super::model::{ActorFrame, Channel, Chunk, Instance, Lamps, Library, Mesh, Model, Scene};
+use super::model::{ActorFrame, Channel, Chunk, Instance, Lamps, Mesh, Model, Scene};
 use super::raster::{CamVertex, Draw, Tri, Visibility, draw};
 use super::simd::multiversion;
 use super::view::{NEAR, View};
@@ -37,8 +37,6 @@ pub struct Geometry<'a> {
 /// An instance in sight.
 pub struct Seen<'a> {
     pub instance: &'a Instance,
-    /// Of its middle (m).
-    pub depth: f32,
     /// A road user, not a part of the town.
     pub moving: bool,
     pub lamps: Lamps,
@@ -149,7 +147,7 @@ impl<'a> Gather<'a, '_> {
             return;
         }
         let lamps = self.lamps(Some(instance));
-        out.seen.push(Seen { instance, depth: centre[2], moving, lamps });
+        out.seen.push(Seen { instance, moving, lamps });
         let pixels = view.focal * radius / centre[2].max(NEAR + radius * 0.5);
         let Some(level) = model.levels.iter().find(|level| pixels >= level.min_pixels) else { return };
         let (sin, cos) = (instance.pose.heading.sin() as f32, instance.pose.heading.cos() as f32);
@@ -327,9 +325,4 @@ multiversion! {
         }));
         nearest
     }
-}
-
-/// A model's library entry of an instance.
-pub fn model_of<'a>(library: &'a Library, instance: &Instance) -> &'a Model {
-    &library.models[instance.model.0 as usize]
 }

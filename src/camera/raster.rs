@@ -17,8 +17,6 @@ pub struct CamVertex {
 /// A triangle that touches at least one pixel centre.
 #[derive(Clone, Copy, Debug)]
 pub struct Tri {
-    /// 1 / depth = iz[0] x + iz[1] y + iz[2] at pixel coordinates (x, y).
-    pub iz: [f32; 3],
     /// Index into the frame's items, and into its mesh's triangles.
     pub item: u32,
     pub triangle: u32,
@@ -158,7 +156,7 @@ multiversion! {
                 clipped(job, out, [a, b, c], id, iz)
             };
             if drawn {
-                tris.push(Tri { iz, item: job.item, triangle: number as u32 });
+                tris.push(Tri { item: job.item, triangle: number as u32 });
             }
         }
     }

@@ -204,8 +204,8 @@ fn ground_run<L: Lane, const KIND: u8>(run: &Run<'_>, g: &Ground<'_>, row: &mut 
             let grain = one + n_fine * v(0.15);
             for i in 0..3 {
                 let mut paint = v(PAINTS[0][i]);
-                for number in 1..PAINTS.len() {
-                    paint = L::select(colour.less(v(number as f32 - 0.5)), paint, v(PAINTS[number][i]));
+                for (number, other) in PAINTS.iter().enumerate().skip(1) {
+                    paint = L::select(colour.less(v(number as f32 - 0.5)), paint, v(other[i]));
                 }
                 albedo[i] = albedo[i].mix(paint * grain, cover);
             }

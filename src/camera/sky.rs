@@ -157,19 +157,17 @@ fn light(weather: &Weather, d: [f32; 3]) -> Rgb {
     let cover = ((shape - (1.02 - weather.clouds)) * 3.2).clamp(0.0, 1.0);
     let depth = ((shape - (1.02 - weather.clouds)) * 1.5).clamp(0.0, 1.0);
     let fade = (d[2] * 7.0).clamp(0.0, 1.0) * 0.9;
-    for i in 0..3 {
+    c = std::array::from_fn(|i| {
         let cloud = weather.cloud_light[i] + (weather.cloud_shade[i] - weather.cloud_light[i]) * depth;
-        c[i] += (cloud - c[i]) * cover * fade;
-    }
+        c[i] + (cloud - c[i]) * cover * fade
+    });
     // The sun and its glow, as far as clouds let them through.
     if weather.shadows > 0.0 {
         let clear = weather.shadows * (1.0 - 0.7 * cover * fade);
         let angle = towards.clamp(-1.0, 1.0).acos();
         let disc = ((0.022 - angle) * 250.0).clamp(0.0, 1.0) * 4.0;
         let glow = 0.35 * (-angle * 5.5).exp() + 0.5 * (-angle * 26.0).exp();
-        for i in 0..3 {
-            c[i] += (disc + glow) * weather.sun_light[i] * clear;
-        }
+        c = std::array::from_fn(|i| c[i] + (disc + glow) * weather.sun_light[i] * clear);
     }
     c
 }

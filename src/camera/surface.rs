@@ -33,7 +33,6 @@ pub enum Kind {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Surface {
     pub kind: Kind,
-    pub tag: u8,
     pub material: u16,
     /// Smooth: red, green, blue. Textured: s, t. Value = depth (v[0] x + v[1] y + v[2]) + v[3].
     pub planes: [[f32; 4]; 3],
@@ -62,8 +61,7 @@ impl Lighting<'_> {
         let material = &self.library.materials[triangle.material.0 as usize];
         let corners = triangle.corners.map(|i| &item.mesh.vertices[i as usize]);
         let p = triangle.corners.map(|i| vertices[item.first as usize + i as usize].p);
-        let mut surface =
-            Surface { tag: material.tag as u8, material: triangle.material.0, ..Surface::default() };
+        let mut surface = Surface { material: triangle.material.0, ..Surface::default() };
         let emission = item.lamps.has(material.channel) && material.channel != Channel::None;
         let albedo = tinted(material, item);
         if emission || material.texture == Texture::Plain {
@@ -86,6 +84,14 @@ impl Lighting<'_> {
         surface.ambient = self.ambient(n);
         surface.lies = n[2] > 0.7 && material.texture != Texture::Roof;
         let facing = dot(n, self.weather.sun).max(0.0);
+        if surface.kind == Kind::Rough && n[2] < 0.5 {
+            // The world's x and y would draw streaks down it.
+            surface.kind = Kind::Flat;
+            surface.albedo = std::array::from_fn(|i| {
+                albedo[i] * (surface.ambient[i] + self.weather.sun_light[i] * facing * item.sun)
+            });
+            return surface;
+        }
         // Leaves let light through.
         let facing = if surface.kind == Kind::Leaves { 0.35 + 0.55 * facing } else { facing };
         surface.sun = self.weather.sun_light.map(|c| c * facing * item.sun);
@@ -141,14 +147,10 @@ impl Lighting<'_> {
                 let r: [f32; 3] = std::array::from_fn(|i| 2.0 * cosine * n[i] - to_eye[i]);
                 let sky = mirrored(w, r);
                 let glint = dot(r, w.sun).max(0.0).powi(40) * material.gloss * 1.3 * item.sun;
-                for i in 0..3 {
-                    c[i] += (sky[i] - c[i]) * share + w.sun_light[i] * glint;
-                }
+                c = std::array::from_fn(|i| c[i] + (sky[i] - c[i]) * share + w.sun_light[i] * glint);
             }
             if emission {
-                for i in 0..3 {
-                    c[i] += material.emission[i] * w.lamp_gain;
-                }
+                c = std::array::from_fn(|i| c[i] + material.emission[i] * w.lamp_gain);
             }
             c
         };
@@ -196,7 +198,6 @@ impl Lighting<'_> {
         };
         Surface {
             kind,
-            tag: m.tag as u8,
             material,
             albedo: m.albedo,
             ambient: self.ambient(up),
@@ -229,7 +230,6 @@ pub struct FacadeNumbers {
     pub shops: bool,
     pub blank: bool,
     pub bricks: bool,
-    pub glass_wall: bool,
     pub trim: Rgb,
     pub lit_share: f32,
     pub seed: u32,
@@ -247,7 +247,6 @@ pub fn facade_numbers(material: &Material) -> FacadeNumbers {
         shops: f.ground_floor == GroundFloor::Shops,
         blank: f.ground_floor == GroundFloor::Blank,
         bricks: f.wall == Wall::Brick,
-        glass_wall: f.wall == Wall::Glass,
         trim: f.trim,
         lit_share: f.lit_share,
         seed: f.seed,

@@ -224,6 +224,7 @@ mod tests {
             colour: [0; 4],
             layer: 0.0,
             fill,
+            height: None,
             shape: vec![Point::new(0.0, 20.0), Point::new(9.0, 20.0), Point::new(9.0, 30.0)],
         };
         let polygons = [

@@ -232,7 +232,6 @@ async fn drive(seed: u64, ticks: u64, additional: &[PathBuf]) -> Score {
                 actor_type: Arc::new(shape),
                 pose: Pose::from_sumo([p.x, p.y, p.z].into(), v.value(vehicle::ANGLE).unwrap(), length),
                 speed: v.value(vehicle::SPEED).unwrap(),
-                acceleration: v.value(vehicle::ACCELERATION).unwrap(),
                 signals: VehicleSignals(v.value(vehicle::SIGNALS).unwrap() as u32),
                 lane: network.lane_by_id(v.str(vehicle::LANE_ID).unwrap()),
                 lane_position: v.value(vehicle::LANE_POSITION).unwrap(),
@@ -255,7 +254,6 @@ async fn drive(seed: u64, ticks: u64, additional: &[PathBuf]) -> Score {
                 actor_type: Arc::new(shape),
                 pose: Pose::from_sumo([p.x, p.y, p.z].into(), v.value(person::ANGLE).unwrap(), length),
                 speed: v.value(person::SPEED).unwrap(),
-                acceleration: 0.0,
                 signals: VehicleSignals(0),
                 lane: network.lane_by_id(v.str(person::LANE_ID).unwrap()),
                 lane_position: 0.0,
@@ -390,7 +388,7 @@ async fn drive(seed: u64, ticks: u64, additional: &[PathBuf]) -> Score {
         standing = if state.speed < 0.1 && !by_light { standing + TICK } else { 0.0 };
         if standing > score.longest_stand {
             score.longest_stand = standing;
-            if standing > 60.0 && (standing / TICK) as u64 % 120 == 0 {
+            if standing > 60.0 && ((standing / TICK) as u64).is_multiple_of(120) {
                 println!(
                     "seed {seed} tick {tick}: standing {standing:.0} s at {:.1},{:.1}: {:?}",
                     state.pose.position.x, state.pose.position.y, decision.reason

@@ -2,6 +2,7 @@
 //! Each module talks to a real SUMO.
 
 mod autopilot;
+mod bridge;
 mod doctor;
 mod network;
 mod run;

@@ -154,3 +154,63 @@ fn a_jam_that_stands_on_the_main_road_does_not_hold_it_for_ever() {
     let report = setup.run();
     assert!(report.seconds < 55.0, "{report:?}");
 }
+
+#[test]
+fn two_who_wait_for_each_other_in_a_junction_do_not_wait_for_ever() {
+    let network = net();
+    // As SUMO has it: one with right of way comes, the ego in the junction lets it pass, it sees the ego
+    // in the junction and stops for it.
+    let lanes = ["CE_2", ":E_6_1"];
+    let before = network.lane(network.lane_by_id(lanes[0]).unwrap()).length;
+    let mut let_pass = 0;
+    for x in [-0.5, 0.5, 1.5] {
+        let mut setup = Setup::new(&network, ("GE_1", 60.0), ("EC_2", 60.0), 8.0);
+        let (route, line) = (setup.route.clone(), setup.route.links[0].stop_s);
+        let mut since = None;
+        setup.vehicles.push(Box::new(move |network, t, ego| {
+            let front = route.project_near(ego.pose.xy(), line, 40.0, 40.0).s + 2.35;
+            if front > line + 1.2 {
+                since.get_or_insert(t);
+            }
+            // From 12 m before its place to there, braking at 3 m/s2.
+            let speed = 72.0_f64.sqrt();
+            let t = (t - since?).min(speed / 3.0);
+            car(network, 1, &lanes, before + x - 12.0 + speed * t - 1.5 * t * t, speed - 3.0 * t)
+        }));
+        setup.seconds = 60.0;
+        let report = setup.run();
+        let_pass += usize::from(report.stood > 0.0);
+        assert_eq!(report.contacts, 0, "{x}: {report:?}");
+        assert!(report.seconds < 35.0 && report.stood < 6.0, "{x}: {report:?}");
+    }
+    assert!(let_pass > 0, "it never had to wait");
+}
+
+#[test]
+fn only_what_others_impose_counts_as_held() {
+    use crate::autopilot::is_held;
+    let (gap, distance) = (3.0, 3.0);
+    for held in [
+        Reason::Leader { gap, speed: 1.9 },
+        Reason::Merge { gap, speed: 1.9 },
+        Reason::RedLight { distance },
+        Reason::Yield { distance },
+        Reason::JunctionBlocked { distance },
+        Reason::Pedestrian { distance },
+        Reason::Crossing { distance },
+    ] {
+        assert!(is_held(&held), "{held:?}");
+    }
+    for free in [
+        Reason::Free,
+        Reason::Limit,
+        Reason::Curve,
+        Reason::Leader { gap, speed: 2.1 },
+        Reason::Merge { gap, speed: 2.1 },
+        Reason::LaneChange { distance },
+        Reason::RouteEnd { distance },
+        Reason::OffRoute,
+    ] {
+        assert!(!is_held(&free), "{free:?}");
+    }
+}

@@ -61,7 +61,8 @@ fn those_on_a_crossing_are_let_pass_after_a_turn() {
             setup.seconds = 60.0;
             let report = setup.run();
             assert_eq!(report.contacts, 0, "{start} {forward}: {report:?}");
-            assert!(report.nearest > 0.6, "{start} {forward}: {report:?}");
+            // The script's walker goes blindly along the bumper of an ego that stands.
+            assert!(report.nearest > 0.5, "{start} {forward}: {report:?}");
             assert!(report.seconds < 50.0, "{start} {forward}: {report:?}");
         }
     }
