@@ -17,11 +17,10 @@ pub(super) struct VehiclePalette {
     pub head: MaterialId,
     pub tail: MaterialId,
     pub brake: MaterialId,
-    pub reverse: MaterialId,
     pub blink_left: MaterialId,
     pub blink_right: MaterialId,
     pub plate: MaterialId,
-    /// Seats and dashboard seen through nothing: the dark inside.
+    /// What is seen from below and in the arches.
     pub underside: MaterialId,
 }
 
@@ -75,7 +74,6 @@ impl VehiclePalette {
             head: m(lamp("head lamp", tag, srgb(214, 220, 226), [2.4, 2.3, 2.0], Channel::Head)),
             tail: m(lamp("tail lamp", tag, srgb(140, 16, 20), [0.9, 0.04, 0.03], Channel::Tail)),
             brake: m(lamp("brake lamp", tag, srgb(150, 18, 22), [1.35, 0.07, 0.05], Channel::Brake)),
-            reverse: m(plain("reversing lamp", tag, srgb(190, 190, 190), 0.4)),
             blink_left: m(lamp(
                 "left indicator",
                 tag,

@@ -18,7 +18,6 @@ struct Builder<'a> {
     tiles: &'a mut Tiles,
     library: &'a mut Library,
     materials: &'a Materials,
-    seed: u64,
 }
 
 /// A point at a height.
@@ -57,7 +56,7 @@ pub(super) fn from_polygons(
     (tiles, library, materials): (&mut Tiles, &mut Library, &Materials),
     seed: u64,
 ) -> usize {
-    let mut builder = Builder { tiles, library, materials, seed };
+    let mut builder = Builder { tiles, library, materials };
     let mut built = 0;
     for (number, polygon) in polygons.iter().enumerate() {
         let Some(kind) = kind_of(polygon) else { continue };
@@ -89,7 +88,7 @@ pub(super) fn grow(
     (tiles, library, materials): (&mut Tiles, &mut Library, &Materials),
     seed: u64,
 ) {
-    let mut builder = Builder { tiles, library, materials, seed };
+    let mut builder = Builder { tiles, library, materials };
     let taken = uses::WAY | uses::BUILDING | uses::WATER;
     for (number, edge) in network.edges.iter().enumerate() {
         if edge.kind != EdgeKind::Normal {

@@ -3,7 +3,7 @@
 use super::roads::{Station, Surface, stations, surface};
 use super::tiles::Tiles;
 use crate::camera::model::PaintColour;
-use crate::geometry::{Point, Pose, Vector, direction};
+use crate::geometry::{Point, Pose, Vector};
 use crate::network::{EdgeId, EdgeKind, LaneId, LinkDirection, Network, VehicleClass};
 use nalgebra::Point3;
 
@@ -255,10 +255,4 @@ fn arrow(tiles: &mut Tiles, pose: &Pose, [left, straight, right]: [bool; 3], str
             ]);
         }
     }
-}
-
-/// Unit vector along a lane at its end.
-pub(super) fn end_direction(network: &Network, lane: LaneId) -> Vector {
-    let shape = &network.lane(lane).shape;
-    direction(shape.at(shape.length()).heading)
 }

@@ -71,10 +71,10 @@ pub(super) fn triangulate(outline: &[Point]) -> Vec<[Point; 3]> {
         }
         ring.remove(i);
     }
-    if let [a, b, c] = ring[..] {
-        if turn(a, b, c) > 1e-9 {
-            triangles.push([a, b, c]);
-        }
+    if let [a, b, c] = ring[..]
+        && turn(a, b, c) > 1e-9
+    {
+        triangles.push([a, b, c]);
     }
     triangles
 }

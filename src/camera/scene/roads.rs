@@ -185,6 +185,7 @@ pub(super) fn build(network: &Network, ground: &Ground, terrain: &Terrain, m: &M
                 Surface::Road => {
                     let margin = half + 0.02;
                     band(tiles, &line, (-margin, margin), 0.0, asphalt, Levels::All);
+                    joints(tiles, &line, half, m);
                     if !terrain.flat {
                         for to_left in [true, false] {
                             let d = if to_left { half } else { -half };
@@ -212,6 +213,21 @@ pub(super) fn build(network: &Network, ground: &Ground, terrain: &Terrain, m: &M
         for &id in &junction.walkingareas {
             walkingarea(network.lane(id), ground, &height, m, tiles);
         }
+    }
+}
+
+/// Asphalt under both ends of a lane: junctions' outlines do not always meet them.
+fn joints(tiles: &mut Tiles, line: &[Station], half: f64, m: &Materials) {
+    for (i, forward) in [(0, -1.0), (line.len().saturating_sub(1), 1.0)] {
+        let Some(end) = line.get(i) else { continue };
+        let along = Vector::new(end.left.y, -end.left.x) * (0.9 * forward);
+        let shifted =
+            |by: f64| Station { at: end.at + Vector3::new(along.x * by, along.y * by, 0.0), ..*end };
+        let mut strip = [shifted(-0.3), shifted(1.0)];
+        if forward < 0.0 {
+            strip.reverse();
+        }
+        band(tiles, &strip, (-half, half), -2.0 * JUNCTION_BELOW, m.junction, Levels::All);
     }
 }
 

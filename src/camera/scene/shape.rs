@@ -308,9 +308,9 @@ impl Shaper {
 pub(crate) fn bounds_of<'a>(meshes: impl IntoIterator<Item = &'a Mesh>) -> [V3; 2] {
     let mut bounds = [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]];
     for v in meshes.into_iter().flat_map(|m| &m.vertices) {
-        for axis in 0..3 {
-            bounds[0][axis] = bounds[0][axis].min(v.position[axis]);
-            bounds[1][axis] = bounds[1][axis].max(v.position[axis]);
+        for (axis, &c) in v.position.iter().enumerate() {
+            bounds[0][axis] = bounds[0][axis].min(c);
+            bounds[1][axis] = bounds[1][axis].max(c);
         }
     }
     if bounds[0][0] > bounds[1][0] { [[0.0; 3]; 2] } else { bounds }

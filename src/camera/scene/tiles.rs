@@ -196,9 +196,9 @@ impl Tiles {
                     bounds = [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]];
                 }
                 let mut include = |p: V3| {
-                    for axis in 0..3 {
-                        bounds[0][axis] = bounds[0][axis].min(p[axis]);
-                        bounds[1][axis] = bounds[1][axis].max(p[axis]);
+                    for (axis, &c) in p.iter().enumerate() {
+                        bounds[0][axis] = bounds[0][axis].min(c);
+                        bounds[1][axis] = bounds[1][axis].max(c);
                     }
                 };
                 tile.paint.iter().flat_map(|p| p.corners).for_each(&mut include);

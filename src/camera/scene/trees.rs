@@ -131,7 +131,7 @@ fn crown(s: &mut Shaper, (spread, rise, middle): (f32, f32, f32), level: usize, 
         let radii = [size * spread, size * spread, size * rise * 1.05];
         let at = add(centre, [out * cos, out * sin, up]);
         lump(s, at, radii, detail, seed + i as u64, leaf);
-        let cards = [34, 6][level];
+        let cards = [44, 7][level];
         leaves(s, at, radii, cards, [0.26, 0.5][level], seed + 31 * i as u64, leaf);
     }
 }
