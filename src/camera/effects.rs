@@ -61,17 +61,26 @@ pub fn smooth_edges(
             let centre = (x as f32 + 0.5, y as f32 + 0.5);
             if x + 1 < width
                 && ids[x + 1] != id
+                && differ(pixels[at], pixels[at + 1])
                 && let Some(cut) = outline.cut((id, iz[x]), (ids[x + 1], iz[x + 1]), 0, centre)
             {
                 blend(pixels, at, at + 1, cut - (x as f32 + 1.0));
             }
             if below[x] != id
+                && differ(pixels[at], pixels[at + width])
                 && let Some(cut) = outline.cut((id, iz[x]), (below[x], iz_below[x]), 1, centre)
             {
                 blend(pixels, at, at + width, cut - (y as f32 + 1.0));
             }
         }
     }
+}
+
+/// Whether two colours are far enough apart for their border to show.
+#[inline(always)]
+fn differ(a: u32, b: u32) -> bool {
+    let gap = |shift: u32| (a >> shift & 0xff).abs_diff(b >> shift & 0xff);
+    gap(0) + gap(8) + gap(16) > 20
 }
 
 multiversion! {

@@ -381,7 +381,8 @@ fn facade_run<L: Lane>(run: &Run<'_>, wall: &Wall<'_>, tiles: &Tiles, row: &mut 
         let spread = v(blur) * (one - ground);
         let opening = opening.mix(v(mean), spread);
         let pane = pane.mix(v(mean * 0.8), spread);
-        let (h, h2) = (L::random(bay, storey, f.seed), L::random(bay, storey, f.seed ^ 0x55aa_0000));
+        let h = L::random(bay, storey, f.seed);
+        let h2 = h * v(61.0) - (h * v(61.0)).floor();
         // Wall with streaks, courses and floor lines.
         let mut m = one;
         if mid > 0.02 {
