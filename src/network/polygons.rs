@@ -203,15 +203,17 @@ mod tests {
         let network = Network::from_xml(path, NET).unwrap();
         let shapes = Shapes::from_xml(
             path,
-            r##"<additional><location/><poly id="house" type="building" color="128,64,0" fill="1" layer="4" shape="0,0 10,0 10,10"/>
+            r##"<additional><location/><poly id="house" type="building" color="128,64,0" fill="1" layer="4" shape="0,0 10,0 10,10"><param key="height" value="12.5"/></poly>
                 <poly id="line" color="#0a0b0c" shape="0,0,5 10,0,5"/><poly id="bad" shape="0,0 x,1"/>
                 <poly id="geo" geo="1" shape="13.1,52.1 13.2,52.2"/>
-                <poi id="sign" lane="e_0" pos="-10" posLat="2" color="0,.5,1"/><poi id="lost" lon="1" lat="2"/><bus_stop/></additional>"##,
+                <poi id="sign" lane="e_0" pos="-10" posLat="2" color="0,.5,1"><param key="height" value="3"/></poi><poi id="lost" lon="1" lat="2"/><bus_stop/></additional>"##,
             &network,
         )
         .unwrap();
         assert_eq!(shapes.skipped, 3);
         assert_eq!(shapes.polygons.len(), 2);
+        assert_eq!(shapes.polygons[0].height, Some(12.5));
+        assert_eq!(shapes.polygons[1].height, None);
         assert_eq!(shapes.polygons[0].colour, [128, 64, 0, 255]);
         assert!(shapes.polygons[0].fill && shapes.polygons[0].layer == 4.0);
         assert_eq!(shapes.polygons[1].colour, [10, 11, 12, 255]);

@@ -178,7 +178,7 @@ impl BodyLines {
         }
         xs.retain(|x| x.abs() <= front + 1e-4);
         xs.sort_by(f32::total_cmp);
-        xs.dedup_by(|a, b| (*a - *b).abs() < 0.012);
+        xs.dedup_by(|a, b| (*a - *b).abs() < 0.003);
         xs
     }
 
