@@ -27,6 +27,7 @@
 
 pub mod autopilot;
 pub mod bench;
+pub mod bench_tick;
 pub mod bridge;
 pub mod bundled;
 pub mod camera;

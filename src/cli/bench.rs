@@ -1,6 +1,6 @@
 //! `wad-cosim bench`: what things cost.
 
-use super::{Exit, bench_camera, print, run};
+use super::{Exit, bench_camera, bench_tick, print, run};
 use anyhow::Context;
 use wad_cosim::bench::{BenchError, BridgeBench, BridgeRow};
 use wad_cosim::bridge::BridgeOptions;
@@ -20,6 +20,8 @@ enum What {
     Bridge(BridgeArgs),
     /// A frame of the front camera, by weather, size and outputs, on one core.
     Camera(bench_camera::Args),
+    /// A tick of the whole loop, stage by stage.
+    Tick(bench_tick::Args),
 }
 
 const EXAMPLES: &str = "\
@@ -67,6 +69,7 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
     match args.what {
         What::Bridge(args) => runtime.block_on(bridge(args)),
         What::Camera(args) => runtime.block_on(bench_camera::run(args)),
+        What::Tick(args) => runtime.block_on(bench_tick::run(args)),
     }
 }
 

@@ -3,6 +3,7 @@
 
 mod bench;
 mod bench_camera;
+mod bench_tick;
 mod doctor;
 mod exit;
 mod run;
