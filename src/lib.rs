@@ -17,6 +17,10 @@
 //! | [`vehicle`] | the ego's physics |
 //! | [`bridge`] | one SUMO, one network, any number of egos, in lock-step |
 //! | [`camera`] | the town and its traffic as pictures with ground truth |
+//! | [`perception`] | detections, lanes and light: the transformed image |
+//! | [`latent`] | the encoder-decoder: the transformed image as 200 numbers |
+//! | [`observation`] | what an agent is given each tick |
+//! | [`agent`] | agents that learn to drive |
 //! | [`autopilot`] | the rule-based expert |
 //! | [`criteria`] | collisions, red lights, lane, blocking, arrival |
 //! | [`drive`] | `run`: from destination to destination, with telemetry |
@@ -25,6 +29,7 @@
 //! east. Speeds in m/s, times in s, impulses in N s. SUMO's own angles and bumper positions exist in
 //! [`geometry`] only.
 
+pub mod agent;
 pub mod autopilot;
 pub mod bench;
 pub mod bench_tick;
@@ -38,7 +43,10 @@ pub mod criteria;
 pub mod destination;
 pub mod drive;
 pub mod geometry;
+pub mod latent;
 pub mod network;
+pub mod observation;
+pub mod perception;
 pub mod record;
 pub mod seeds;
 pub mod sight;
