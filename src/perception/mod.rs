@@ -6,9 +6,22 @@
 //! signals --light---> red or not --/
 //! ```
 
+mod choice;
+pub mod coco;
+pub mod heads;
 mod image;
+pub mod metrics;
+#[cfg(feature = "vision")]
+mod onnx;
+pub mod onnx_file;
+pub mod score;
+mod tour;
 
+pub use choice::{DETECTORS, detector};
 pub use image::{TRANSFORMED_SIZE, TransformedImage};
+#[cfg(feature = "vision")]
+pub use onnx::OnnxDetector;
+pub use tour::Tour;
 
 use crate::camera::model::ObjectClass;
 use crate::camera::{CameraConfig, Frame, Outputs};
