@@ -16,6 +16,8 @@ pub struct Row {
     pub b: Vec<f32>,
     /// Share (0..255) of what a wet ground mirrors.
     pub mirror: Vec<u8>,
+    /// Slowly varying quantities of a run, at each eighth pixel.
+    posts: [Vec<f32>; 5],
 }
 
 impl Row {
@@ -26,6 +28,9 @@ impl Row {
         }
         self.mirror.clear();
         self.mirror.resize(width + PAD, 0);
+        for posts in &mut self.posts {
+            posts.resize(width / POST + 2 * PAD, 0.0);
+        }
     }
 }
 
@@ -59,6 +64,11 @@ pub struct Run<'a> {
     /// 1 / depth of the row, padded.
     pub iz: &'a [f32],
 }
+
+/// Pixels from post to post: what varies slowly is worked out there, and linear between.
+const POST: usize = 8;
+/// Runs shorter than this are not worth posts.
+const POSTED: usize = 24;
 
 const PAINTS: [[f32; 3]; 5] =
     [[0.72, 0.72, 0.70], [0.72, 0.46, 0.07], [0.45, 0.08, 0.06], [0.08, 0.16, 0.42], [0.035, 0.035, 0.037]];
@@ -125,8 +135,10 @@ lanes! {
             Kind::Lawn => ground_run::<L, 2>(run, ground, row),
             _ => ground_run::<L, 3>(run, ground, row),
         }
-        // The last lanes' shine ends with the run.
-        row.mirror[run.x1..run.x1 + PAD].fill(0);
+        if ground.weather.wetness > 0.0 {
+            // The last lanes' shine ends with the run.
+            row.mirror[run.x1..run.x1 + PAD].fill(0);
+        }
     }
 }
 
@@ -153,26 +165,73 @@ fn ground_run<L: Lane, const KIND: u8>(run: &Run<'_>, g: &Ground<'_>, row: &mut 
     // What is too small to see is not worked out.
     let (with_fine, with_mid) = (fine > 0.02, mid > 0.02);
     let shadowed = g.shadow_reach > 1.0 && middle < g.shadow_reach;
+    // Where posts stand less than two texels apart (one of the cracks, which are thin), posts do.
+    let apart = if x1 - x0 < POSTED { f32::MAX } else { across * POST as f32 };
+    let post = [0.5, 8.0, 5.0, 4.0, 2.0].map(|texels| apart * texels <= if texels == 5.0 { 1.0 } else { 2.0 });
+    let wanted = [true, with_mid, KIND == 0 && with_mid, shadowed, wet > 0.0];
+    let posted: [bool; 5] = std::array::from_fn(|i| post[i] && wanted[i]);
+    let posts = &mut row.posts;
+    if posted[0] {
+        let count = (x1 - x0).div_ceil(POST) + 1;
+        // 1 / depth is linear along the run.
+        let (first, last) = (run.iz[x0], run.iz[x1 - 1]);
+        let slope = (last - first) / (x1 - 1 - x0) as f32;
+        let mut k = 0;
+        while k < count {
+            let step = (v(k as f32) + L::ramp()) * v(POST as f32);
+            let at = v(x0 as f32) + step;
+            let z = one / (v(first) + v(slope) * step).max(v(1e-4));
+            let (wx, wy) = (world[0].at(at, z), world[1].at(at, z));
+            noise(&tiles.clouds, wx, wy, 0.5, large).store(&mut posts[0][k..]);
+            if posted[1] {
+                noise(&tiles.clouds, wx, wy, 8.0, mid).store(&mut posts[1][k..]);
+            }
+            if posted[2] {
+                tiles.cracks.sample(wx * v(5.0), wy * v(5.0)).store(&mut posts[2][k..]);
+            }
+            if posted[3] {
+                sample(g.shadows, wx, wy).store(&mut posts[3][k..]);
+            }
+            if posted[4] {
+                pool(tiles, wx, wy).store(&mut posts[4][k..]);
+            }
+            k += L::COUNT;
+        }
+    }
     let mut x = x0;
     while x < x1 {
         let at = v(x as f32) + L::ramp();
+        let (k, part) = ((x - x0) / POST, v(((x - x0) % POST) as f32) + L::ramp());
         let z = one / L::load(&run.iz[x..]);
         let (wx, wy) = (world[0].at(at, z), world[1].at(at, z));
         // Three sizes of noise about 0.
         let n_fine = if with_fine { noise(&tiles.grain, wx, wy, 56.0, fine) } else { zero };
-        let n_mid = if with_mid { noise(&tiles.clouds, wx, wy, 8.0, mid) } else { zero };
-        let n_large = noise(&tiles.clouds, wx, wy, 0.5, large);
+        let n_mid = if posted[1] {
+            between(&posts[1], k, part)
+        } else if with_mid {
+            noise(&tiles.clouds, wx, wy, 8.0, mid)
+        } else {
+            zero
+        };
+        let n_large =
+            if posted[0] { between(&posts[0], k, part) } else { noise(&tiles.clouds, wx, wy, 0.5, large) };
         let mut albedo = [v(s.albedo[0]), v(s.albedo[1]), v(s.albedo[2])];
         if KIND == 0 {
             let mut m = one + n_fine * v(0.55) + n_mid * v(0.22) + n_large * v(0.34);
             if with_mid {
-                m = m - tiles.cracks.sample(wx * v(5.0), wy * v(5.0)) * v(mid * n.wear * 0.35);
+                let cracks = if posted[2] {
+                    between(&posts[2], k, part)
+                } else {
+                    tiles.cracks.sample(wx * v(5.0), wy * v(5.0))
+                };
+                m = m - cracks * v(mid * n.wear * 0.35);
             }
             if n.tracks {
                 let t = t_at.at(at, z);
                 let d = (t.abs() - v(0.82)) * v(3.2);
                 let d = d * d;
-                m = m - v(0.10) / (one + d * d) - v(0.05) / (one + t * t * v(12.0));
+                let (wheels, oil) = (one + d * d, one + t * t * v(12.0));
+                m = m - (v(0.10) * oil + v(0.05) * wheels) / (wheels * oil);
             }
             albedo = [albedo[0] * m, albedo[1] * m, albedo[2] * m];
         } else if KIND == 1 {
@@ -219,13 +278,14 @@ fn ground_run<L: Lane, const KIND: u8>(run: &Run<'_>, g: &Ground<'_>, row: &mut 
         let open = sky;
         if shadowed {
             let still = (one - z * v(1.0 / g.shadow_reach)).max(zero).min(v(0.12)) * v(1.0 / 0.12);
-            let cast = one - (one - sample(g.shadows, wx, wy)) * still * v(g.weather.shadows);
+            let lit = if posted[3] { between(&posts[3], k, part) } else { sample(g.shadows, wx, wy) };
+            let cast = one - (one - lit) * still * v(g.weather.shadows);
             sun = sun * cast;
             // In the shade of houses part of the sky is hidden too.
             sky = sky * (v(0.80) + v(0.20) * cast);
         }
         if wet > 0.0 {
-            let pool = tiles.clouds.sample(wx * v(2.0) + v(9.0), wy * v(2.0)) * v(0.6);
+            let pool = if posted[4] { between(&posts[4], k, part) } else { pool(tiles, wx, wy) };
             let pool = ((pool + n_large * half + v(0.2 - puddle_from)) * v(9.0)).unit();
             let dark = one - v(wet) * (v(0.42) + v(0.22) * pool);
             let shine = v(wet * fresnel) * (v(0.42) + v(0.55) * pool) * open;
@@ -245,6 +305,19 @@ fn ground_run<L: Lane, const KIND: u8>(run: &Run<'_>, g: &Ground<'_>, row: &mut 
 #[inline(always)]
 fn noise<L: Lane>(tile: &Tile, x: L, y: L, scale: f32, share: f32) -> L {
     (tile.sample(x * L::splat(scale), y * L::splat(scale)) - L::splat(0.5)) * L::splat(share)
+}
+
+/// Where puddles form.
+#[inline(always)]
+fn pool<L: Lane>(tiles: &Tiles, x: L, y: L) -> L {
+    tiles.clouds.sample(x * L::splat(2.0) + L::splat(9.0), y * L::splat(2.0)) * L::splat(0.6)
+}
+
+/// `part` pixels beyond post `k`.
+#[inline(always)]
+fn between<L: Lane>(posts: &[f32], k: usize, part: L) -> L {
+    let (a, b) = (posts[k], posts[k + 1]);
+    L::splat(a) + L::splat((b - a) * (1.0 / POST as f32)) * part
 }
 
 #[inline(always)]
@@ -421,7 +494,7 @@ fn facade_run<L: Lane>(run: &Run<'_>, wall: &Wall<'_>, tiles: &Tiles, row: &mut 
 /// Scene light to display value 0..1: a soft shoulder, about a square root below it.
 #[inline(always)]
 fn tone<L: Lane>(x: L) -> L {
-    let s = x.max(L::splat(0.0)).min(L::splat(1.6)).sqrt();
+    let s = x.max(L::splat(0.0)).min(L::splat(1.6)).root();
     s * (L::splat(1.15) + s * (L::splat(0.0565) - L::splat(0.2693) * s))
 }
 
@@ -430,12 +503,14 @@ lanes! {
     /// All are padded.
     pub fn finish<L>(row: &Row, iz: &[f32], haze: &[Vec<f32>; 3], fog: f32, span: (usize, usize), out: &mut [u32]) {
         let v = L::splat;
-        let one = v(1.0);
+        let (f1, f2, f3) = (v(fog), v(0.5 * fog * fog), v(fog * fog * fog * 0.166_667));
         let mut x = span.0;
         while x < span.1 {
             let iz = L::load(&iz[x..]);
-            let t = v(fog) / iz.max(v(1e-9));
-            let clear = one / (one + t * (one + t * (v(0.5) + t * v(0.166_667))));
+            // What comes through: 1 / e^t by a few terms of its series, t = fog x depth.
+            let i = iz.max(v(1e-9));
+            let cube = i * i * i;
+            let clear = cube / (cube + i * (f1 * i + f2) + f3);
             let r = tone(L::load(&haze[0][x..]).mix(L::load(&row.r[x..]), clear));
             let g = tone(L::load(&haze[1][x..]).mix(L::load(&row.g[x..]), clear));
             let b = tone(L::load(&haze[2][x..]).mix(L::load(&row.b[x..]), clear));
