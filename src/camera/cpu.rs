@@ -26,6 +26,7 @@ use super::{Renderer, Shot};
 pub struct CpuRenderer {
     visibility: Visibility,
     vertices: Vec<CamVertex>,
+    sheets: Vec<bool>,
     marks: Marks,
     shadows: ShadowMap,
     /// The scene that the shadows are of.
@@ -68,6 +69,8 @@ impl Renderer for CpuRenderer {
             self.stamp = scene.grid.stamp();
             self.shadows.forget();
         }
+        self.sheets.clear();
+        self.sheets.extend(scene.library.materials.iter().map(|material| material.double_sided));
         let sunny = weather.shadows > 0.02;
         if sunny && outputs.rgb {
             self.shadows.prepare(scene, view, weather.sun);
@@ -85,6 +88,7 @@ impl Renderer for CpuRenderer {
             weather,
             visibility: &mut self.visibility,
             vertices: &mut self.vertices,
+            sheets: &self.sheets,
             sun_at: &sun_at,
             shows_ego: shot.shows_ego,
         }

@@ -38,6 +38,9 @@ pub trait Lane:
     fn texel(table: &[u32], bits: u32, x: Self, y: Self) -> Self;
     /// The words of `table` at whole-numbered indices, which are brought within it.
     fn lookup(table: &[u32], index: Self, to: &mut [u32]);
+    /// Puts these into the first `count` places of `depth`, and `id` into those of `ids`, where they are
+    /// larger (and above 0); whether any is.
+    fn nearer(self, count: i32, depth: &mut [f32], ids: &mut [u32], id: u32) -> bool;
     /// A well-mixed number 0..1 for each pair of whole numbers and a seed.
     fn random(x: Self, y: Self, seed: u32) -> Self;
 
@@ -142,6 +145,14 @@ impl Lane for f32 {
         to[0] = table[(index.max(0.0) as usize).min(table.len() - 1)];
     }
     #[inline(always)]
+    fn nearer(self, count: i32, depth: &mut [f32], ids: &mut [u32], id: u32) -> bool {
+        let nearer = count > 0 && self > depth[0];
+        if nearer {
+            (depth[0], ids[0]) = (self, id);
+        }
+        nearer
+    }
+    #[inline(always)]
     fn random(x: Self, y: Self, seed: u32) -> Self {
         let magic = 12_582_912.0_f32;
         super::simd::unit(seed ^ (x + magic).to_bits() << 8 ^ (y + magic).to_bits() << 20)
@@ -203,7 +214,7 @@ mod avx {
     /// 0..1 as a byte in each word.
     #[inline(always)]
     fn byte(v: Eight) -> __m256i {
-        let v = v.unit() * Eight::splat(255.0) + Eight::splat(12_582_912.0);
+        let v = v * Eight::splat(255.0) + Eight::splat(12_582_912.0);
         // SAFETY: see [`Eight`].
         unsafe { _mm256_and_si256(_mm256_castps_si256(v.0), _mm256_set1_epi32(0xff)) }
     }
@@ -264,9 +275,11 @@ mod avx {
             let (r, g, b) = (byte(r), byte(g), byte(b));
             unsafe {
                 let gb = _mm256_or_si256(_mm256_slli_epi32::<8>(g), _mm256_slli_epi32::<16>(b));
-                let new = _mm256_castsi256_ps(_mm256_or_si256(r, gb));
-                let old = _mm256_loadu_ps(to.as_ptr().cast());
-                _mm256_storeu_ps(to.as_mut_ptr().cast(), _mm256_blendv_ps(new, old, keep));
+                let new = _mm256_or_si256(r, gb);
+                let old = _mm256_loadu_si256(to.as_ptr().cast());
+                // A blend would become a slow masked store.
+                let change = _mm256_andnot_si256(_mm256_castps_si256(keep), _mm256_xor_si256(old, new));
+                _mm256_storeu_si256(to.as_mut_ptr().cast(), _mm256_xor_si256(old, change));
             }
         }
         #[inline(always)]
@@ -291,8 +304,7 @@ mod avx {
                 let half = _mm256_srli_epi32::<1>(_mm256_castps_si256(self.0));
                 Self(_mm256_castsi256_ps(_mm256_sub_epi32(_mm256_set1_epi32(0x5f1f_fff9), half)))
             };
-            self * (guess * Self::splat(0.703_952_25))
-                * (Self::splat(2.389_244_6) - self * guess * guess)
+            self * (guess * Self::splat(0.703_952_25)) * (Self::splat(2.389_244_6) - self * guess * guess)
         }
         #[inline(always)]
         fn less(self, other: Self) -> __m256 {
@@ -331,6 +343,24 @@ mod avx {
             unsafe {
                 let words = _mm256_i32gather_epi32::<4>(table.as_ptr().cast(), _mm256_cvttps_epi32(index.0));
                 _mm256_storeu_si256(to.as_mut_ptr().cast(), words);
+            }
+        }
+        #[inline(always)]
+        fn nearer(self, count: i32, depth: &mut [f32], ids: &mut [u32], id: u32) -> bool {
+            let (depth, ids) = (&mut depth[..8], &mut ids[..8]);
+            unsafe {
+                let ramp = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
+                let within = _mm256_cmpgt_epi32(_mm256_set1_epi32(count), ramp);
+                let new = _mm256_and_ps(self.0, _mm256_castsi256_ps(within));
+                let old = _mm256_loadu_ps(depth.as_ptr());
+                let nearer = _mm256_cmp_ps::<_CMP_GT_OQ>(new, old);
+                // Blends that are stored where one side was loaded become slow masked stores.
+                _mm256_storeu_ps(depth.as_mut_ptr(), _mm256_max_ps(new, old));
+                let old = _mm256_loadu_si256(ids.as_ptr().cast());
+                let change = _mm256_xor_si256(old, _mm256_set1_epi32(id as i32));
+                let change = _mm256_and_si256(change, _mm256_castps_si256(nearer));
+                _mm256_storeu_si256(ids.as_mut_ptr().cast(), _mm256_xor_si256(old, change));
+                _mm256_movemask_ps(nearer) != 0
             }
         }
         #[inline(always)]

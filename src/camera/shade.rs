@@ -167,7 +167,8 @@ fn ground_run<L: Lane, const KIND: u8>(run: &Run<'_>, g: &Ground<'_>, row: &mut 
     let shadowed = g.shadow_reach > 1.0 && middle < g.shadow_reach;
     // Where posts stand less than two texels apart (one of the cracks, which are thin), posts do.
     let apart = if x1 - x0 < POSTED { f32::MAX } else { across * POST as f32 };
-    let post = [0.5, 8.0, 5.0, 4.0, 2.0].map(|texels| apart * texels <= if texels == 5.0 { 1.0 } else { 2.0 });
+    let post =
+        [0.5, 8.0, 5.0, 4.0, 2.0].map(|texels| apart * texels <= if texels == 5.0 { 1.0 } else { 2.0 });
     let wanted = [true, with_mid, KIND == 0 && with_mid, shadowed, wet > 0.0];
     let posted: [bool; 5] = std::array::from_fn(|i| post[i] && wanted[i]);
     let posts = &mut row.posts;

@@ -52,9 +52,12 @@ pub fn split(x: f32) -> (u32, f32) {
 /// The smallest pixel whose centre is not before `x`, within 0..=`limit`.
 #[inline(always)]
 pub fn first_centre(x: f32, limit: f32) -> i32 {
+    let x = x - 0.5;
     // NaN becomes 0.
-    let x = (x - 0.5).max(0.0).min(limit);
-    let whole = x as i32;
+    let x = if x > 0.0 { x } else { 0.0 };
+    let x = if x < limit { x } else { limit };
+    // SAFETY: 0 <= x <= limit, a picture's side.
+    let whole = unsafe { x.to_int_unchecked::<i32>() };
     whole + i32::from((whole as f32) < x)
 }
 
