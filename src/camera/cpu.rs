@@ -27,6 +27,7 @@ pub struct CpuRenderer {
     visibility: Visibility,
     vertices: Vec<CamVertex>,
     sheets: Vec<bool>,
+    borders: Vec<u32>,
     marks: Marks,
     shadows: ShadowMap,
     /// The scene that the shadows are of.
@@ -68,9 +69,11 @@ impl Renderer for CpuRenderer {
         if self.stamp != scene.grid.stamp() {
             self.stamp = scene.grid.stamp();
             self.shadows.forget();
+            let materials = &scene.library.materials;
+            self.sheets = materials.iter().map(|material| material.double_sided).collect();
+            self.facades = materials.iter().map(facade_numbers).collect();
+            self.grounds = materials.iter().map(ground_numbers).collect();
         }
-        self.sheets.clear();
-        self.sheets.extend(scene.library.materials.iter().map(|material| material.double_sided));
         let sunny = weather.shadows > 0.02;
         if sunny && outputs.rgb {
             self.shadows.prepare(scene, view, weather.sun);
@@ -163,14 +166,10 @@ impl CpuRenderer {
             self.surfaces.push(lighting.ground(material));
             self.looks[geometry.tris.len()] = 1;
         }
-        self.facades.clear();
-        self.facades.extend(library.materials.iter().map(facade_numbers));
-        self.grounds.clear();
-        self.grounds.extend(library.materials.iter().map(ground_numbers));
         self.seen.clear();
         self.seen.resize(geometry.items.len(), NOTHING);
         self.row.resize(width);
-        self.pixels.resize(width * height + PAD, 0);
+        self.pixels.resize(width * height + 2 * PAD, 0);
         let wet = weather.wetness > 0.0;
         if wet {
             self.mirrors.resize(width * height, 0);
@@ -286,6 +285,8 @@ impl CpuRenderer {
                     weather,
                     paint: &self.marks.paint[start..end],
                     shade: &self.marks.shade[start..end],
+                    painted: self.marks.painted[y],
+                    shaded: self.marks.shaded[y],
                     shadow_reach: if lies && weather.shadows > 0.02 { 96.0 } else { 1e-3 },
                     numbers: &self.grounds[material],
                     lies,
@@ -310,7 +311,14 @@ impl CpuRenderer {
             let horizon = view.centre[1] + view.focal * view.ahead[2] / view.up[2].max(0.1);
             effects::mirror(pixels, &self.mirrors, view.width, horizon as i32, &mut self.foot);
         }
-        effects::smooth_edges(pixels, &self.visibility, geometry, &self.vertices);
+        effects::smooth_edges(
+            &mut self.pixels,
+            &self.visibility,
+            geometry,
+            &self.vertices,
+            &mut self.borders,
+        );
+        let pixels = &mut self.pixels[..view.width * view.height];
         if weather.lamps {
             let gain = weather.lamp_gain * 0.6;
             effects::glow(pixels, &geometry.seen, &scene.library, view, &self.visibility, gain);

@@ -27,7 +27,8 @@ pub trait Lane:
     fn min(self, other: Self) -> Self;
     fn max(self, other: Self) -> Self;
     fn abs(self) -> Self;
-    fn sqrt(self) -> Self;
+    /// `self` x `a` + `b`, rounded once.
+    fn fma(self, a: Self, b: Self) -> Self;
     /// The square root within 0.07 %, for numbers from 0 on; faster.
     fn root(self) -> Self;
     fn less(self, other: Self) -> Self::Mask;
@@ -41,6 +42,9 @@ pub trait Lane:
     /// Puts these into the first `count` places of `depth`, and `id` into those of `ids`, where they are
     /// larger (and above 0); whether any is.
     fn nearer(self, count: i32, depth: &mut [f32], ids: &mut [u32], id: u32) -> bool;
+    /// The places, as bits, where two rows of ids differ and two rows of packed colours are far enough
+    /// apart (more than 20 of 765) to see it.
+    fn borders(ids: [&[u32]; 2], colours: [&[u32]; 2]) -> u32;
     /// A well-mixed number 0..1 for each pair of whole numbers and a seed.
     fn random(x: Self, y: Self, seed: u32) -> Self;
 
@@ -58,7 +62,7 @@ pub trait Lane:
     /// From `self` to `other` by `t`.
     #[inline(always)]
     fn mix(self, other: Self, t: Self) -> Self {
-        self + (other - self) * t
+        (other - self).fma(t, self)
     }
 }
 
@@ -109,8 +113,8 @@ impl Lane for f32 {
         f32::abs(self)
     }
     #[inline(always)]
-    fn sqrt(self) -> Self {
-        f32::sqrt(self)
+    fn fma(self, a: Self, b: Self) -> Self {
+        f32::mul_add(self, a, b)
     }
     #[inline(always)]
     fn root(self) -> Self {
@@ -136,9 +140,7 @@ impl Lane for f32 {
         let mask = (1 << bits) - 1;
         let word = table[((iy & mask) << bits | ix & mask) as usize];
         let corner = |shift: u32| (word >> shift & 0xff) as f32;
-        let low = corner(0) + (corner(8) - corner(0)) * fx;
-        let high = corner(16) + (corner(24) - corner(16)) * fx;
-        low + (high - low) * fy
+        corner(0).mix(corner(8), fx).mix(corner(16).mix(corner(24), fx), fy)
     }
     #[inline(always)]
     fn lookup(table: &[u32], index: Self, to: &mut [u32]) {
@@ -151,6 +153,12 @@ impl Lane for f32 {
             (depth[0], ids[0]) = (self, id);
         }
         nearer
+    }
+    #[inline(always)]
+    fn borders(ids: [&[u32]; 2], colours: [&[u32]; 2]) -> u32 {
+        let byte = |word: u32, shift: u32| word >> shift & 0xff;
+        let gap = |shift| byte(colours[0][0], shift).abs_diff(byte(colours[1][0], shift));
+        u32::from(ids[0][0] != ids[1][0] && gap(0) + gap(8) + gap(16) + gap(24) > 20)
     }
     #[inline(always)]
     fn random(x: Self, y: Self, seed: u32) -> Self {
@@ -295,8 +303,8 @@ mod avx {
             unsafe { Self(_mm256_andnot_ps(_mm256_set1_ps(-0.0), self.0)) }
         }
         #[inline(always)]
-        fn sqrt(self) -> Self {
-            unsafe { Self(_mm256_sqrt_ps(self.0)) }
+        fn fma(self, a: Self, b: Self) -> Self {
+            unsafe { Self(_mm256_fmadd_ps(self.0, a.0, b.0)) }
         }
         #[inline(always)]
         fn root(self) -> Self {
@@ -331,8 +339,7 @@ mod avx {
                 let c1 = number(_mm256_srli_epi32::<8>(word));
                 let c2 = number(_mm256_srli_epi32::<16>(word));
                 let c3 = number(_mm256_srli_epi32::<24>(word));
-                let (low, high) = (c0 + (c1 - c0) * fx, c2 + (c3 - c2) * fx);
-                low + (high - low) * fy
+                c0.mix(c1, fx).mix(c2.mix(c3, fx), fy)
             }
         }
         #[inline(always)]
@@ -364,6 +371,19 @@ mod avx {
             }
         }
         #[inline(always)]
+        fn borders(ids: [&[u32]; 2], colours: [&[u32]; 2]) -> u32 {
+            let ([a, b], [c, d]) = (ids.map(|row| &row[..8]), colours.map(|row| &row[..8]));
+            unsafe {
+                let [a, b, c, d] = [a, b, c, d].map(|row| _mm256_loadu_si256(row.as_ptr().cast()));
+                let gaps = _mm256_or_si256(_mm256_subs_epu8(c, d), _mm256_subs_epu8(d, c));
+                let pairs = _mm256_maddubs_epi16(gaps, _mm256_set1_epi8(1));
+                let sums = _mm256_madd_epi16(pairs, _mm256_set1_epi16(1));
+                let seen = _mm256_cmpgt_epi32(sums, _mm256_set1_epi32(20));
+                let border = _mm256_andnot_si256(_mm256_cmpeq_epi32(a, b), seen);
+                _mm256_movemask_ps(_mm256_castsi256_ps(border)) as u32
+            }
+        }
+        #[inline(always)]
         fn random(x: Self, y: Self, seed: u32) -> Self {
             let magic = Self::splat(12_582_912.0);
             unsafe {
@@ -386,7 +406,7 @@ macro_rules! lanes {
             fn body<$lane: $crate::camera::lanes::Lane>($($arg: $ty),*) $body
             #[cfg(target_arch = "x86_64")]
             {
-                #[target_feature(enable = "avx2,bmi1,bmi2")]
+                #[target_feature(enable = "avx2,fma,bmi1,bmi2")]
                 fn fast($($arg: $ty),*) {
                     body::<$crate::camera::lanes::Eight>($($arg),*)
                 }
@@ -413,7 +433,7 @@ mod tests {
             let (a, b) = (L::load(&x[at..]), L::load(&y[at..]));
             let results = [
                 a.min(b),
-                a.max(b).sqrt(),
+                a.max(b).fma(a, b),
                 a.abs().root(),
                 a.floor(),
                 a.abs() / b,
@@ -435,7 +455,7 @@ mod tests {
         out.into_iter().map(|(_, bits)| bits).collect()
     }
 
-    #[target_feature(enable = "avx2,bmi1,bmi2")]
+    #[target_feature(enable = "avx2,fma,bmi1,bmi2")]
     fn eight(x: &[f32; 8], y: &[f32; 8], table: &[u32]) -> Vec<u32> {
         work::<Eight>(x, y, table)
     }

@@ -1,8 +1,9 @@
 //! Arithmetic that vectorises, and the choice of the instruction set at run time.
 //!
-//! Nothing here fuses multiply and add, so that every instruction set gives the same bits.
+//! The compiler fuses no multiply and add by itself; where the lanes do so, single numbers do too, so
+//! that every instruction set gives the same bits.
 
-/// Defines a function whose body is compiled twice, for AVX2 and for any x86-64 (or other) machine,
+/// Defines a function whose body is compiled twice, for AVX2 with FMA and for any x86-64 (or other) machine,
 /// and picked at run time.
 macro_rules! multiversion {
     ($(#[$meta:meta])* $vis:vis fn $name:ident($($arg:ident: $ty:ty),* $(,)?) $(-> $ret:ty)? $body:block) => {
@@ -14,7 +15,7 @@ macro_rules! multiversion {
             fn body($($arg: $ty),*) $(-> $ret)? $body
             #[cfg(target_arch = "x86_64")]
             {
-                #[target_feature(enable = "avx2,bmi1,bmi2")]
+                #[target_feature(enable = "avx2,fma,bmi1,bmi2")]
                 #[allow(clippy::too_many_arguments)]
                 fn fast($($arg: $ty),*) $(-> $ret)? {
                     body($($arg),*)
@@ -35,6 +36,7 @@ pub(super) use multiversion;
 #[inline]
 pub fn has_avx2() -> bool {
     std::is_x86_feature_detected!("avx2")
+        && std::is_x86_feature_detected!("fma")
         && std::is_x86_feature_detected!("bmi1")
         && std::is_x86_feature_detected!("bmi2")
 }
