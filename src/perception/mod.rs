@@ -6,6 +6,7 @@
 //! signals --light---> red or not --/
 //! ```
 
+mod choice;
 mod ground;
 mod image;
 mod lanes;
@@ -13,14 +14,16 @@ pub mod lead;
 mod light;
 pub mod paint;
 mod pipeline;
+pub mod stages;
 mod truth;
 
+pub use choice::{DETECTORS, detector};
 pub use ground::GroundPlane;
 pub use image::{TRANSFORMED_SIZE, TransformedImage};
-pub use lanes::{LaneBoundary, LaneEstimate};
+pub use lanes::{LaneBoundary, LaneDetector, LaneEstimate};
 pub use light::{AT_INTERSECTION, LightAhead};
 pub use pipeline::{EgoFacts, Percept, Perception};
-pub use truth::TruthDetector;
+pub use truth::{Faults, TruthDetector};
 
 use crate::camera::model::ObjectClass;
 use crate::camera::{CameraConfig, Frame, Outputs};
