@@ -18,6 +18,7 @@
 //! | [`bridge`] | one SUMO, one network, any number of egos, in lock-step |
 //! | [`camera`] | the town and its traffic as pictures with ground truth |
 //! | [`perception`] | detections, lanes and light: the transformed image |
+//! | [`dataset`] | frames by the autopilot, collected and read back |
 //! | [`latent`] | the encoder-decoder: the transformed image as 200 numbers |
 //! | [`observation`] | what an agent is given each tick |
 //! | [`agent`] | agents that learn to drive |
@@ -39,6 +40,7 @@ pub mod clock;
 pub mod cores;
 pub mod cpu_time;
 pub mod criteria;
+pub mod dataset;
 pub mod destination;
 pub mod drive;
 pub mod geometry;
