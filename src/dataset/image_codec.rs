@@ -112,7 +112,7 @@ mod jpeg {
         let mut bytes = Vector::<u8>::new();
         let quality = Vector::<i32>::from_slice(&[imgcodecs::IMWRITE_JPEG_QUALITY, 95]);
         imgcodecs::imencode(".jpg", &bgr, &mut bytes, &quality).map_err(fail)?;
-        Ok(bytes.to_vec())
+        Ok(bytes.as_slice().to_vec())
     }
 
     pub fn decode(bytes: &[u8], width: usize, height: usize) -> Result<Vec<u8>, DatasetError> {
