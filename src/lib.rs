@@ -18,8 +18,10 @@
 //! | [`bridge`] | one SUMO, one network, any number of egos, in lock-step |
 //! | [`camera`] | the town and its traffic as pictures with ground truth |
 //! | [`perception`] | detections, lanes and light: the transformed image |
+//! | [`dataset`] | frames by the autopilot, collected and read back |
 //! | [`latent`] | the encoder-decoder: the transformed image as 200 numbers |
 //! | [`observation`] | what an agent is given each tick |
+//! | [`train`] | training of the networks |
 //! | [`agent`] | agents that learn to drive |
 //! | [`autopilot`] | the rule-based expert |
 //! | [`criteria`] | collisions, red lights, lane, blocking, arrival |
@@ -39,9 +41,11 @@ pub mod clock;
 pub mod cores;
 pub mod cpu_time;
 pub mod criteria;
+pub mod dataset;
 pub mod destination;
 pub mod drive;
 pub mod geometry;
+pub mod interrupt;
 pub mod latent;
 pub mod network;
 pub mod observation;
@@ -53,5 +57,6 @@ pub mod sumo_config;
 pub mod telemetry;
 pub mod traci;
 pub mod traffic;
+pub mod train;
 pub mod vehicle;
 pub mod world;
