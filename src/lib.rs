@@ -19,8 +19,10 @@
 //! | [`camera`] | the town and its traffic as pictures with ground truth |
 //! | [`perception`] | detections, lanes and light: the transformed image |
 //! | [`watch`] | front camera and perception in a run |
+//! | [`dataset`] | frames by the autopilot, collected and read back |
 //! | [`latent`] | the encoder-decoder: the transformed image as 200 numbers |
 //! | [`observation`] | what an agent is given each tick |
+//! | [`train`] | training of the networks |
 //! | [`agent`] | agents that learn to drive |
 //! | [`autopilot`] | the rule-based expert |
 //! | [`criteria`] | collisions, red lights, lane, blocking, arrival |
@@ -41,9 +43,11 @@ pub mod clock;
 pub mod cores;
 pub mod cpu_time;
 pub mod criteria;
+pub mod dataset;
 pub mod destination;
 pub mod drive;
 pub mod geometry;
+pub mod interrupt;
 pub mod latent;
 pub mod network;
 pub mod observation;
@@ -55,6 +59,7 @@ pub mod sumo_config;
 pub mod telemetry;
 pub mod traci;
 pub mod traffic;
+pub mod train;
 pub mod vehicle;
 pub mod watch;
 pub mod world;
