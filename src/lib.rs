@@ -34,6 +34,7 @@
 pub mod agent;
 pub mod autopilot;
 pub mod bench;
+pub mod bench_tick;
 pub mod bridge;
 pub mod bundled;
 pub mod camera;

@@ -108,6 +108,12 @@ impl Picture {
         picture
     }
 
+    /// Draws a box (left, top, right, bottom in pixels, right and bottom exclusive).
+    pub fn frame(&mut self, bounds: [f32; 4], colour: [u8; 3]) {
+        let [x0, y0, x1, y1] = bounds.map(|v| v.max(0.0).round() as usize);
+        self.outline([x0, y0, x1.max(x0 + 1) - 1, y1.max(y0 + 1) - 1], colour);
+    }
+
     fn outline(&mut self, [x0, y0, x1, y1]: [usize; 4], colour: [u8; 3]) {
         for x in x0..=x1 {
             self.set(x, y0, colour);

@@ -6,20 +6,33 @@
 //! signals --light---> red or not --/
 //! ```
 
+mod choice;
+pub mod coco;
 mod ground;
+pub mod heads;
 mod image;
 mod lanes;
 pub mod lead;
 mod light;
+pub mod metrics;
+#[cfg(feature = "vision")]
+mod onnx;
+pub mod onnx_file;
 pub mod paint;
 mod pipeline;
+pub mod score;
+mod tour;
 mod truth;
 
+pub use choice::{DETECTORS, detector};
 pub use ground::GroundPlane;
 pub use image::{TRANSFORMED_SIZE, TransformedImage};
 pub use lanes::{LaneBoundary, LaneEstimate};
 pub use light::{AT_INTERSECTION, LightAhead};
+#[cfg(feature = "vision")]
+pub use onnx::OnnxDetector;
 pub use pipeline::{EgoFacts, Percept, Perception};
+pub use tour::Tour;
 pub use truth::TruthDetector;
 
 use crate::camera::model::ObjectClass;
