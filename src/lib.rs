@@ -19,6 +19,7 @@
 //! | [`camera`] | the town and its traffic as pictures with ground truth |
 //! | [`perception`] | detections, lanes and light: the transformed image |
 //! | [`dataset`] | frames by the autopilot, collected and read back |
+//! | [`watch`] | front camera and perception in a run |
 //! | [`latent`] | the encoder-decoder: the transformed image as 200 numbers |
 //! | [`observation`] | what an agent is given each tick |
 //! | [`train`] | training of the networks |
@@ -60,4 +61,5 @@ pub mod traci;
 pub mod traffic;
 pub mod train;
 pub mod vehicle;
+pub mod watch;
 pub mod world;
