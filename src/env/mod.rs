@@ -37,15 +37,17 @@
 
 mod assets;
 mod end;
+mod episode;
 mod error;
 mod eyes;
+mod obstacle;
 mod options;
-mod place;
 mod world;
 
 pub use assets::Assets;
 pub use end::{End, Ending, Termination};
 pub use error::EnvError;
+pub use eyes::detector;
 pub use options::{EnvOptions, ObservationMode, WorldMode};
 
 use crate::criteria::Event;
@@ -164,6 +166,16 @@ impl Env {
     /// Where the episode takes place: enough to drive it again.
     pub fn placement(&self) -> Option<&Placement> {
         self.world.placement()
+    }
+
+    /// The ego, for cameras that look from outside.
+    pub fn ego(&self) -> Option<&crate::bridge::Ego> {
+        self.world.ego()
+    }
+
+    /// Id of SUMO's process, None before the first reset.
+    pub fn sumo_pid(&self) -> Option<u32> {
+        self.world.sumo_pid()
     }
 
     /// What the observation is made from, for people and data sets: the camera's last frame.

@@ -1,6 +1,6 @@
 //! The driving tasks: the paper's five in rising difficulty, composite, and navigation.
 //!
-//! A [`TaskSpec`] says what is to be driven; [`place`] finds one of the many places on a net where that
+//! A [`TaskSpec`] says what is to be driven; [`Places`] finds one of the many places on a net where that
 //! can be done, from a seed; a [`Placement`] is such a place, and enough to drive it again.
 //!
 //! | task | route | traffic | tick limit | success |
@@ -21,7 +21,7 @@ mod place;
 mod survey;
 
 pub use error::TaskError;
-pub use place::{ObstacleKind, ObstaclePlacement, Placement, Spot, place};
+pub use place::{ObstacleKind, ObstaclePlacement, Placement, Places, Spot};
 
 use crate::camera::Preset;
 use crate::traffic::{Counts, TrafficSpec};
