@@ -24,6 +24,9 @@
 //! | [`observation`] | what an agent is given each tick |
 //! | [`train`] | training of the networks |
 //! | [`agent`] | agents that learn to drive |
+//! | [`tasks`] | what is to be driven, and where on a net that can be done |
+//! | [`reward`] | the paper's six reward terms |
+//! | [`env`] | all of that as `reset` and `step` |
 //! | [`autopilot`] | the rule-based expert |
 //! | [`criteria`] | collisions, red lights, lane, blocking, arrival |
 //! | [`drive`] | `run`: from destination to destination, with telemetry |
@@ -46,6 +49,7 @@ pub mod criteria;
 pub mod dataset;
 pub mod destination;
 pub mod drive;
+pub mod env;
 pub mod geometry;
 pub mod interrupt;
 pub mod latent;
@@ -53,9 +57,11 @@ pub mod network;
 pub mod observation;
 pub mod perception;
 pub mod record;
+pub mod reward;
 pub mod seeds;
 pub mod sight;
 pub mod sumo_config;
+pub mod tasks;
 pub mod telemetry;
 pub mod traci;
 pub mod traffic;

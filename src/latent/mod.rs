@@ -9,6 +9,8 @@ pub mod weights;
 
 #[cfg(feature = "learn")]
 pub use encoder::TchEncoder;
+mod pooled;
+pub use pooled::PooledEncoder;
 
 use crate::perception::TransformedImage;
 
