@@ -1,5 +1,9 @@
 //! The encoder-decoder that turns the transformed image into 200 numbers (paper, figure 4).
 
+mod pooled;
+
+pub use pooled::PooledEncoder;
+
 use crate::perception::TransformedImage;
 
 /// Why there is no latent.

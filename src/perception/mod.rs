@@ -6,9 +6,21 @@
 //! signals --light---> red or not --/
 //! ```
 
+mod ground;
 mod image;
+mod lanes;
+pub mod lead;
+mod light;
+pub mod paint;
+mod pipeline;
+mod truth;
 
+pub use ground::GroundPlane;
 pub use image::{TRANSFORMED_SIZE, TransformedImage};
+pub use lanes::{LaneBoundary, LaneEstimate};
+pub use light::{AT_INTERSECTION, LightAhead};
+pub use pipeline::{EgoFacts, Percept, Perception};
+pub use truth::TruthDetector;
 
 use crate::camera::model::ObjectClass;
 use crate::camera::{CameraConfig, Frame, Outputs};
