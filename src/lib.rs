@@ -18,8 +18,10 @@
 //! | [`bridge`] | one SUMO, one network, any number of egos, in lock-step |
 //! | [`camera`] | the town and its traffic as pictures with ground truth |
 //! | [`perception`] | detections, lanes and light: the transformed image |
+//! | [`dataset`] | frames by the autopilot, collected and read back |
 //! | [`latent`] | the encoder-decoder: the transformed image as 200 numbers |
 //! | [`observation`] | what an agent is given each tick |
+//! | [`train`] | training of the networks |
 //! | [`agent`] | agents that learn to drive |
 //! | [`tasks`] | what is to be driven, and where on a net that can be done |
 //! | [`reward`] | the paper's six reward terms |
@@ -42,10 +44,12 @@ pub mod clock;
 pub mod cores;
 pub mod cpu_time;
 pub mod criteria;
+pub mod dataset;
 pub mod destination;
 pub mod drive;
 pub mod env;
 pub mod geometry;
+pub mod interrupt;
 pub mod latent;
 pub mod network;
 pub mod observation;
@@ -59,5 +63,6 @@ pub mod tasks;
 pub mod telemetry;
 pub mod traci;
 pub mod traffic;
+pub mod train;
 pub mod vehicle;
 pub mod world;

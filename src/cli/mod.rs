@@ -3,10 +3,13 @@
 
 mod bench;
 mod bench_camera;
+mod dataset;
 mod doctor;
 mod exit;
+mod progress;
 mod run;
 mod snapshot;
+mod train;
 
 use clap::{ArgAction, Parser, Subcommand};
 use std::io::Write;
@@ -37,6 +40,10 @@ enum Command {
     Run(Box<run::Args>),
     /// Drive into a town under the autopilot, and take a picture.
     Snapshot(Box<snapshot::Args>),
+    /// Collect training data from the autopilot's drives.
+    Dataset(Box<dataset::Args>),
+    /// Train a network.
+    Train(train::Args),
     /// Measure speed, as a ratio to SUMO alone in the same run.
     Bench(bench::Args),
     /// Check what this machine has for wad-cosim, and say what to do about what is missing.
@@ -50,6 +57,8 @@ pub fn main() -> ExitCode {
     let result = match cli.command {
         Command::Run(args) => run::run(*args),
         Command::Snapshot(args) => snapshot::run(*args),
+        Command::Dataset(args) => dataset::run(*args),
+        Command::Train(args) => train::run(args),
         Command::Bench(args) => bench::run(args),
         Command::Doctor(args) => doctor::run(args),
     };
