@@ -4,12 +4,12 @@
 pub mod encoder;
 #[cfg(feature = "learn")]
 pub mod network;
+mod pooled;
 #[cfg(feature = "learn")]
 pub mod weights;
 
 #[cfg(feature = "learn")]
 pub use encoder::TchEncoder;
-mod pooled;
 pub use pooled::PooledEncoder;
 
 use crate::perception::TransformedImage;
