@@ -3,6 +3,7 @@
 
 mod bench;
 mod bench_camera;
+mod bench_tick;
 mod dataset;
 mod doctor;
 mod eval;

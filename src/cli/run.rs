@@ -238,7 +238,7 @@ impl Film {
 }
 
 /// Ctrl-C and SIGTERM.
-pub struct Interrupt {
+pub(super) struct Interrupt {
     terminate: tokio::signal::unix::Signal,
     interrupt: tokio::signal::unix::Signal,
 }

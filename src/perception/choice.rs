@@ -1,10 +1,13 @@
 //! Detectors by name: what `--detector` takes.
 
-use super::{Detector, PerceptionError};
+use super::{Detector, Faults, PerceptionError, TruthDetector};
 
 /// The forms that [`detector`] knows, for help texts.
-pub const DETECTORS: &str =
-    "onnx:FILE (any COCO detector in ONNX; onnx alone: what scripts/fetch-detector fetched)";
+pub const DETECTORS: &str = "truth (the renderer's boxes), truth:faulty (with a real detector's faults), \
+     onnx:FILE (any COCO detector in ONNX; onnx alone: what scripts/fetch-detector fetched)";
+
+/// A detection with a lower score is none, unless a measurement asks for all of them.
+pub const MIN_SCORE: f32 = 0.3;
 
 /// The detector called `name`; detections with a score below `min_score` (0 to 1) are dropped.
 ///
@@ -17,6 +20,8 @@ pub fn detector(name: &str, min_score: f32) -> Result<Box<dyn Detector>, Percept
     };
     let (kind, file) = name.split_once(':').map_or((name, None), |(kind, file)| (kind, Some(file)));
     match kind {
+        "truth" if file.is_none() => Ok(Box::new(TruthDetector::new())),
+        "truth" if file == Some("faulty") => Ok(Box::new(TruthDetector::with_faults(Faults::HONEST))),
         "onnx" => onnx(name, file, min_score),
         _ => Err(unknown()),
     }

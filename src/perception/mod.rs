@@ -23,19 +23,20 @@ pub mod onnx_file;
 pub mod paint;
 mod pipeline;
 pub mod score;
+pub mod stages;
 mod tour;
 mod truth;
 
-pub use choice::{DETECTORS, detector};
+pub use choice::{DETECTORS, MIN_SCORE, detector};
 pub use ground::GroundPlane;
 pub use image::{TRANSFORMED_SIZE, TransformedImage};
-pub use lanes::{LaneBoundary, LaneEstimate};
+pub use lanes::{LaneBoundary, LaneDetector, LaneEstimate};
 pub use light::{AT_INTERSECTION, LightAhead};
 #[cfg(feature = "vision")]
 pub use onnx::OnnxDetector;
 pub use pipeline::{EgoFacts, Percept, Perception};
 pub use tour::Tour;
-pub use truth::TruthDetector;
+pub use truth::{Faults, TruthDetector};
 
 use crate::camera::model::ObjectClass;
 use crate::camera::{CameraConfig, Frame, Outputs};
