@@ -18,6 +18,7 @@
 //! | [`bridge`] | one SUMO, one network, any number of egos, in lock-step |
 //! | [`camera`] | the town and its traffic as pictures with ground truth |
 //! | [`perception`] | detections, lanes and light: the transformed image |
+//! | [`watch`] | front camera and perception in a run |
 //! | [`dataset`] | frames by the autopilot, collected and read back |
 //! | [`latent`] | the encoder-decoder: the transformed image as 200 numbers |
 //! | [`observation`] | what an agent is given each tick |
@@ -37,6 +38,7 @@
 pub mod agent;
 pub mod autopilot;
 pub mod bench;
+pub mod bench_tick;
 pub mod bridge;
 pub mod bundled;
 pub mod camera;
@@ -65,4 +67,5 @@ pub mod traci;
 pub mod traffic;
 pub mod train;
 pub mod vehicle;
+pub mod watch;
 pub mod world;

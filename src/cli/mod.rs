@@ -3,8 +3,10 @@
 
 mod bench;
 mod bench_camera;
+mod bench_tick;
 mod dataset;
 mod doctor;
+mod eval;
 mod exit;
 mod progress;
 mod run;
@@ -46,6 +48,8 @@ enum Command {
     Train(train::Args),
     /// Measure speed, as a ratio to SUMO alone in the same run.
     Bench(bench::Args),
+    /// Judge a part of the system by the ground truth.
+    Eval(eval::Args),
     /// Check what this machine has for wad-cosim, and say what to do about what is missing.
     Doctor(doctor::Args),
 }
@@ -60,6 +64,7 @@ pub fn main() -> ExitCode {
         Command::Dataset(args) => dataset::run(*args),
         Command::Train(args) => train::run(args),
         Command::Bench(args) => bench::run(args),
+        Command::Eval(args) => eval::run(args),
         Command::Doctor(args) => doctor::run(args),
     };
     match result {

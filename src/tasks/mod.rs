@@ -16,10 +16,12 @@
 //! Lengths are met to within a tenth. *Progress* is half of the route. At 167 ms a tick, 600 ticks are
 //! 100 s: 400 m at 4 m/s. The cross task's 167 s leave room for one red phase (a cycle takes 110 s).
 
+mod curriculum;
 mod error;
 mod place;
 mod survey;
 
+pub use curriculum::{Curriculum, CurriculumError, Progress, Stage};
 pub use error::TaskError;
 pub use place::{ObstacleKind, ObstaclePlacement, Placement, Places, Spot};
 

@@ -1,6 +1,6 @@
 //! Paint: lines between lanes and directions, stop lines, zebra crossings, arrows.
 
-use super::roads::{Station, Surface, stations, surface};
+use super::roads::{JunctionHeight, Station, Surface, stations, surface};
 use super::tiles::Tiles;
 use crate::camera::model::PaintColour;
 use crate::geometry::{Point, Pose, Vector};
@@ -17,13 +17,15 @@ struct Painter<'a> {
     tiles: &'a mut Tiles,
     line: Vec<Station>,
     length: f64,
+    /// Lines along the lane keep to this stretch of it (m): they end with the stop line.
+    reach: (f64, f64),
     strength: f32,
 }
 
 impl Painter<'_> {
     /// A stripe `d` (m) left of the line from `from` to `to` along it (m).
     fn stripe(&mut self, d: f64, breadth: f64, from: f64, to: f64) {
-        let (from, to) = (from.max(0.0), to.min(self.length));
+        let (from, to) = (from.max(self.reach.0), to.min(self.reach.1));
         if to - from < 0.05 {
             return;
         }
@@ -50,7 +52,8 @@ impl Painter<'_> {
         let count = ((self.length - dash) / period).floor().max(0.0);
         // Centred, so that both ends look alike.
         let mut s = 0.5 * (self.length - count * period - dash);
-        while s + 0.5 * dash < self.length {
+        // The last one is not cut short to a stump.
+        while s + 0.5 * dash < self.reach.1 {
             self.stripe(d, LINE, s, s + dash);
             s += period;
         }
@@ -101,6 +104,7 @@ pub(super) fn build(network: &Network, seed: u64, tiles: &mut Tiles) {
             continue;
         }
         let half = 0.5 * lane.width - 0.25;
+        let height = JunctionHeight::of(network, network.junction(crossing.junction));
         let (bar, gap) = (0.5, 0.5);
         let count = ((length - 0.5) / (bar + gap)).floor().max(1.0);
         let mut s = 0.5 * (length - count * (bar + gap) + gap);
@@ -109,7 +113,7 @@ pub(super) fn build(network: &Network, seed: u64, tiles: &mut Tiles) {
             let b = lane.shape.at(s + bar);
             let p = |pose: &Pose, d: f64| {
                 let q = pose.to_world(Vector::new(0.0, d));
-                Point3::new(q.x, q.y, pose.position.z)
+                Point3::new(q.x, q.y, height.surface(q))
             };
             // The long sides lie along the traffic.
             let q = [p(&b, -half), p(&b, half), p(&a, half), p(&a, -half)];
@@ -128,6 +132,9 @@ fn edge(network: &Network, id: EdgeId, inward: f64, seed: u64, tiles: &mut Tiles
     let strength =
         0.6 + 0.35 * ((crate::seeds::derive(seed ^ u64::from(id.0), "paint") % 100) as f32 / 100.0);
     let narrow = network.lane(inner).width < 2.9;
+    let stops = |lanes: &[LaneId]| lanes.iter().any(|&l| line_at_end(network, l) != EndLine::None);
+    let trim = if stops(&driven) { STOP_LINE.1 } else { 0.0 };
+    let facing = across.filter(|&(other, gap)| gap < ADJACENT && stops(&network.edge(other).lanes));
     for &lane_id in &driven {
         let lane = network.lane(lane_id);
         let half = 0.5 * lane.width;
@@ -135,8 +142,8 @@ fn edge(network: &Network, id: EdgeId, inward: f64, seed: u64, tiles: &mut Tiles
         if line.len() < 2 || lane.shape.length() < 2.0 {
             continue;
         }
-        let mut painter = Painter { tiles, line, length: lane.shape.length(), strength };
-        let length = painter.length;
+        let length = lane.shape.length();
+        let mut painter = Painter { tiles, line, length, reach: (0.0, length - trim), strength };
         if lane_id == outer && !narrow {
             painter.stripe(-inward * (half - 0.22), LINE, 0.0, length);
         }
@@ -145,6 +152,7 @@ fn edge(network: &Network, id: EdgeId, inward: f64, seed: u64, tiles: &mut Tiles
                 Some((other, gap)) if gap < ADJACENT => {
                     // Painted once for both directions.
                     if id < other {
+                        painter.reach.0 = if facing.is_some() { STOP_LINE.1 } else { 0.0 };
                         let middle = inward * (half + 0.5 * gap.max(0.0));
                         if narrow {
                             painter.dashes(middle, 3.0, 3.0);
@@ -171,19 +179,50 @@ fn edge(network: &Network, id: EdgeId, inward: f64, seed: u64, tiles: &mut Tiles
                 painter.dashes(inward * half, 3.0, 6.0);
             }
         }
-        ends(network, lane_id, tiles, strength);
+        let (right, left) = (lane_id == driven[0], lane_id == driven[driven.len() - 1]);
+        let sides = if inward > 0.0 { [right, left] } else { [left, right] };
+        ends(network, lane_id, sides, tiles, strength);
     }
 }
 
-/// Stop line, give-way line and arrows at a lane's end.
-fn ends(network: &Network, id: LaneId, tiles: &mut Tiles, strength: f32) {
+/// Where stop lines begin and end, before the lane's end (m).
+const STOP_LINE: (f64, f64) = (0.85, 0.4);
+
+/// The line across a lane's end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum EndLine {
+    None,
+    Stop,
+    /// A broken one: give way.
+    Yield,
+}
+
+fn line_at_end(network: &Network, id: LaneId) -> EndLine {
+    let lane = network.lane(id);
+    if surface(lane) != Surface::Road || lane.shape.length() < 6.0 {
+        return EndLine::None;
+    }
+    let links = || lane.outgoing.iter().map(|&l| network.link(l));
+    if links().any(|l| l.signal.is_some() || l.state == 's') {
+        EndLine::Stop
+    } else if links().any(|l| matches!(l.state, 'm' | 'w')) && links().any(|l| !l.must_yield_to.is_empty()) {
+        EndLine::Yield
+    } else {
+        EndLine::None
+    }
+}
+
+/// Stop line, give-way line and arrows at a lane's end. `sides`: whether the carriageway ends on the
+/// lane's right and on its left.
+fn ends(network: &Network, id: LaneId, sides: [bool; 2], tiles: &mut Tiles, strength: f32) {
     let lane = network.lane(id);
     let length = lane.shape.length();
     if lane.outgoing.is_empty() || length < 6.0 {
         return;
     }
     let links: Vec<_> = lane.outgoing.iter().map(|&l| network.link(l)).collect();
-    let half = 0.5 * lane.width - 0.05;
+    // From line to line; over the seams between lanes.
+    let [right, left] = sides.map(|at_border| 0.5 * lane.width + if at_border { -0.17 } else { 0.03 });
     let bar = |tiles: &mut Tiles, from: f64, to: f64, right: f64, left: f64| {
         let (a, b) = (lane.shape.at(from), lane.shape.at(to));
         let p = |pose: &Pose, d: f64| {
@@ -198,16 +237,17 @@ fn ends(network: &Network, id: LaneId, tiles: &mut Tiles, strength: f32) {
             [true, true],
         );
     };
-    let yields = links.iter().any(|l| matches!(l.state, 'm' | 'w'))
-        && links.iter().any(|l| !l.must_yield_to.is_empty());
-    if links.iter().any(|l| l.signal.is_some() || matches!(l.state, 's')) {
-        bar(tiles, length - 0.85, length - 0.4, -half, half);
-    } else if yields {
-        let mut d = -half + 0.15;
-        while d + 0.5 <= half {
-            bar(tiles, length - 0.75, length - 0.4, d, d + 0.5);
-            d += 0.8;
+    let (from, to) = (length - STOP_LINE.0, length - STOP_LINE.1);
+    match line_at_end(network, id) {
+        EndLine::Stop => bar(tiles, from, to, -right, left),
+        EndLine::Yield => {
+            let mut d = -right + 0.1;
+            while d + 0.5 <= left {
+                bar(tiles, from + 0.1, to, d, d + 0.5);
+                d += 0.8;
+            }
         }
+        EndLine::None => {}
     }
     let edge = network.edge(lane.edge);
     let many = edge.lanes.iter().filter(|&&l| surface(network.lane(l)) == Surface::Road).count() > 1;

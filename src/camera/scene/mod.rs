@@ -100,7 +100,7 @@ pub fn build(network: &Network, shapes: &Shapes, seed: u64) -> (Scene, Cast) {
     areas::horizon(network, terrain.low, (&materials.hills, materials.skyline), seed, &mut tiles);
 
     scene.ground = Some((materials.grass, terrain.low - if terrain.flat { 0.05 } else { 6.0 }));
-    scene.chunks = tiles.finish(&scene.library);
+    scene.chunks = tiles.finish(&scene.library, &|p| terrain.at(p));
     scene.index();
     (scene, cast)
 }
