@@ -18,6 +18,7 @@
 //! | [`bridge`] | one SUMO, one network, any number of egos, in lock-step |
 //! | [`camera`] | the town and its traffic as pictures with ground truth |
 //! | [`perception`] | detections, lanes and light: the transformed image |
+//! | [`watch`] | front camera and perception in a run |
 //! | [`latent`] | the encoder-decoder: the transformed image as 200 numbers |
 //! | [`observation`] | what an agent is given each tick |
 //! | [`agent`] | agents that learn to drive |
@@ -55,4 +56,5 @@ pub mod telemetry;
 pub mod traci;
 pub mod traffic;
 pub mod vehicle;
+pub mod watch;
 pub mod world;

@@ -1,6 +1,8 @@
 //! What an agent is given each tick: the latent and the six raw states (spec.md "Observation").
 
-use crate::network::RoadOption;
+use crate::criteria::EgoOnRoute;
+use crate::geometry::wrap_angle;
+use crate::network::{RoadOption, Route};
 use serde::{Deserialize, Serialize};
 
 /// Numbers in the latent (paper, section "Latent State Extraction").
@@ -43,7 +45,51 @@ const ANGLE: f64 = std::f64::consts::FRAC_PI_4;
 const SIGHT: f64 = 50.0;
 const CLOSING: f64 = 10.0;
 
+/// The waypoint ahead is this far before the ego's centre (m), and this much further for its speed (s).
+pub const WAYPOINT_AHEAD: f64 = 5.0;
+pub const WAYPOINT_TIME: f64 = 0.5;
+/// The second waypoint is this much further (m).
+pub const WAYPOINT_FURTHER: f64 = 10.0;
+
 impl RawState {
+    /// Standing where nothing is.
+    pub const STANDING: Self = Self {
+        speed: 0.0,
+        speed_limit: 13.89,
+        lateral: 0.0,
+        option: RoadOption::LaneFollow,
+        heading_error: 0.0,
+        heading_error_far: 0.0,
+        lead: None,
+        stop_light: None,
+    };
+
+    /// Of an ego on its route, with what was perceived of the vehicle in front and of the light.
+    ///
+    /// The waypoint ahead is the route's point [`WAYPOINT_AHEAD`] + [`WAYPOINT_TIME`] x speed before the
+    /// ego's centre; its road option is the one given.
+    pub fn of(
+        route: &Route,
+        on_route: &EgoOnRoute,
+        lead: Option<LeadState>,
+        stop_light: Option<f64>,
+    ) -> Self {
+        let EgoOnRoute { state, s, d, .. } = *on_route;
+        let ahead = s + WAYPOINT_AHEAD + WAYPOINT_TIME * state.speed.max(0.0);
+        let waypoint = route.at(ahead);
+        let error = |heading: f64| wrap_angle(heading - state.pose.heading);
+        Self {
+            speed: state.speed,
+            speed_limit: route.at(s).speed_limit,
+            lateral: d,
+            option: waypoint.option,
+            heading_error: error(waypoint.pose.heading),
+            heading_error_far: error(route.at(ahead + WAYPOINT_FURTHER).pose.heading),
+            lead,
+            stop_light,
+        }
+    }
+
     /// The fifteen numbers, each about -1 to 1:
     ///
     /// | index | what | scaling |

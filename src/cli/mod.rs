@@ -5,6 +5,7 @@ mod bench;
 mod bench_camera;
 mod bench_tick;
 mod doctor;
+mod eval;
 mod exit;
 mod run;
 mod snapshot;
@@ -40,6 +41,8 @@ enum Command {
     Snapshot(Box<snapshot::Args>),
     /// Measure speed, as a ratio to SUMO alone in the same run.
     Bench(bench::Args),
+    /// Judge a part of the system by the ground truth.
+    Eval(eval::Args),
     /// Check what this machine has for wad-cosim, and say what to do about what is missing.
     Doctor(doctor::Args),
 }
@@ -52,6 +55,7 @@ pub fn main() -> ExitCode {
         Command::Run(args) => run::run(*args),
         Command::Snapshot(args) => snapshot::run(*args),
         Command::Bench(args) => bench::run(args),
+        Command::Eval(args) => eval::run(args),
         Command::Doctor(args) => doctor::run(args),
     };
     match result {

@@ -20,3 +20,23 @@ pub trait Encoder: Send {
     /// The network fails.
     fn encode(&mut self, image: &TransformedImage, latent: &mut Vec<f32>) -> Result<(), LatentError>;
 }
+
+/// An encoder that can show what a latent holds.
+pub trait Decoder: Encoder {
+    /// The image that `latent` ([`crate::observation::LATENT_SIZE`] numbers) stands for, into `image`.
+    ///
+    /// # Errors
+    /// The latent has another length, or the network fails.
+    fn decode(&mut self, latent: &[f32], image: &mut TransformedImage) -> Result<(), LatentError>;
+
+    /// There and back: the reconstruction of an image.
+    ///
+    /// # Errors
+    /// The network fails.
+    fn reconstruct(&mut self, image: &TransformedImage) -> Result<TransformedImage, LatentError> {
+        let (mut latent, mut out) = (Vec::new(), TransformedImage::default());
+        self.encode(image, &mut latent)?;
+        self.decode(&latent, &mut out)?;
+        Ok(out)
+    }
+}

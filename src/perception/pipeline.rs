@@ -1,0 +1,178 @@
+//! All stages of a tick in order: detect, lanes, light, vehicle in front, transformed image, raw state.
+
+use super::lead::{self, LeadTracker};
+use super::light::LightAhead;
+use super::paint::Painter;
+use super::{
+    Detection, Detector, GroundPlane, LaneDetector, LaneEstimate, PerceptionError, TransformedImage,
+};
+use crate::bridge::Ego;
+use crate::camera::{CameraConfig, Frame, Outputs};
+use crate::criteria::EgoOnRoute;
+use crate::network::{Network, Route};
+use crate::observation::RawState;
+use std::sync::Arc;
+
+/// What the ego knows beside its camera: its own motion, its waypoints, and the signals' states.
+#[derive(Clone, Copy, Debug)]
+pub struct EgoFacts<'a> {
+    pub network: &'a Network,
+    pub route: &'a Route,
+    pub on_route: EgoOnRoute,
+    /// The ego's length (m).
+    pub length: f64,
+    /// State strings by traffic light, as [`crate::world::WorldState::traffic_lights`].
+    pub signals: &'a [Option<Arc<str>>],
+    /// Time since the last tick (s).
+    pub tick: f64,
+}
+
+impl<'a> EgoFacts<'a> {
+    /// Those of an ego after a tick of `tick` s.
+    pub fn of(network: &'a Network, ego: &'a Ego, tick: f64) -> Self {
+        Self {
+            network,
+            route: ego.route(),
+            on_route: ego.on_route(),
+            length: ego.params().length,
+            signals: &ego.world().traffic_lights,
+            tick,
+        }
+    }
+}
+
+/// What was perceived in a tick.
+#[derive(Clone, Debug)]
+pub struct Percept {
+    pub detections: Vec<Detection>,
+    pub lanes: LaneEstimate,
+    /// The next signal on the route.
+    pub light: Option<LightAhead>,
+    /// The ego is at the intersection and the light is red: painted.
+    pub light_red: bool,
+    pub transformed: TransformedImage,
+    pub raw: RawState,
+}
+
+/// Perceives, tick by tick.
+pub struct Perception {
+    detector: Box<dyn Detector>,
+    camera: CameraConfig,
+    ground: GroundPlane,
+    lanes: LaneDetector,
+    lead: LeadTracker,
+    painter: Painter,
+    percept: Percept,
+}
+
+impl Perception {
+    /// With a detector, for frames of `camera`.
+    ///
+    /// # Errors
+    /// This build cannot detect lanes.
+    pub fn new(detector: Box<dyn Detector>, camera: CameraConfig) -> Result<Self, PerceptionError> {
+        Ok(Self {
+            detector,
+            camera,
+            ground: GroundPlane::new(&camera),
+            lanes: LaneDetector::new()?,
+            lead: LeadTracker::default(),
+            painter: Painter::default(),
+            percept: Percept {
+                detections: Vec::new(),
+                lanes: LaneEstimate::default(),
+                light: None,
+                light_red: false,
+                transformed: TransformedImage::default(),
+                raw: RawState::STANDING,
+            },
+        })
+    }
+
+    /// The camera whose frames it takes.
+    pub fn camera(&self) -> &CameraConfig {
+        &self.camera
+    }
+
+    /// What the camera must deliver.
+    pub fn needs(&self) -> Outputs {
+        Outputs { rgb: true, ..self.detector.needs() }
+    }
+
+    /// The detector's name.
+    pub fn detector(&self) -> &str {
+        self.detector.name()
+    }
+
+    /// Begins an episode: forgets everything, draws the detector's faults from `seed`.
+    pub fn reset(&mut self, seed: u64) {
+        self.detector.reset(seed);
+        self.lanes.reset();
+        self.lead.reset();
+    }
+
+    /// All stages. `frame` is what [`Perception::camera`] saw after the tick that `facts` are of.
+    ///
+    /// # Errors
+    /// The frame is not the camera's, or a stage fails.
+    pub fn perceive(&mut self, frame: &Frame, facts: &EgoFacts<'_>) -> Result<&Percept, PerceptionError> {
+        self.detect(frame)?;
+        self.find_lanes(frame, facts)?;
+        self.judge(facts);
+        self.transform(frame)?;
+        Ok(&self.percept)
+    }
+
+    /// First stage: the detections.
+    ///
+    /// # Errors
+    /// The frame is not the camera's, or the detector fails.
+    pub fn detect(&mut self, frame: &Frame) -> Result<(), PerceptionError> {
+        let expected = (self.camera.width, self.camera.height);
+        let found = (frame.width, frame.height);
+        if expected != found {
+            let hint = "render with the camera that the perception was made for".to_string();
+            return Err(PerceptionError::Size { expected, found, hint });
+        }
+        self.detector.detect(frame, &self.camera, &mut self.percept.detections)
+    }
+
+    /// Second stage: the lane boundaries.
+    ///
+    /// # Errors
+    /// OpenCV fails.
+    pub fn find_lanes(&mut self, frame: &Frame, facts: &EgoFacts<'_>) -> Result<(), PerceptionError> {
+        self.percept.lanes = self.lanes.find(frame, &self.ground, facts)?;
+        Ok(())
+    }
+
+    /// Third stage: the light, the vehicle in front, the raw state.
+    pub fn judge(&mut self, facts: &EgoFacts<'_>) {
+        let light = LightAhead::find(facts);
+        self.percept.light = light;
+        self.percept.light_red = light.is_some_and(|light| light.is_red_here());
+        let nearest = lead::nearest(&self.percept.detections, &self.ground, facts);
+        let lead = self.lead.update(nearest.as_ref(), &self.ground, facts);
+        let stop_light = light.filter(|l| l.stops() && l.distance <= lead::SIGHT).map(|l| l.distance);
+        self.percept.raw = RawState::of(facts.route, &facts.on_route, lead, stop_light);
+    }
+
+    /// Last stage: the transformed image.
+    ///
+    /// # Errors
+    /// The frame has no picture.
+    pub fn transform(&mut self, frame: &Frame) -> Result<(), PerceptionError> {
+        let Percept { detections, lanes, light_red, transformed, .. } = &mut self.percept;
+        self.painter.paint(frame, &self.ground, detections, lanes, *light_red, transformed)
+    }
+
+    /// What the last tick perceived.
+    pub fn percept(&self) -> &Percept {
+        &self.percept
+    }
+
+    /// The ground under the camera.
+    pub fn ground(&self) -> &GroundPlane {
+        &self.ground
+    }
+}
