@@ -425,7 +425,7 @@ impl Totals {
 }
 
 /// The polygons of the config's additional files.
-fn polygons(bridge: &Bridge, network: &Network) -> Vec<Polygon> {
+pub(crate) fn polygons(bridge: &Bridge, network: &Network) -> Vec<Polygon> {
     let mut polygons = Vec::new();
     for file in bridge.config().additional_files() {
         match Shapes::load(&file, network) {
@@ -440,7 +440,10 @@ fn polygons(bridge: &Bridge, network: &Network) -> Vec<Polygon> {
 const SHORTEST_ROUTE: f64 = 60.0;
 
 /// A random route from a random place: the first of some length, else the longest found.
-fn first_route(network: &Network, destinations: &mut Destinations) -> Result<Route, DestinationError> {
+pub(crate) fn first_route(
+    network: &Network,
+    destinations: &mut Destinations,
+) -> Result<Route, DestinationError> {
     let mut best: Result<Route, DestinationError> = Err(DestinationError::NoLane);
     for _ in 0..20 {
         let from: LanePosition = destinations.place(network);

@@ -19,9 +19,14 @@
 //! | [`camera`] | the town and its traffic as pictures with ground truth |
 //! | [`perception`] | detections, lanes and light: the transformed image |
 //! | [`watch`] | front camera and perception in a run |
+//! | [`dataset`] | frames by the autopilot, collected and read back |
 //! | [`latent`] | the encoder-decoder: the transformed image as 200 numbers |
 //! | [`observation`] | what an agent is given each tick |
+//! | [`train`] | training of the networks |
 //! | [`agent`] | agents that learn to drive |
+//! | [`tasks`] | what is to be driven, and where on a net that can be done |
+//! | [`reward`] | the paper's six reward terms |
+//! | [`env`] | all of that as `reset` and `step` |
 //! | [`autopilot`] | the rule-based expert |
 //! | [`criteria`] | collisions, red lights, lane, blocking, arrival |
 //! | [`drive`] | `run`: from destination to destination, with telemetry |
@@ -41,20 +46,26 @@ pub mod clock;
 pub mod cores;
 pub mod cpu_time;
 pub mod criteria;
+pub mod dataset;
 pub mod destination;
 pub mod drive;
+pub mod env;
 pub mod geometry;
+pub mod interrupt;
 pub mod latent;
 pub mod network;
 pub mod observation;
 pub mod perception;
 pub mod record;
+pub mod reward;
 pub mod seeds;
 pub mod sight;
 pub mod sumo_config;
+pub mod tasks;
 pub mod telemetry;
 pub mod traci;
 pub mod traffic;
+pub mod train;
 pub mod vehicle;
 pub mod watch;
 pub mod world;

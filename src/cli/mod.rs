@@ -4,11 +4,14 @@
 mod bench;
 mod bench_camera;
 mod bench_tick;
+mod dataset;
 mod doctor;
 mod eval;
 mod exit;
+mod progress;
 mod run;
 mod snapshot;
+mod train;
 
 use clap::{ArgAction, Parser, Subcommand};
 use std::io::Write;
@@ -39,6 +42,10 @@ enum Command {
     Run(Box<run::Args>),
     /// Drive into a town under the autopilot, and take a picture.
     Snapshot(Box<snapshot::Args>),
+    /// Collect training data from the autopilot's drives.
+    Dataset(Box<dataset::Args>),
+    /// Train a network.
+    Train(train::Args),
     /// Measure speed, as a ratio to SUMO alone in the same run.
     Bench(bench::Args),
     /// Judge a part of the system by the ground truth.
@@ -54,6 +61,8 @@ pub fn main() -> ExitCode {
     let result = match cli.command {
         Command::Run(args) => run::run(*args),
         Command::Snapshot(args) => snapshot::run(*args),
+        Command::Dataset(args) => dataset::run(*args),
+        Command::Train(args) => train::run(args),
         Command::Bench(args) => bench::run(args),
         Command::Eval(args) => eval::run(args),
         Command::Doctor(args) => doctor::run(args),

@@ -137,7 +137,8 @@ fn watch(args: &Args, stage: Stage, config: CameraConfig) -> anyhow::Result<Watc
         let why = "no encoder is there yet: train one, or choose --stage transformed";
         return Err(Exit::Input.because(anyhow::anyhow!(why)));
     }
-    let detector = perception::detector(&args.detector, perception::MIN_SCORE).map_err(|e| Exit::Input.because(e))?;
+    let detector =
+        perception::detector(&args.detector, perception::MIN_SCORE).map_err(|e| Exit::Input.because(e))?;
     Watch::new(detector, config).map_err(|e| Exit::Input.because(e))
 }
 

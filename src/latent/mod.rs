@@ -1,5 +1,17 @@
 //! The encoder-decoder that turns the transformed image into 200 numbers (paper, figure 4).
 
+#[cfg(feature = "learn")]
+pub mod encoder;
+#[cfg(feature = "learn")]
+pub mod network;
+mod pooled;
+#[cfg(feature = "learn")]
+pub mod weights;
+
+#[cfg(feature = "learn")]
+pub use encoder::TchEncoder;
+pub use pooled::PooledEncoder;
+
 use crate::perception::TransformedImage;
 
 /// Why there is no latent.
@@ -7,6 +19,18 @@ use crate::perception::TransformedImage;
 pub enum LatentError {
     #[error("encoder: {0}")]
     Encoder(String),
+    #[error(
+        "no encoder `{name}`: expected a .safetensors file, a folder that `train encoder` wrote, or a bundled \
+         one ({})",
+        if bundled.is_empty() { "this build has none".to_string() } else { bundled.join(", ") }
+    )]
+    Unknown { name: String, bundled: Vec<String> },
+    #[cfg(feature = "learn")]
+    #[error(transparent)]
+    Weights(#[from] weights::WeightsError),
+    #[cfg(feature = "learn")]
+    #[error("encoder: libtorch: {0}")]
+    Torch(#[from] tch::TchError),
 }
 
 /// Turns transformed images into latents.
