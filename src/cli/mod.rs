@@ -4,6 +4,8 @@
 mod bench;
 mod bench_camera;
 mod doctor;
+mod eval;
+mod eval_sight;
 mod exit;
 mod run;
 mod snapshot;
@@ -39,6 +41,8 @@ enum Command {
     Snapshot(Box<snapshot::Args>),
     /// Measure speed, as a ratio to SUMO alone in the same run.
     Bench(bench::Args),
+    /// Measure how good perception is, against what the simulator knows.
+    Eval(eval::Args),
     /// Check what this machine has for wad-cosim, and say what to do about what is missing.
     Doctor(doctor::Args),
 }
@@ -51,6 +55,7 @@ pub fn main() -> ExitCode {
         Command::Run(args) => run::run(*args),
         Command::Snapshot(args) => snapshot::run(*args),
         Command::Bench(args) => bench::run(args),
+        Command::Eval(args) => eval::run(args),
         Command::Doctor(args) => doctor::run(args),
     };
     match result {

@@ -14,6 +14,7 @@ pub mod lead;
 mod light;
 pub mod paint;
 mod pipeline;
+pub mod score;
 pub mod stages;
 mod truth;
 
