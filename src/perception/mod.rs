@@ -23,6 +23,7 @@ pub mod onnx_file;
 pub mod paint;
 mod pipeline;
 pub mod score;
+pub mod sight_score;
 pub mod stages;
 mod tour;
 mod truth;
