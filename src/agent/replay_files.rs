@@ -200,9 +200,9 @@ mod tests {
             observations: (0..=n).map(|k| vec![value(k); 5]).collect(),
             actions: (0..n).map(|k| [value(k), 0.5, 1.0]).collect(),
             rewards: (0..n).map(value).collect(),
-            terminated: from % 2 == 0,
+            terminated: from.is_multiple_of(2),
             truncated: from % 2 == 1,
-            demonstration: from % 3 == 0,
+            demonstration: from.is_multiple_of(3),
         });
     }
 

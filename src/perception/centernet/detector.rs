@@ -108,7 +108,11 @@ impl CenterNetDetector {
         width: usize,
         height: usize,
     ) -> Result<Vec<Detection>, PerceptionError> {
-        if rgb.len() != width * height * 3 || width == 0 || width % 32 != 0 || height % 32 != 0 {
+        if rgb.len() != width * height * 3
+            || width == 0
+            || !width.is_multiple_of(32)
+            || !height.is_multiple_of(32)
+        {
             return Err(PerceptionError::Size {
                 expected: (512, 512),
                 found: (width, height),

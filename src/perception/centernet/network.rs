@@ -43,7 +43,7 @@ impl Backbone {
     /// nearer than 6 m or higher than 8 m.
     pub fn rows(self, height: usize) -> (usize, usize) {
         match self {
-            Self::Light if height % 512 == 0 => (height * 3 / 16, height * 5 / 8),
+            Self::Light if height.is_multiple_of(512) => (height * 3 / 16, height * 5 / 8),
             _ => (0, height),
         }
     }
