@@ -3,7 +3,11 @@
 #[cfg(feature = "learn")]
 pub mod encoder;
 #[cfg(feature = "learn")]
+pub mod judge;
+#[cfg(feature = "learn")]
 pub mod network;
+pub mod probe;
+pub mod score;
 #[cfg(feature = "learn")]
 pub mod weights;
 

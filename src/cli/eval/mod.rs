@@ -1,6 +1,8 @@
 //! `wad-cosim eval`: one file per thing that is judged.
 
 mod detector;
+#[cfg(feature = "learn")]
+mod encoder;
 
 use super::Exit;
 use clap::Subcommand;
@@ -16,11 +18,16 @@ pub struct Args {
 enum What {
     /// How well a detector finds what the camera shows.
     Detector(detector::Args),
+    /// How much of the transformed image the latent holds.
+    #[cfg(feature = "learn")]
+    Encoder(encoder::Args),
 }
 
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<Exit> {
     match args.what {
         What::Detector(args) => detector::run(args),
+        #[cfg(feature = "learn")]
+        What::Encoder(args) => encoder::run(&args),
     }
 }
