@@ -440,7 +440,10 @@ pub(crate) fn polygons(bridge: &Bridge, network: &Network) -> Vec<Polygon> {
 const SHORTEST_ROUTE: f64 = 60.0;
 
 /// A random route from a random place: the first of some length, else the longest found.
-pub(crate) fn first_route(network: &Network, destinations: &mut Destinations) -> Result<Route, DestinationError> {
+pub(crate) fn first_route(
+    network: &Network,
+    destinations: &mut Destinations,
+) -> Result<Route, DestinationError> {
     let mut best: Result<Route, DestinationError> = Err(DestinationError::NoLane);
     for _ in 0..20 {
         let from: LanePosition = destinations.place(network);

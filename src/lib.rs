@@ -18,12 +18,15 @@
 //! | [`bridge`] | one SUMO, one network, any number of egos, in lock-step |
 //! | [`camera`] | the town and its traffic as pictures with ground truth |
 //! | [`perception`] | detections, lanes and light: the transformed image |
-//! | [`dataset`] | frames by the autopilot, collected and read back |
 //! | [`watch`] | front camera and perception in a run |
+//! | [`dataset`] | frames by the autopilot, collected and read back |
 //! | [`latent`] | the encoder-decoder: the transformed image as 200 numbers |
 //! | [`observation`] | what an agent is given each tick |
 //! | [`train`] | training of the networks |
 //! | [`agent`] | agents that learn to drive |
+//! | [`tasks`] | what is to be driven, and where on a net that can be done |
+//! | [`reward`] | the paper's six reward terms |
+//! | [`env`] | all of that as `reset` and `step` |
 //! | [`autopilot`] | the rule-based expert |
 //! | [`criteria`] | collisions, red lights, lane, blocking, arrival |
 //! | [`drive`] | `run`: from destination to destination, with telemetry |
@@ -46,6 +49,7 @@ pub mod criteria;
 pub mod dataset;
 pub mod destination;
 pub mod drive;
+pub mod env;
 pub mod geometry;
 pub mod interrupt;
 pub mod latent;
@@ -53,9 +57,11 @@ pub mod network;
 pub mod observation;
 pub mod perception;
 pub mod record;
+pub mod reward;
 pub mod seeds;
 pub mod sight;
 pub mod sumo_config;
+pub mod tasks;
 pub mod telemetry;
 pub mod traci;
 pub mod traffic;

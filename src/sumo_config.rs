@@ -11,6 +11,7 @@ use quick_xml::events::{BytesStart, Event};
 use std::collections::BTreeMap;
 use std::io::Read;
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Why a configuration could not be used.
 #[derive(Debug, thiserror::Error)]
@@ -56,6 +57,19 @@ impl OptionSchema {
         if schema.types.is_empty() {
             return Err(fail(String::from_utf8_lossy(&output.stderr).trim().to_string()));
         }
+        Ok(schema)
+    }
+
+    /// The same, asked once per process and binary: the question costs as much as starting SUMO.
+    pub fn cached(install: &SumoInstall, gui: bool) -> Result<Arc<Self>, ConfigError> {
+        static KNOWN: Mutex<BTreeMap<PathBuf, Arc<OptionSchema>>> = Mutex::new(BTreeMap::new());
+        let binary = install.program(if gui { "sumo-gui" } else { "sumo" });
+        let known = || KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(schema) = known().get(&binary) {
+            return Ok(Arc::clone(schema));
+        }
+        let schema = Arc::new(Self::query(install, gui)?);
+        known().insert(binary, Arc::clone(&schema));
         Ok(schema)
     }
 

@@ -34,6 +34,8 @@ pub struct Ego {
     pub(super) world: WorldState,
     /// The world before the last step.
     pub(super) previous: WorldState,
+    /// Road users that it meets and SUMO knows nothing of.
+    pub(super) extras: Vec<Actor>,
     /// Its centre and front bumper on the route.
     s: f64,
     d: f64,
@@ -72,6 +74,7 @@ impl Ego {
             route,
             world: WorldState::default(),
             previous: WorldState::default(),
+            extras: Vec::new(),
             s: start,
             d: 0.0,
             front_s,
@@ -88,6 +91,22 @@ impl Ego {
         let pose = route.at(start).pose;
         self.vehicle.respawn(Pose::new(pose.position.x, pose.position.y, 0.0, pose.heading), 0.0);
         self.set_route(route, start);
+    }
+
+    /// As a new ego at `start` (m) on `route`, for another SUMO: nothing is remembered but what it is
+    /// made of.
+    pub fn renew(&mut self, route: Route, start: f64) {
+        (self.world, self.previous) = Default::default();
+        self.extras.clear();
+        self.lamps = Lamps::default();
+        self.told_edges = 0;
+        self.respawn(route, start);
+    }
+
+    /// Road users that stand in its world from the next step on, and that SUMO knows nothing of: it has
+    /// no persons who stand in a lane.
+    pub fn set_extras(&mut self, extras: Vec<Actor>) {
+        self.extras = extras;
     }
 
     /// Gives it a route that it is on at `s` (m).

@@ -75,6 +75,9 @@ impl BridgeOptions {
 /// The paper's six ticks a second, in SUMO's whole milliseconds.
 pub const DEFAULT_TICK_MS: f64 = 167.0;
 
+/// Id of the vehicle that stands in the ego's way in the obstacle task.
+pub const OBSTACLE: &str = "obstacle";
+
 /// A running co-simulation.
 pub struct Bridge {
     client: TcpClient,
@@ -106,13 +109,27 @@ impl Bridge {
     /// # Errors
     /// See [`BridgeError`]; nothing is left running.
     pub async fn start(options: &BridgeOptions) -> Result<Self, BridgeError> {
+        Self::start_on(options, None).await
+    }
+
+    /// The same with the config's network where it has been read already, to be shared.
+    ///
+    /// # Errors
+    /// As [`Bridge::start`].
+    pub async fn start_on(
+        options: &BridgeOptions,
+        network: Option<Arc<Network>>,
+    ) -> Result<Self, BridgeError> {
         let install = SumoInstall::find()?;
-        let schema = OptionSchema::query(&install, options.gui)?;
+        let schema = OptionSchema::cached(&install, options.gui)?;
         let config = SumoConfig::load(&options.config, &schema)?;
         for option in &config.ignored {
             tracing::info!("{}: {option} is not an option of this SUMO, left out", config.path().display());
         }
-        let network = Arc::new(Network::load(&config.net_file()?)?);
+        let network = match network {
+            Some(network) => network,
+            None => Arc::new(Network::load(&config.net_file()?)?),
+        };
         network.require_drivable(EGO_CLASS)?;
         let timeout = Duration::from_secs_f64(options.tick_timeout.max(0.001));
         let wanted = match options.tick_ms {
@@ -147,8 +164,11 @@ impl Bridge {
         };
         client.set_timeout(Some(timeout));
         let population = options.traffic.counts(&config.name()).map(|counts| {
-            let behaviour =
-                traffic::Options { alone: true, keep: vec!["ego".to_string()], ..Default::default() };
+            let behaviour = traffic::Options {
+                alone: true,
+                keep: vec!["ego".to_string(), OBSTACLE.to_string()],
+                ..Default::default()
+            };
             Population::new(Arc::clone(&network), counts, seeds::derive(options.seed, "traffic"), behaviour)
         });
         let core = process.as_ref().filter(|_| !options.gui).map(|process| SharedCore::with(process.id()));
@@ -300,13 +320,19 @@ impl Bridge {
         self.counts.1 =
             (self.counts.1 + events.departed_persons.len()).saturating_sub(events.arrived_persons.len());
         for ego in egos.iter_mut() {
-            let Ego { id, world, previous, .. } = &mut **ego;
+            let Ego { id, world, previous, extras, vehicle, .. } = &mut **ego;
             std::mem::swap(world, previous);
             let actors = (&mut world.vehicles, &mut world.pedestrians);
             let observed =
                 self.catalog.observe(&mut self.client, &self.network, &replies, id, tick, actors).await;
             if let Err(error) = observed {
                 return Err(self.explain(error).await);
+            }
+            let reach = self.sight;
+            let position = vehicle.state().pose.xy();
+            for extra in extras.iter().filter(|e| (e.pose.xy() - position).norm() < reach) {
+                let person = extra.actor_type.kind == crate::world::ActorKind::Pedestrian;
+                if person { &mut world.pedestrians } else { &mut world.vehicles }.push(extra.clone());
             }
             world.tick = self.ticks;
             world.time = time;
@@ -348,6 +374,70 @@ impl Bridge {
             }
         }
         Ok(true)
+    }
+
+    /// Keeps `counts` of background traffic alive from now on; see [`Population::resize`]. False where
+    /// the population is the config's own.
+    pub fn resize_traffic(&mut self, counts: traffic::Counts) -> bool {
+        let Some(population) = &mut self.population else { return false };
+        if population.wanted() != counts {
+            population.resize(counts, &mut self.batch);
+        }
+        true
+    }
+
+    /// Takes background vehicles within `radius` (m) of `place` away with the next step; they come
+    /// back elsewhere. `lanes` are the lanes looked at. False where one stays that is not the
+    /// population's.
+    ///
+    /// # Errors
+    /// SUMO fails.
+    pub async fn clear(&mut self, place: Point, radius: f64, lanes: &[LaneId]) -> Result<bool, BridgeError> {
+        let mut batch = Batch::new();
+        let tickets: Vec<_> = lanes
+            .iter()
+            .map(|lane| batch.get(traci::lane::LAST_STEP_VEHICLE_IDS, &self.network.lane(*lane).id))
+            .collect();
+        let replies = self.ask(&batch).await?;
+        let mut ids: Vec<String> = Vec::new();
+        for ticket in tickets {
+            ids.extend(replies.get(ticket).map_err(traci::Error::from)?);
+        }
+        ids.retain(|id| id != "ego");
+        ids.sort_unstable();
+        ids.dedup();
+        if ids.is_empty() {
+            return Ok(true);
+        }
+        let mut batch = Batch::new();
+        let tickets: Vec<_> = ids.iter().map(|id| batch.get(vehicle::POSITION, id)).collect();
+        let replies = self.ask(&batch).await?;
+        let near = ids.iter().zip(tickets).filter(|(_, ticket)| {
+            let position = replies.get(*ticket);
+            position.is_ok_and(|p| (Point::new(p.x, p.y) - place).norm() < radius)
+        });
+        let mut all = true;
+        for (id, _) in near {
+            match &mut self.population {
+                Some(population) if population.owns(id) => {
+                    population.evict([id.as_str()], &mut self.batch);
+                }
+                _ => all = false,
+            }
+        }
+        Ok(all)
+    }
+
+    async fn ask(&mut self, batch: &Batch) -> Result<Replies, BridgeError> {
+        match self.client.send(batch).await {
+            Ok(replies) => Ok(replies),
+            Err(error) => Err(self.explain(error).await),
+        }
+    }
+
+    /// Commands that go to SUMO with the next step, before it.
+    pub fn next_batch(&mut self) -> &mut Batch {
+        &mut self.batch
     }
 
     /// Saves SUMO's state, persons and random generators included.

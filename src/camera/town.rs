@@ -5,11 +5,11 @@ use super::model::{ActorFrame, Instance, Scene};
 use super::scene;
 use crate::network::{Network, Shapes};
 use crate::world::{Actor, WorldState};
+use std::sync::Arc;
 
 /// What cameras look at. Any number of cameras may share it.
 pub struct Town {
-    scene: Scene,
-    cast: Cast,
+    built: Arc<(Scene, Cast)>,
     animation: Animation,
     frame: ActorFrame,
     ego: (Animation, ActorFrame),
@@ -18,30 +18,33 @@ pub struct Town {
 impl Town {
     /// The town of a network and its polygons; equal `seed`, equal town.
     pub fn new(network: &Network, shapes: &Shapes, seed: u64) -> Self {
-        let (scene, cast) = scene::build(network, shapes, seed);
-        Self {
-            scene,
-            cast,
-            animation: Animation::default(),
-            frame: ActorFrame::default(),
-            ego: Default::default(),
-        }
+        Self::on(Arc::new(scene::build(network, shapes, seed)))
+    }
+
+    /// The same town without road users, to be followed on its own: what stands is shared.
+    #[must_use]
+    pub fn share(&self) -> Self {
+        Self::on(Arc::clone(&self.built))
+    }
+
+    fn on(built: Arc<(Scene, Cast)>) -> Self {
+        Self { built, animation: Animation::default(), frame: ActorFrame::default(), ego: Default::default() }
     }
 
     /// Moves the road users to where a tick has them. `ego` is how the ego looks from outside.
     pub fn follow(&mut self, world: &WorldState, ego: Option<&Actor>) {
-        self.animation.pose(&self.cast, world, &mut self.frame);
+        self.animation.pose(&self.built.1, world, &mut self.frame);
         self.frame.ego = ego.and_then(|ego| {
             let alone = WorldState { vehicles: vec![ego.clone()], time: world.time, ..WorldState::default() };
             let (animation, frame) = &mut self.ego;
-            animation.pose(&self.cast, &alone, frame);
+            animation.pose(&self.built.1, &alone, frame);
             frame.instances.pop().map(|instance| Instance { object: None, ..instance })
         });
     }
 
     /// The town without road users.
     pub fn scene(&self) -> &Scene {
-        &self.scene
+        &self.built.0
     }
 
     /// The road users.

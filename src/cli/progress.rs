@@ -25,10 +25,18 @@ impl Bar {
         let bar = std::io::stderr().is_terminal().then(|| {
             let bar = ProgressBar::new(total);
             let template = "{bar:30} {pos}/{len} {prefix}, {per_sec}, {eta} left  {msg}";
-            let bar = ProgressStyle::with_template(template).map_or(bar.clone(), |style| bar.with_style(style));
+            let bar =
+                ProgressStyle::with_template(template).map_or(bar.clone(), |style| bar.with_style(style));
             bar.with_prefix(unit)
         });
-        Self { bar, unit, total: Cell::new(total), began: Instant::now(), first: Cell::new(None), last: Cell::new(None) }
+        Self {
+            bar,
+            unit,
+            total: Cell::new(total),
+            began: Instant::now(),
+            first: Cell::new(None),
+            last: Cell::new(None),
+        }
     }
 
     /// How many there will be.

@@ -164,7 +164,13 @@ fn with_decoder(_: &Args, stage: Stage, watch: Watch) -> anyhow::Result<Watch> {
         let why = "--stage latent needs libtorch, and this build has none; build with the feature `learn`";
         return Err(Exit::Input.because(anyhow::anyhow!(why)));
     }
+<<<<<<< HEAD
     Ok(watch)
+=======
+    let detector =
+        perception::detector(&args.detector, perception::MIN_SCORE).map_err(|e| Exit::Input.because(e))?;
+    Watch::new(detector, config).map_err(|e| Exit::Input.because(e))
+>>>>>>> main
 }
 
 async fn take(args: Args, mut camera: Camera, mut watch: Option<Watch>) -> anyhow::Result<Exit> {

@@ -158,8 +158,14 @@ pub fn collect(
     let wanted = options.frames;
     std::thread::scope(|scope| {
         let jobs = options.jobs.clamp(1, shared.missing.len().max(1));
-        let workers: Vec<_> =
-            (0..jobs).map(|job| scope.spawn({ let shared = &shared; move || work(shared, job) })).collect();
+        let workers: Vec<_> = (0..jobs)
+            .map(|job| {
+                scope.spawn({
+                    let shared = &shared;
+                    move || work(shared, job)
+                })
+            })
+            .collect();
         while workers.iter().any(|worker| !worker.is_finished()) {
             report(Progress { frames: shared.frames.load(Ordering::Relaxed), wanted });
             std::thread::sleep(Duration::from_millis(100));

@@ -200,10 +200,9 @@ impl Dataset {
     pub fn require_training(&self) -> Result<(), DatasetError> {
         match self.manifest.role {
             Role::Training => Ok(()),
-            Role::Test => Err(DatasetError::TestData {
-                path: self.folder.clone(),
-                town: self.manifest.town.clone(),
-            }),
+            Role::Test => {
+                Err(DatasetError::TestData { path: self.folder.clone(), town: self.manifest.town.clone() })
+            }
         }
     }
 
@@ -217,7 +216,11 @@ impl Dataset {
     pub fn split(&self) -> (Vec<usize>, Vec<usize>) {
         let count = self.shards.len();
         let validation = |i: usize| {
-            if count < VALIDATION_EVERY { i + 1 == count } else { i % VALIDATION_EVERY == VALIDATION_EVERY - 1 }
+            if count < VALIDATION_EVERY {
+                i + 1 == count
+            } else {
+                i % VALIDATION_EVERY == VALIDATION_EVERY - 1
+            }
         };
         (0..count).partition(|&i| count == 1 || !validation(i))
     }
@@ -227,10 +230,10 @@ impl Dataset {
     /// # Errors
     /// The shard went away or broke since the dataset was opened.
     pub fn reader(&self, shard: usize) -> Result<ShardReader, DatasetError> {
-        let (path, _, _) = self.shards.get(shard).ok_or_else(|| DatasetError::Empty {
-            path: self.folder.clone(),
-            hint: " in that shard",
-        })?;
+        let (path, _, _) = self
+            .shards
+            .get(shard)
+            .ok_or_else(|| DatasetError::Empty { path: self.folder.clone(), hint: " in that shard" })?;
         ShardReader::open(path)
     }
 

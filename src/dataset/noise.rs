@@ -60,13 +60,7 @@ impl Disturber {
 
     /// The control of the next `tick` (s) with the noise in it. `speed` in m/s; `curvature_per_steer`
     /// is the path's curvature (1/m) at full steering.
-    pub fn disturb(
-        &mut self,
-        control: Control,
-        speed: f64,
-        curvature_per_steer: f64,
-        tick: f64,
-    ) -> Control {
+    pub fn disturb(&mut self, control: Control, speed: f64, curvature_per_steer: f64, tick: f64) -> Control {
         if self.params.pause <= 0.0 {
             return control;
         }

@@ -22,7 +22,13 @@ const DENSITY: [usize; 5] = [100, 60, 25, 100, 130];
 
 /// The segments of a dataset of `frames` frames, `per_segment` each. `dense` is the town's dense
 /// population. Five densities and the weathers (whose number five must not divide) meet in every pair.
-pub fn plan(frames: usize, per_segment: usize, weathers: &[Preset], dense: Counts, seed: u64) -> Vec<Segment> {
+pub fn plan(
+    frames: usize,
+    per_segment: usize,
+    weathers: &[Preset],
+    dense: Counts,
+    seed: u64,
+) -> Vec<Segment> {
     let per_segment = per_segment.max(1);
     (0..frames.div_ceil(per_segment))
         .map(|index| {

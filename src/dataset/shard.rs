@@ -168,8 +168,8 @@ impl ShardReader {
             let expected = super::FORMAT_VERSION;
             return Err(DatasetError::Version { path: path.to_path_buf(), found, expected });
         }
-        let header: ShardHeader = serde_json::from_value(value)
-            .map_err(|e| torn(&format!("its header is damaged ({e})")))?;
+        let header: ShardHeader =
+            serde_json::from_value(value).map_err(|e| torn(&format!("its header is damaged ({e})")))?;
         let begin = file.stream_position().map_err(io)?;
         let mut trailer = [0; 8];
         file.seek(SeekFrom::End(-8)).map_err(io)?;

@@ -154,7 +154,11 @@ impl TchEncoder {
     ///
     /// # Errors
     /// torch fails.
-    pub fn encode_all(&self, images: &[&TransformedImage], batch: usize) -> Result<Vec<Vec<f32>>, LatentError> {
+    pub fn encode_all(
+        &self,
+        images: &[&TransformedImage],
+        batch: usize,
+    ) -> Result<Vec<Vec<f32>>, LatentError> {
         let mut latents = Vec::with_capacity(images.len());
         for images in images.chunks(batch.max(1)) {
             let bytes: Vec<u8> = images.iter().flat_map(|image| image.bytes()).copied().collect();

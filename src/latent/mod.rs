@@ -6,6 +6,7 @@ pub mod encoder;
 pub mod judge;
 #[cfg(feature = "learn")]
 pub mod network;
+mod pooled;
 pub mod probe;
 pub mod score;
 #[cfg(feature = "learn")]
@@ -13,6 +14,7 @@ pub mod weights;
 
 #[cfg(feature = "learn")]
 pub use encoder::TchEncoder;
+pub use pooled::PooledEncoder;
 
 use crate::perception::TransformedImage;
 

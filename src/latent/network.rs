@@ -227,7 +227,14 @@ impl Autoencoder {
         found.map(|(_, t)| t).ok_or_else(|| TchError::Convert(format!("no tensor `{name}`")))
     }
 
-    fn normed(&self, views: &Views, part: &str, i: usize, x: &Tensor, train: bool) -> Result<Tensor, TchError> {
+    fn normed(
+        &self,
+        views: &Views,
+        part: &str,
+        i: usize,
+        x: &Tensor,
+        train: bool,
+    ) -> Result<Tensor, TchError> {
         let name = |what: &str| format!("{part}.norm{}.{what}", i + 1);
         x.f_batch_norm(
             Some(views.get(&name("scale"))?),

@@ -42,10 +42,8 @@ impl Weights {
     /// # Errors
     /// They are no safetensors.
     pub fn parse(path: &Path, bytes: &[u8]) -> Result<Self, WeightsError> {
-        let format = |e: &dyn std::fmt::Display| WeightsError::Format {
-            path: path.to_path_buf(),
-            why: e.to_string(),
-        };
+        let format =
+            |e: &dyn std::fmt::Display| WeightsError::Format { path: path.to_path_buf(), why: e.to_string() };
         let file = safetensors::SafeTensors::deserialize(bytes).map_err(|e| format(&format!("{e:?}")))?;
         let (_, header) =
             safetensors::SafeTensors::read_metadata(bytes).map_err(|e| format(&format!("{e:?}")))?;

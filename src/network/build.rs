@@ -40,6 +40,7 @@ pub(super) fn build(raw: RawNet, source: &Source<'_>) -> Result<Network, Network
         links: Vec::new(),
         crossings: Vec::new(),
         traffic_lights: Vec::new(),
+        roundabouts: Vec::new(),
         left_hand: raw.left_hand,
         bounds: (Point::origin(), Point::origin()),
         names: Names::default(),
@@ -57,6 +58,9 @@ pub(super) fn build(raw: RawNet, source: &Source<'_>) -> Result<Network, Network
     }
     links(&mut network, &raw, source)?;
     requests::apply(&mut network, &raw, source)?;
+    let rings = raw.roundabouts.iter();
+    network.roundabouts =
+        rings.map(|ring| ring.iter().filter_map(|id| network.edge_by_id(id)).collect()).collect();
     traffic_light_places(&mut network);
     network.bounds = bounds(&network);
     network.tree = LaneTree::new(&network);

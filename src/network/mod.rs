@@ -241,6 +241,8 @@ pub struct Network {
     pub links: Vec<Link>,
     pub crossings: Vec<Crossing>,
     pub traffic_lights: Vec<TrafficLight>,
+    /// The edges of each roundabout's ring, in file order.
+    pub roundabouts: Vec<Vec<EdgeId>>,
     /// True where traffic keeps left.
     pub left_hand: bool,
     /// Corners of the bounding box (m).

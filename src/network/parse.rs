@@ -79,6 +79,8 @@ pub(super) struct RawNet {
     pub junctions: Vec<RawJunction>,
     pub connections: Vec<RawConnection>,
     pub traffic_lights: Vec<RawTrafficLight>,
+    /// Edge ids of each roundabout's ring.
+    pub roundabouts: Vec<Vec<String>>,
 }
 
 /// Reads a net's text, which came from `path`.
@@ -114,6 +116,12 @@ pub(super) fn parse(path: &Path, text: &str) -> Result<RawNet, NetworkError> {
                         net.traffic_lights
                             .push(RawTrafficLight { id: at.need(id, "tlLogic", "", "id")?, signals: 0 });
                         Inside::TrafficLight
+                    }
+                    "roundabout" => {
+                        let [edges] = element.read(["edges"]);
+                        let ids = edges.iter().flat_map(|e| e.split_whitespace()).map(str::to_owned);
+                        net.roundabouts.push(ids.collect());
+                        Inside::Other
                     }
                     "connection" => {
                         net.connections.push(connection(&at)?);

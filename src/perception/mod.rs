@@ -6,6 +6,8 @@
 //! signals --light---> red or not --/
 //! ```
 
+#[cfg(feature = "learn")]
+pub mod centernet;
 mod choice;
 pub mod coco;
 mod ground;

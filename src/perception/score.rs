@@ -224,7 +224,7 @@ mod tests {
     fn object(class: ObjectClass, at: [u32; 4]) -> ObjectTruth {
         let full_box = at.map(|v| v as f32);
         let area = (at[2] - at[0]) * (at[3] - at[1]);
-        let bounds = Box3 { pose: Pose::default(), size: [1.0; 3] };
+        let bounds = Box3 { pose: Pose::new(0.0, 0.0, 0.0, 0.0), size: [1.0; 3] };
         ObjectTruth { class, id: 1, visible_pixels: area / 2, visible_box: at, full_box, bounds, depth: 9.0 }
     }
 

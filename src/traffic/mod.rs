@@ -181,6 +181,28 @@ impl Population {
         self.pedestrians.update(events, replies, scene, batch);
     }
 
+    /// Keeps `counts` alive from now on. Those who are too many go with the caller's next message; more
+    /// come, out of the ego's sight, with the next updates. A net without sidewalks gets no pedestrians.
+    pub fn resize(&mut self, counts: Counts, batch: &mut Batch) {
+        self.wanted = counts;
+        self.vehicles.resize(counts.vehicles, batch);
+        let pedestrians = if self.pedestrians.possible() { counts.pedestrians } else { 0 };
+        self.pedestrians.resize(pedestrians, batch);
+    }
+
+    /// How many are to be kept alive.
+    pub fn wanted(&self) -> Counts {
+        self.wanted
+    }
+
+    /// Takes vehicles out with the caller's next message, to come back elsewhere: they stand where the
+    /// ego is put down.
+    pub fn evict<'a>(&mut self, ids: impl IntoIterator<Item = &'a str>, batch: &mut Batch) {
+        for id in ids {
+            self.vehicles.evict(id, batch);
+        }
+    }
+
     /// How many of the population are in the network, as of the last [`Population::update`].
     pub fn alive(&self) -> Counts {
         Counts::new(self.vehicles.alive(), self.pedestrians.alive())

@@ -57,6 +57,8 @@ pub(super) struct Pedestrians {
     slots: HashMap<String, usize>,
     pending: Vec<usize>,
     vacant: Vec<usize>,
+    /// Slots that are to stay empty since the population was made smaller.
+    retired: Vec<usize>,
     schedule: Schedule,
     looks: Vec<Look>,
     next_serial: u64,
@@ -75,6 +77,7 @@ impl Pedestrians {
             slots: HashMap::new(),
             pending: Vec::new(),
             vacant: Vec::new(),
+            retired: Vec::new(),
             schedule: Schedule::default(),
             looks: Vec::new(),
             next_serial: 0,
@@ -108,6 +111,30 @@ impl Pedestrians {
             self.insert(slot, edge, at, 0.0, batch);
         }
         count
+    }
+
+    /// Keeps `count` pedestrians from now on: the last ones go, or new ones come with the next updates.
+    pub fn resize(&mut self, count: usize, batch: &mut Batch) {
+        let kept = self.members.len() - self.retired.len();
+        for _ in count..kept {
+            let Some(slot) = (0..self.members.len()).rev().find(|slot| !self.retired.contains(slot)) else {
+                break;
+            };
+            if let Some(member) = &self.members[slot] {
+                person::remove(batch, &member.id, RemoveReason::Vaporized);
+            }
+            self.pending.retain(|&pending| pending != slot);
+            self.vacate(slot);
+            self.vacant.retain(|&vacant| vacant != slot);
+            self.retired.push(slot);
+        }
+        for _ in kept..count {
+            let slot = self.retired.pop().unwrap_or_else(|| {
+                self.members.push(None);
+                self.members.len() - 1
+            });
+            self.vacant.push(slot);
+        }
     }
 
     /// Follows one step: see [`super::Population::update`].

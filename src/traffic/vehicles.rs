@@ -84,6 +84,8 @@ pub(super) struct Vehicles {
     /// Slots whose vehicle SUMO has not put on the road yet.
     pending: Vec<usize>,
     vacant: Vec<usize>,
+    /// Slots that are to stay empty since the population was made smaller.
+    retired: Vec<usize>,
     schedule: Schedule,
     looks: Vec<Look>,
     extensions: Vec<Extension>,
@@ -123,6 +125,7 @@ impl Vehicles {
             slots: HashMap::new(),
             pending: Vec::new(),
             vacant: Vec::new(),
+            retired: Vec::new(),
             schedule: Schedule::default(),
             looks: Vec::new(),
             extensions: Vec::new(),
@@ -173,6 +176,41 @@ impl Vehicles {
             }
         }
         placed.len()
+    }
+
+    /// Keeps `count` vehicles from now on: the last ones go, or new ones come with the next updates.
+    pub fn resize(&mut self, count: usize, batch: &mut Batch) {
+        let kept = self.members.len() - self.retired.len();
+        for _ in count..kept {
+            let Some(slot) = (0..self.members.len()).rev().find(|slot| !self.retired.contains(slot)) else {
+                break;
+            };
+            self.remove(slot, batch);
+            self.vacant.retain(|&vacant| vacant != slot);
+            self.retired.push(slot);
+        }
+        for _ in kept..count {
+            let slot = self.retired.pop().unwrap_or_else(|| {
+                self.members.push(None);
+                self.members.len() - 1
+            });
+            self.vacant.push(slot);
+        }
+    }
+
+    /// Takes a vehicle out, to come back elsewhere.
+    pub fn evict(&mut self, id: &str, batch: &mut Batch) {
+        if let Some(slot) = self.slots.get(id).copied() {
+            self.remove(slot, batch);
+        }
+    }
+
+    fn remove(&mut self, slot: usize, batch: &mut Batch) {
+        if let Some(member) = &self.members[slot] {
+            vehicle::remove(batch, &member.id, RemoveReason::Vaporized);
+        }
+        self.pending.retain(|&pending| pending != slot);
+        self.vacate(slot);
     }
 
     /// Follows one step: see [`super::Population::update`].

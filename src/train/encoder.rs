@@ -618,8 +618,11 @@ impl<'a> Trainer<'a> {
 
 /// Refuses to go on with another seed, batch or loss than the training began with.
 fn check_same(options: &TrainOptions, config: &Path) -> Result<(), TrainError> {
-    let text = std::fs::read(config)
-        .map_err(|source| WeightsError::Io { what: "read", path: config.to_path_buf(), source })?;
+    let text = std::fs::read(config).map_err(|source| WeightsError::Io {
+        what: "read",
+        path: config.to_path_buf(),
+        source,
+    })?;
     let before: TrainOptions = serde_json::from_slice(&text)
         .map_err(|e| WeightsError::Format { path: config.to_path_buf(), why: e.to_string() })?;
     let fields = |o: &TrainOptions| {

@@ -23,7 +23,12 @@ const DECODERS: usize = 16;
 ///
 /// # Errors
 /// A shard cannot be read, or memory is short.
-pub fn load(dataset: &Dataset, shards: &[usize], every: usize, device: Device) -> Result<Tensor, ImagesError> {
+pub fn load(
+    dataset: &Dataset,
+    shards: &[usize],
+    every: usize,
+    device: Device,
+) -> Result<Tensor, ImagesError> {
     let every = every.max(1);
     let kept = |frames: usize| frames.div_ceil(every);
     let total: usize = shards.iter().map(|&s| kept(dataset.shards[s].2)).sum();

@@ -1,0 +1,98 @@
+//! What all environments in a town share: it is read and built once.
+
+use super::EnvError;
+use crate::bundled;
+use crate::camera::Town;
+use crate::network::{Network, Shapes};
+use crate::sumo_config::{OptionSchema, SumoConfig};
+use crate::tasks::{Placement, Places, TaskError, TaskKind};
+use crate::traci::process::SumoInstall;
+use crate::vehicle::{self, StaticBody};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, OnceLock};
+
+/// A town: its configuration, network, fixed bodies, look, and the places for the tasks.
+pub struct Assets {
+    config: PathBuf,
+    name: String,
+    network: Arc<Network>,
+    statics: Vec<StaticBody>,
+    shapes: Shapes,
+    places: Places,
+    /// Built when the first camera needs it.
+    town: OnceLock<Town>,
+}
+
+/// Every town looks the same in every run: weights are trained on that look.
+const LOOK: u64 = 0;
+
+impl Assets {
+    /// The town of a CONFIG: a .sumocfg, a .net.xml(.gz), a folder or a bundled name.
+    ///
+    /// # Errors
+    /// There is no such town, or its network is broken.
+    pub fn load(config: &str) -> Result<Arc<Self>, EnvError> {
+        let config = bundled::resolve(config)?;
+        let schema = OptionSchema::cached(&SumoInstall::find()?, false)?;
+        let loaded = SumoConfig::load(&config, &schema)?;
+        let network = Network::load(&loaded.net_file()?)?;
+        network.require_drivable(crate::destination::EGO_CLASS)?;
+        let mut shapes = Shapes::default();
+        for file in loaded.additional_files() {
+            match Shapes::load(&file, &network) {
+                Ok(found) => {
+                    shapes.polygons.extend(found.polygons);
+                    shapes.points.extend(found.points);
+                }
+                Err(error) => tracing::warn!("no polygons from an additional file: {error}"),
+            }
+        }
+        Ok(Arc::new(Self {
+            config,
+            name: loaded.name(),
+            statics: vehicle::statics_from_network(&network, &shapes.polygons),
+            network: Arc::new(network),
+            shapes,
+            places: Places::default(),
+            town: OnceLock::new(),
+        }))
+    }
+
+    /// The configuration's file.
+    pub fn config(&self) -> &Path {
+        &self.config
+    }
+
+    /// The town's name, e.g. `town3`.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The network.
+    pub fn network(&self) -> &Arc<Network> {
+        &self.network
+    }
+
+    /// Buildings, poles, kerbs.
+    pub fn statics(&self) -> &[StaticBody] {
+        &self.statics
+    }
+
+    /// A place for a task, drawn from a seed.
+    ///
+    /// # Errors
+    /// The net has none.
+    pub fn place(&self, task: TaskKind, seed: u64) -> Result<Placement, TaskError> {
+        self.places.draw(&self.network, task, seed)
+    }
+
+    /// How many different ways the net has for a task; see [`Places::count`].
+    pub fn count(&self, task: TaskKind) -> Option<usize> {
+        self.places.count(&self.network, task)
+    }
+
+    /// The town as cameras see it, to be followed on its own; what stands is shared.
+    pub fn town(&self) -> Town {
+        self.town.get_or_init(|| Town::new(&self.network, &self.shapes, LOOK)).share()
+    }
+}

@@ -1,0 +1,215 @@
+//! The environment: SUMO, the ego, the camera, perception and the encoder as `reset` and `step`.
+//!
+//! ```text
+//! reset(task, seed) -> Observation
+//! step(Control)     -> Step { observation, reward, terminated, truncated, info }
+//! ```
+//!
+//! An [`Env`] is blocking and belongs to one thread: it owns a runtime of its own and shares its core
+//! with its SUMO, so make it on the thread that uses it. Any number of them run in parallel; what does
+//! not change is shared between them ([`Assets`]).
+//!
+//! ```no_run
+//! # fn example() -> Result<(), Box<dyn std::error::Error>> {
+//! use wad_cosim::env::{Assets, Env, EnvOptions};
+//! use wad_cosim::latent::PooledEncoder;
+//! use wad_cosim::tasks::{TaskKind, TaskSpec};
+//! use wad_cosim::vehicle::Control;
+//!
+//! let assets = Assets::load("town3")?;
+//! let mut env = Env::new(assets, EnvOptions::training(), Box::new(PooledEncoder::default()))?;
+//! let observation = env.reset(&TaskSpec::new(TaskKind::Straight), 7)?;
+//! assert_eq!(observation.concat().len(), 215);
+//! loop {
+//!     let step = env.step(Control { throttle: 0.4, ..Control::default() })?;
+//!     if step.terminated || step.truncated {
+//!         println!("{:?}", step.info.ending);
+//!         break;
+//!     }
+//! }
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! **Transitions.** Store `terminated`, not `done`: a truncated episode still bootstraps. When SUMO dies
+//! in the middle of an episode, `step` answers `truncated` with [`End::Error`], reward 0 and the last
+//! observation; drop that transition, and call `reset`, which builds a new SUMO.
+
+mod assets;
+mod end;
+mod episode;
+mod error;
+mod eyes;
+mod obstacle;
+mod options;
+mod world;
+
+pub use assets::Assets;
+pub use end::{End, Ending, Termination};
+pub use error::EnvError;
+pub use eyes::detector;
+pub use options::{EnvOptions, ObservationMode, WorldMode};
+
+use crate::criteria::Event;
+use crate::latent::Encoder;
+use crate::observation::{Observation, RawState};
+use crate::reward::RewardTerms;
+use crate::tasks::{Placement, TaskSpec};
+use crate::vehicle::{Control, EgoState};
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+use std::time::Duration;
+use world::World;
+
+/// What came of a control.
+#[derive(Clone, Debug)]
+pub struct Step {
+    pub observation: Observation,
+    /// Sum of `info.reward`.
+    pub reward: f64,
+    /// The episode ended by what the ego did: the value of what follows is 0.
+    pub terminated: bool,
+    /// The episode ended otherwise (arrival, the clock): what follows would have had a value.
+    pub truncated: bool,
+    pub info: Info,
+}
+
+/// Beside the observation: for logs, tables and people, never for the agent.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Info {
+    /// Ticks of the episode so far.
+    pub tick: u64,
+    /// SUMO's clock (s).
+    pub time: f64,
+    /// The named reward terms.
+    pub reward: RewardTerms,
+    /// What happened in the tick.
+    pub events: Vec<Event>,
+    /// How the episode ended, where it did.
+    pub ending: Option<Ending>,
+    /// The six raw states by name, in units.
+    pub raw: RawState,
+    pub ego: EgoState,
+    /// Way along the route since the start, and the route's length (m).
+    pub driven: f64,
+    pub route_length: f64,
+    /// Background vehicles and pedestrians in the net.
+    pub traffic: (usize, usize),
+}
+
+/// Where the wall time of an environment went, summed over its life (s).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Stages {
+    pub steps: u64,
+    /// Message out, SUMO's step, the new world decoded.
+    pub sumo: f64,
+    pub physics: f64,
+    pub camera: f64,
+    /// Detection, lanes, painting, raw states.
+    pub perception: f64,
+    pub encoder: f64,
+    pub resets: u64,
+    pub reset: f64,
+}
+
+/// One environment: see the module.
+pub struct Env {
+    runtime: tokio::runtime::Runtime,
+    world: World,
+}
+
+impl Env {
+    /// An environment in the town of `assets`. SUMO starts with the first reset.
+    ///
+    /// # Errors
+    /// The detector or the camera cannot be made.
+    pub fn new(
+        assets: Arc<Assets>,
+        options: EnvOptions,
+        encoder: Box<dyn Encoder>,
+    ) -> Result<Self, EnvError> {
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()
+            .map_err(|source| EnvError::Runtime { source })?;
+        Ok(Self { runtime, world: World::new(assets, options, encoder)? })
+    }
+
+    /// Begins an episode of `task`; everything that is drawn (place, traffic, weather where several are
+    /// given, the detector's faults) comes from `seed`. In [`WorldMode::Fresh`] equal calls give equal
+    /// episodes bit for bit. A SUMO that died is replaced.
+    ///
+    /// # Errors
+    /// The task cannot be placed on this net, or SUMO cannot be started.
+    pub fn reset(&mut self, task: &TaskSpec, seed: u64) -> Result<Observation, EnvError> {
+        self.runtime.block_on(self.world.reset(task, seed))
+    }
+
+    /// Drives one tick.
+    ///
+    /// # Errors
+    /// There is no episode under way, or perception or encoder fail. SUMO's death is no error here: see
+    /// the module.
+    pub fn step(&mut self, control: Control) -> Result<Step, EnvError> {
+        self.runtime.block_on(self.world.step(control))
+    }
+
+    /// What the rule-based expert would do now (it sees the whole world). To be asked at every tick of
+    /// an episode that it drives, and once a tick: it has a memory.
+    ///
+    /// # Errors
+    /// There is no episode under way.
+    pub fn expert(&mut self) -> Result<Control, EnvError> {
+        self.world.expert()
+    }
+
+    /// Where the episode takes place: enough to drive it again.
+    pub fn placement(&self) -> Option<&Placement> {
+        self.world.placement()
+    }
+
+    /// The ego, for cameras that look from outside.
+    pub fn ego(&self) -> Option<&crate::bridge::Ego> {
+        self.world.ego()
+    }
+
+    /// Id of SUMO's process, None before the first reset.
+    pub fn sumo_pid(&self) -> Option<u32> {
+        self.world.sumo_pid()
+    }
+
+    /// What the observation is made from, for people and data sets: the camera's last frame.
+    pub fn frame(&self) -> Option<&crate::camera::Frame> {
+        self.world.frame()
+    }
+
+    /// The last transformed image.
+    pub fn image(&self) -> Option<&crate::perception::TransformedImage> {
+        self.world.image()
+    }
+
+    /// Length of a tick.
+    pub fn tick(&self) -> Duration {
+        self.world.tick()
+    }
+
+    /// Where the time went.
+    pub fn stages(&self) -> Stages {
+        self.world.stages
+    }
+
+    /// The town.
+    pub fn assets(&self) -> &Arc<Assets> {
+        self.world.assets()
+    }
+
+    /// The options.
+    pub fn options(&self) -> &EnvOptions {
+        self.world.options()
+    }
+
+    /// Ends SUMO in an orderly way; dropping an environment kills it.
+    pub fn close(mut self) {
+        self.runtime.block_on(self.world.close());
+    }
+}

@@ -1,0 +1,108 @@
+//! What an environment is made of; saved with every result.
+
+use super::Termination;
+use crate::camera::CameraConfig;
+use crate::criteria::CriteriaParams;
+use crate::reward::RewardParams;
+use crate::vehicle::EgoParams;
+use serde::{Deserialize, Serialize};
+
+/// What an observation holds. Sizes never change: what is left out is zero.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ObservationMode {
+    /// The latent and the six raw states, as in the paper.
+    #[default]
+    LatentAndRaw,
+    /// The raw states alone (ablation); no lanes are looked for and nothing is encoded.
+    RawOnly,
+    /// The latent alone (ablation).
+    LatentOnly,
+    /// Nothing is seen: latent zero, raw states without a vehicle in front. For drivers that do not look
+    /// (autopilot, random): several times faster.
+    Blind,
+}
+
+impl ObservationMode {
+    /// Whether the camera runs at all.
+    pub fn looks(self) -> bool {
+        self != Self::Blind
+    }
+
+    /// Whether images are encoded.
+    pub fn encodes(self) -> bool {
+        matches!(self, Self::LatentAndRaw | Self::LatentOnly)
+    }
+}
+
+/// What becomes of SUMO between episodes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum WorldMode {
+    /// A new SUMO per episode: reproducible from task and seed alone. For evaluation.
+    #[default]
+    Fresh,
+    /// SUMO and its traffic run on; the ego is put down elsewhere, at a place that is free. For training.
+    Running,
+}
+
+/// What an environment is made of.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EnvOptions {
+    pub world: WorldMode,
+    pub observation: ObservationMode,
+    /// Detector by name, e.g. `truth`.
+    pub detector: String,
+    pub camera: CameraConfig,
+    /// Tick length (ms). Default 167, the paper's six a second.
+    pub tick_ms: f64,
+    /// How far the ego's world reaches (m). Default 100.
+    pub sight: f64,
+    pub ego: EgoParams,
+    /// Thresholds of the events.
+    pub criteria: CriteriaParams,
+    /// Which events end an episode.
+    pub termination: Termination,
+    pub reward: RewardParams,
+    /// In [`WorldMode::Running`]: episodes after which SUMO is started anew all the same, so that jams
+    /// dissolve and the traffic's seed changes. Default 200.
+    pub episodes_per_sumo: u64,
+    /// Longest time a tick may take before SUMO counts as hung (s). Default 60.
+    pub tick_timeout: f64,
+}
+
+impl Default for EnvOptions {
+    fn default() -> Self {
+        Self {
+            world: WorldMode::Fresh,
+            observation: ObservationMode::default(),
+            detector: "truth".to_string(),
+            camera: CameraConfig::default(),
+            tick_ms: crate::bridge::DEFAULT_TICK_MS,
+            sight: 100.0,
+            ego: EgoParams::default(),
+            criteria: CriteriaParams::default(),
+            termination: Termination::default(),
+            reward: RewardParams::default(),
+            episodes_per_sumo: 200,
+            tick_timeout: 60.0,
+        }
+    }
+}
+
+impl EnvOptions {
+    /// For evaluation: fresh worlds, the spec's thresholds.
+    pub fn evaluation() -> Self {
+        Self::default()
+    }
+
+    /// For training: running traffic, and standing for no reason ends an episode after 30 s, not 90.
+    pub fn training() -> Self {
+        Self {
+            world: WorldMode::Running,
+            criteria: CriteriaParams { blocked_after: 30.0, ..CriteriaParams::default() },
+            ..Self::default()
+        }
+    }
+}
