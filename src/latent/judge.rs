@@ -4,7 +4,9 @@ use super::encoder::TchEncoder;
 use super::probe::{Probe, auc};
 use super::score::{ObjectScore, psnr, ssim};
 use super::LatentError;
+use crate::bench::median;
 use crate::camera::{CameraConfig, Preset};
+use crate::cpu_time;
 use crate::dataset::{Dataset, DatasetError, FrameRecord, Labels};
 use crate::observation::LATENT_SIZE;
 use crate::perception::TransformedImage;
@@ -51,6 +53,8 @@ pub struct Judgement {
     pub kept_small: f64,
     pub kept_tiny: f64,
     pub blue_iou: f64,
+    /// CPU time of one image through the encoder, one thread, median (ms).
+    pub encode_ms: f64,
     pub probe_frames: usize,
     pub probe_town: String,
     /// A vehicle in the lane within 20 m.
@@ -131,12 +135,25 @@ pub fn judge(
         kept_small: objects.small.share(),
         kept_tiny: objects.tiny.share(),
         blue_iou: objects.blue_iou(),
+        encode_ms: encode_ms(encoder)?,
         probe_frames: known.len(),
         probe_town: fitted.manifest.town.clone(),
         lead: probe(|l| l.lead.is_some_and(|gap| gap <= LEAD)),
         pedestrian: probe(|l| l.pedestrian.is_some_and(|gap| gap <= PEDESTRIAN)),
         red: probe(|l| l.red),
     })
+}
+
+/// Median CPU time of one image through the encoder (ms).
+fn encode_ms(encoder: &TchEncoder) -> Result<f64, JudgeError> {
+    let image = TransformedImage::default();
+    let mut times = Vec::new();
+    for _ in 0..100 {
+        let before = cpu_time::of_thread();
+        encoder.encode_all(&[&image], 1)?;
+        times.extend(cpu_time::of_thread().zip(before).map(|(after, before)| 1000.0 * (after - before)));
+    }
+    Ok(median(times))
 }
 
 /// Hands `frames` frames of `dataset`, evenly over it, to `take` in batches.

@@ -1,6 +1,8 @@
 //! The encoder-decoder that turns the transformed image into 200 numbers (paper, figure 4).
 
 #[cfg(feature = "learn")]
+pub mod chance;
+#[cfg(feature = "learn")]
 pub mod encoder;
 #[cfg(feature = "learn")]
 pub mod judge;

@@ -88,7 +88,7 @@ fn text(j: &Judgement) -> String {
     let kept = |name: &str, share: f64, n: u64| format!("  {name:34} {:.1} % of {n}\n", 100.0 * share);
     let weathers: Vec<String> = j.psnr_by_weather.iter().map(|(w, db)| format!("{w} {db:.1}")).collect();
     format!(
-        "encoder {} on {} frames of {}\n  PSNR {:.2} dB, SSIM {:.3}, blue IoU {:.3}\n  PSNR by weather: {}\n\
+        "encoder {} on {} frames of {}\n  PSNR {:.2} dB, SSIM {:.3}, blue IoU {:.3}; {:.2} ms CPU an image\n  PSNR by weather: {}\n\
          painted objects still there (blue IoU 0.5):\n{}{}{}\
          linear probes, fitted on {} frames of {}:\n{}{}{}",
         j.encoder,
@@ -97,6 +97,7 @@ fn text(j: &Judgement) -> String {
         j.psnr_db,
         j.ssim,
         j.blue_iou,
+        j.encode_ms,
         weathers.join(", "),
         kept("6x6 pixels or more", j.kept_large, j.objects.large.objects),
         kept("3x3 to 6x6", j.kept_small, j.objects.small.objects),
