@@ -9,6 +9,7 @@ mod doctor;
 mod eval;
 mod exit;
 mod progress;
+mod report;
 mod run;
 mod snapshot;
 mod train;
@@ -50,6 +51,8 @@ enum Command {
     Bench(bench::Args),
     /// Judge a part of the system by the ground truth.
     Eval(eval::Args),
+    /// Make pictures and tables of what was trained and measured.
+    Report(report::Args),
     /// Check what this machine has for wad-cosim, and say what to do about what is missing.
     Doctor(doctor::Args),
 }
@@ -65,6 +68,7 @@ pub fn main() -> ExitCode {
         Command::Train(args) => train::run(args),
         Command::Bench(args) => bench::run(args),
         Command::Eval(args) => eval::run(args),
+        Command::Report(args) => report::run(args),
         Command::Doctor(args) => doctor::run(args),
     };
     match result {

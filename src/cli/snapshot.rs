@@ -54,6 +54,9 @@ pub struct Args {
     /// Drive from one edge (or lane) to another first.
     #[arg(long, value_name = "FROM,TO", allow_hyphen_values = true)]
     route: Option<String>,
+    /// For --stage latent and all: a .safetensors file, a folder of `train encoder`, or a bundled encoder.
+    #[arg(long, value_name = "NAME", default_value = "default")]
+    encoder: String,
     /// WIDTHxHEIGHT in pixels [default: 512x512; 1280x720 for chase].
     #[arg(long, value_name = "WxH", value_parser = size)]
     size: Option<(usize, usize)>,
@@ -133,13 +136,41 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
 }
 
 fn watch(args: &Args, stage: Stage, config: CameraConfig) -> anyhow::Result<Watch> {
+    let detector = perception::detector(&args.detector, perception::MIN_SCORE).map_err(|e| Exit::Input.because(e))?;
+    let watch = Watch::new(detector, config).map_err(|e| Exit::Input.because(e))?;
+    with_decoder(args, stage, watch)
+}
+
+/// The stages that show a reconstruction need an encoder; the strip of all does without if it must.
+#[cfg(feature = "learn")]
+fn with_decoder(args: &Args, stage: Stage, watch: Watch) -> anyhow::Result<Watch> {
+    if !matches!(stage, Stage::Latent | Stage::All) {
+        return Ok(watch);
+    }
+    tch::set_num_threads(1);
+    match wad_cosim::latent::TchEncoder::find(&args.encoder) {
+        Ok(encoder) => Ok(watch.with_decoder(Box::new(encoder))),
+        Err(error) if stage == Stage::Latent => Err(Exit::Input.because(error)),
+        Err(error) => {
+            tracing::warn!("no reconstruction: {error}");
+            Ok(watch)
+        }
+    }
+}
+
+#[cfg(not(feature = "learn"))]
+fn with_decoder(_: &Args, stage: Stage, watch: Watch) -> anyhow::Result<Watch> {
     if stage == Stage::Latent {
-        let why = "no encoder is there yet: train one, or choose --stage transformed";
+        let why = "--stage latent needs libtorch, and this build has none; build with the feature `learn`";
         return Err(Exit::Input.because(anyhow::anyhow!(why)));
     }
+<<<<<<< HEAD
+    Ok(watch)
+=======
     let detector =
         perception::detector(&args.detector, perception::MIN_SCORE).map_err(|e| Exit::Input.because(e))?;
     Watch::new(detector, config).map_err(|e| Exit::Input.because(e))
+>>>>>>> main
 }
 
 async fn take(args: Args, mut camera: Camera, mut watch: Option<Watch>) -> anyhow::Result<Exit> {

@@ -264,3 +264,65 @@ impl Dataset {
         Ok(bytes.len() / TransformedImage::BYTES)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::testing::{Picture, write};
+
+    fn data(folder: &Path, town: &str) {
+        write(folder, town, &[3, 3, 2], Preset::ClearNoon, |n| Picture {
+            red: false,
+            object: [10 + n, 50, 8, 8],
+        });
+    }
+
+    #[test]
+    fn images_are_those_of_the_frames() {
+        let folder = tempfile::tempdir().unwrap();
+        data(folder.path(), "town3");
+        let dataset = Dataset::open(folder.path(), false).unwrap();
+        assert_eq!((dataset.frames(), dataset.split()), (8, (vec![0, 1], vec![2])));
+        dataset.require_training().unwrap();
+        let mut bytes = Vec::new();
+        assert_eq!(dataset.images(1, &mut bytes).unwrap(), 3);
+        let mut reader = dataset.reader(1).unwrap();
+        for image in bytes.chunks(TransformedImage::BYTES) {
+            assert_eq!(reader.next_frame().unwrap().unwrap().transformed.bytes(), image);
+        }
+    }
+
+    #[test]
+    fn a_torn_shard_loses_only_itself() {
+        let folder = tempfile::tempdir().unwrap();
+        data(folder.path(), "town3");
+        let last = folder.path().join("shard-00002.wads");
+        let bytes = std::fs::read(&last).unwrap();
+        std::fs::write(&last, &bytes[..bytes.len() / 2]).unwrap();
+        let dataset = Dataset::open(folder.path(), false).unwrap();
+        assert_eq!((dataset.frames(), dataset.torn.len()), (6, 1));
+        assert!(dataset.torn[0].contains("shard-00002"), "{:?}", dataset.torn);
+    }
+
+    #[test]
+    fn folders_that_are_no_good_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path();
+        let error = |partial| Dataset::open(path, partial).unwrap_err().to_string();
+        assert!(error(false).contains("no dataset"), "{}", error(false));
+        data(path, "town5");
+        let dataset = Dataset::open(path, false).unwrap();
+        assert!(matches!(dataset.require_training(), Err(DatasetError::TestData { .. })));
+        let mut manifest = dataset.manifest.clone();
+        (manifest.state, manifest.frames_wanted) = (State::Collecting, 100);
+        manifest.save(path).unwrap();
+        assert!(error(false).contains("8 of 100"), "{}", error(false));
+        assert_eq!(Dataset::open(path, true).unwrap().frames(), 8);
+        (manifest.state, manifest.camera) = (State::Complete, "other".to_string());
+        manifest.save(path).unwrap();
+        assert!(error(false).contains("camera other"), "{}", error(false));
+        manifest.version = 9;
+        manifest.save(path).unwrap();
+        assert!(error(false).contains("format 9"), "{}", error(false));
+    }
+}

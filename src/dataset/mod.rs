@@ -17,6 +17,8 @@ mod noise;
 mod plan;
 mod record;
 mod shard;
+#[cfg(test)]
+pub mod testing;
 
 pub use collect::{CollectOptions, Collected, Progress, TRAINING_WEATHERS, collect};
 pub use error::DatasetError;

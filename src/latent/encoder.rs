@@ -2,7 +2,7 @@
 
 use super::network::{Architecture, Autoencoder, Slot, Views};
 use super::weights::{Weights, WeightsError, half};
-use super::{Encoder, LatentError};
+use super::{Decoder, Encoder, LatentError};
 use crate::bundled;
 use crate::camera::CameraConfig;
 use crate::observation::LATENT_SIZE;
@@ -184,22 +184,6 @@ impl TchEncoder {
             bytes.f_permute([0, 2, 3, 1])?.f_contiguous()
         })
     }
-
-    /// The picture that a latent stands for.
-    ///
-    /// # Errors
-    /// The latent has another length, or torch fails.
-    pub fn decode(&self, latent: &[f32]) -> Result<TransformedImage, LatentError> {
-        if latent.len() != LATENT_SIZE {
-            let found = latent.len();
-            return Err(LatentError::Encoder(format!("expected a latent of {LATENT_SIZE}, found {found}")));
-        }
-        let latent = Tensor::f_from_slice(latent)?.f_view([1, LATENT_SIZE as i64])?;
-        let picture = self.decode_tensor(&latent)?.f_to_device(Device::Cpu)?;
-        let mut image = TransformedImage::default();
-        picture.f_copy_data(image.bytes_mut(), TransformedImage::BYTES)?;
-        Ok(image)
-    }
 }
 
 impl Encoder for TchEncoder {
@@ -211,6 +195,18 @@ impl Encoder for TchEncoder {
         let encoded = self.encode_tensor(&images_tensor(image.bytes(), 1)?)?.f_to_device(Device::Cpu)?;
         latent.resize(LATENT_SIZE, 0.0);
         Ok(encoded.f_copy_data(latent, LATENT_SIZE)?)
+    }
+}
+
+impl Decoder for TchEncoder {
+    fn decode(&mut self, latent: &[f32], image: &mut TransformedImage) -> Result<(), LatentError> {
+        if latent.len() != LATENT_SIZE {
+            let found = latent.len();
+            return Err(LatentError::Encoder(format!("expected a latent of {LATENT_SIZE}, found {found}")));
+        }
+        let latent = Tensor::f_from_slice(latent)?.f_view([1, LATENT_SIZE as i64])?;
+        let picture = self.decode_tensor(&latent)?.f_to_device(Device::Cpu)?;
+        Ok(picture.f_copy_data(image.bytes_mut(), TransformedImage::BYTES)?)
     }
 }
 

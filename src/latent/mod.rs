@@ -1,10 +1,16 @@
 //! The encoder-decoder that turns the transformed image into 200 numbers (paper, figure 4).
 
 #[cfg(feature = "learn")]
+pub mod chance;
+#[cfg(feature = "learn")]
 pub mod encoder;
+#[cfg(feature = "learn")]
+pub mod judge;
 #[cfg(feature = "learn")]
 pub mod network;
 mod pooled;
+pub mod probe;
+pub mod score;
 #[cfg(feature = "learn")]
 pub mod weights;
 

@@ -1,7 +1,7 @@
 //! The encoder-decoder (paper, section "Latent State Extraction", figure 4).
 //!
-//! Encoder: six convolutions 3x3, stride 2, channels 32 to 512, batch norm and dropout after the second
-//! and the fifth, ReLU; 128x128 becomes 2x2, and one linear layer makes the latent of 200. Decoder: the
+//! Encoder: six convolutions 3x3, stride 2, channels 32 to 512, batch norm and dropout (of whole channels) after the
+//! second and the fifth, ReLU; 128x128 becomes 2x2, and one linear layer makes the latent of 200. Decoder: the
 //! latent as a 1x1 picture of 200 channels, seven transposed convolutions 3x3, stride 2, batch norm after
 //! the second and the fifth, ReLU, a sigmoid at the end. L2 regularization is Adam's weight decay.
 //!
@@ -10,8 +10,10 @@
 //! All parameters lie in one flat tensor, cut into views: one Adam step is a handful of operations over
 //! it, and a checkpoint is three tensors.
 
+use super::chance;
 use crate::observation::LATENT_SIZE;
 use crate::perception::TRANSFORMED_SIZE;
+use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use tch::{Device, Kind, TchError, Tensor};
 
@@ -155,11 +157,11 @@ pub struct Autoencoder {
 }
 
 impl Autoencoder {
-    /// With weights drawn from torch's generator (He's normal; biases 0, scales 1).
+    /// With weights drawn from `rng` (He's normal; biases 0, scales 1).
     ///
     /// # Errors
     /// torch fails, e.g. out of memory.
-    pub fn new(architecture: Architecture, device: Device) -> Result<Self, TchError> {
+    pub fn new(architecture: Architecture, rng: &mut ChaCha8Rng, device: Device) -> Result<Self, TchError> {
         let options = (Kind::Float, device);
         let (slots, decayed) = architecture.slots();
         let mut parts = Vec::new();
@@ -173,9 +175,7 @@ impl Autoencoder {
                 let last = slot.name.starts_with("encoder.latent");
                 let gain = if last { 1.0 } else { 2.0 };
                 let deviation = (gain / seen as f64).sqrt();
-                // Drawn on the processor, so that all devices begin alike.
-                let drawn = Tensor::f_randn(slot.shape.as_slice(), (Kind::Float, Device::Cpu))?;
-                drawn.f_mul_scalar(deviation)?.f_to_device(device)?
+                chance::normal(rng, &slot.shape, device)?.f_mul_scalar(deviation)?
             } else if slot.name.ends_with(".scale") {
                 Tensor::f_ones(slot.shape.as_slice(), options)?
             } else {
@@ -249,11 +249,11 @@ impl Autoencoder {
     }
 
     /// Pictures (n, 3, 128, 128), 0..1, to (n, 200), or (n, 400) of a variational one: means, then log
-    /// variances. Raw: not yet standardised.
+    /// variances. Raw: not yet standardised. With `train`, which then draws dropout, as in training.
     ///
     /// # Errors
     /// torch fails.
-    pub fn encode(&self, views: &Views, pictures: &Tensor, train: bool) -> Result<Tensor, TchError> {
+    pub fn encode(&self, views: &Views, pictures: &Tensor, mut train: Option<&mut ChaCha8Rng>) -> Result<Tensor, TchError> {
         let mut x = pictures.shallow_clone();
         for i in 0..self.architecture.encoder.len() {
             let normed = NORMED.contains(&i);
@@ -264,11 +264,14 @@ impl Autoencoder {
             let weight = views.get(&format!("encoder.conv{}.weight", i + 1))?;
             x = x.f_conv2d(weight, bias, [2, 2], [1, 1], [1, 1], 1)?;
             if normed {
-                x = self.normed(views, "encoder", i, &x, train)?;
+                x = self.normed(views, "encoder", i, &x, train.is_some())?;
             }
             x = x.f_relu()?;
-            if normed && train && self.architecture.dropout > 0.0 {
-                x = x.f_dropout(self.architecture.dropout, true)?;
+            let dropout = self.architecture.dropout;
+            if let Some(rng) = train.as_deref_mut().filter(|_| normed && dropout > 0.0) {
+                let shape = [x.size()[0], x.size()[1], 1, 1];
+                let kept = chance::uniform(rng, &shape, x.device())?.f_ge(dropout)?;
+                x = x.f_mul(&kept.f_to_kind(Kind::Float)?.f_div_scalar(1.0 - dropout)?)?;
             }
         }
         let weight = views.get("encoder.latent.weight")?;

@@ -9,12 +9,14 @@ use super::images::{self, ImagesError};
 use super::loss;
 use super::tensorboard::EventWriter;
 use crate::dataset::{Dataset, DatasetError};
+use crate::latent::chance;
 use crate::latent::encoder::{keys, to_pictures, weights_of};
 use crate::latent::network::{Architecture, Autoencoder, Slot};
 use crate::latent::weights::{Weights, WeightsError};
 use crate::perception::TransformedImage;
 use crate::{seeds, telemetry};
 use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::io::Write;
@@ -272,7 +274,6 @@ impl<'a> Trainer<'a> {
             dropout: options.dropout,
             ..Architecture::default()
         };
-        tch::manual_seed(seeds::derive(options.seed, "weights") as i64);
         let (network, moments, reached) = if resume {
             let weights = Weights::load(&checkpoint)?;
             let find = |slot: &Slot| weights.get(&slot.name, &slot.shape);
@@ -290,7 +291,8 @@ impl<'a> Trainer<'a> {
             check_same(options, &config)?;
             (network, moments, reached)
         } else {
-            let network = Autoencoder::new(architecture, device)?;
+            let mut rng = seeds::rng(options.seed, "weights");
+            let network = Autoencoder::new(architecture, &mut rng, device)?;
             let zeros = || Tensor::f_zeros([network.parameters()], (Kind::Float, device));
             let moments = (zeros()?, zeros()?);
             (network, moments, Reached::default())
@@ -373,7 +375,7 @@ impl<'a> Trainer<'a> {
         let began = Instant::now();
         let epoch = self.reached.epoch;
         // Dropout and augmentation of an epoch depend on its number alone.
-        tch::manual_seed((seeds::derive(self.options.seed, &format!("epoch {epoch}")) >> 1) as i64);
+        let mut rng = seeds::rng(self.options.seed, &format!("epoch {epoch}"));
         let images = self.resident.1.size()[0];
         let mut order: Vec<i64> = (0..images).collect();
         order.shuffle(&mut seeds::rng(self.options.seed, &format!("order {epoch}")));
@@ -393,7 +395,7 @@ impl<'a> Trainer<'a> {
             let from = (step as i64 * batch).min(images - batch);
             let picked = self.resident.1.f_index_select(0, &order.f_narrow(0, from, batch)?)?;
             rate = self.learning_rate(self.done(step, steps));
-            let loss = self.step(&picked, rate)?;
+            let loss = self.step(&picked, rate, &mut rng)?;
             sum = sum.f_add(&loss.f_to_kind(Kind::Double)?)?;
             seen += batch as u64;
             taken += 1;
@@ -454,12 +456,12 @@ impl<'a> Trainer<'a> {
     }
 
     /// One Adam step on a batch of bytes; the loss, still on the device.
-    fn step(&mut self, bytes: &Tensor, rate: f64) -> Result<Tensor, TrainError> {
+    fn step(&mut self, bytes: &Tensor, rate: f64, rng: &mut ChaCha8Rng) -> Result<Tensor, TrainError> {
         let pictures = to_pictures(bytes)?;
         let painted = loss::painted(&pictures)?;
-        let pictures = if self.options.augment { loss::relight(&pictures, &painted)? } else { pictures };
+        let pictures = if self.options.augment { loss::relight(rng, &pictures, &painted)? } else { pictures };
         let theta = self.network.theta.f_detach()?.f_set_requires_grad(true)?;
-        let (loss, _, _) = self.loss(&theta, &pictures, &painted, true)?;
+        let (loss, _, _) = self.loss(&theta, &pictures, &painted, Some(rng))?;
         let gradient = Tensor::f_run_backward(&[&loss], &[&theta], false, false)?;
         let Some(gradient) = gradient.into_iter().next() else {
             return Err(TchError::Convert("no gradient".to_string()).into());
@@ -492,17 +494,17 @@ impl<'a> Trainer<'a> {
         theta: &Tensor,
         pictures: &Tensor,
         painted: &Tensor,
-        train: bool,
+        mut rng: Option<&mut ChaCha8Rng>,
     ) -> Result<(Tensor, Option<Tensor>, Tensor), TchError> {
         let views = self.network.views(theta)?;
-        let code = self.network.encode(&views, pictures, train)?;
+        let code = self.network.encode(&views, pictures, rng.as_deref_mut())?;
         let size = self.network.architecture.latent;
         let (latent, divergence) = if self.network.architecture.variational {
             let (mean, log_variance) = (code.f_narrow(1, 0, size)?, code.f_narrow(1, size, size)?);
             let log_variance = log_variance.f_clamp(-12.0, 6.0)?;
             let divergence = loss::divergence(&mean, &log_variance)?;
-            let latent = if train {
-                let noise = mean.f_randn_like()?;
+            let latent = if let Some(rng) = rng.as_deref_mut() {
+                let noise = chance::normal(rng, &mean.size(), self.device)?;
                 mean.f_add(&log_variance.f_mul_scalar(0.5)?.f_exp()?.f_mul(&noise)?)?
             } else {
                 mean
@@ -511,7 +513,7 @@ impl<'a> Trainer<'a> {
         } else {
             (code, None)
         };
-        let made = self.network.decode_logits(&views, &latent, train)?.f_sigmoid()?;
+        let made = self.network.decode_logits(&views, &latent, rng.is_some())?.f_sigmoid()?;
         let weights = loss::pixel_weights(painted, self.options.paint_weight, self.options.small_weight)?;
         let mut loss = loss::reconstruction(&made, pictures, &weights)?;
         if let Some(divergence) = &divergence {
@@ -532,7 +534,7 @@ impl<'a> Trainer<'a> {
                 }
                 let pictures = to_pictures(&bytes)?;
                 let painted = loss::painted(&pictures)?;
-                let (loss, divergence, made) = self.loss(&self.network.theta, &pictures, &painted, false)?;
+                let (loss, divergence, made) = self.loss(&self.network.theta, &pictures, &painted, None)?;
                 let error = made.f_sub(&pictures)?.f_square()?;
                 let error = error.f_mean_dim([1, 2, 3].as_slice(), false, Kind::Float)?;
                 let psnr = error.f_clamp_min(1e-10)?.f_log10()?.f_mul_scalar(-10.0)?;
@@ -576,7 +578,7 @@ impl<'a> Trainer<'a> {
         let mut codes = Vec::new();
         let chosen = images.f_slice(0, 0, images.size()[0], every)?;
         for bytes in chosen.f_split(self.options.batch.max(1) as i64, 0)? {
-            let code = self.network.encode(&views, &to_pictures(&bytes)?, false)?;
+            let code = self.network.encode(&views, &to_pictures(&bytes)?, None)?;
             codes.push(code.f_narrow(1, 0, self.network.architecture.latent)?);
         }
         let codes = Tensor::f_cat(&codes, 0)?;
@@ -645,3 +647,6 @@ fn check_same(options: &TrainOptions, config: &Path) -> Result<(), TrainError> {
 fn json(value: &impl Serialize) -> String {
     serde_json::to_string(value).unwrap_or_default()
 }
+
+#[cfg(test)]
+mod tests;

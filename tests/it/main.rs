@@ -3,6 +3,7 @@
 
 mod autopilot;
 mod bridge;
+mod dataset;
 mod doctor;
 mod network;
 mod run;

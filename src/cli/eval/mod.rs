@@ -2,6 +2,8 @@
 
 mod detector;
 mod sight;
+#[cfg(feature = "learn")]
+mod encoder;
 
 use super::Exit;
 use anyhow::Context;
@@ -22,6 +24,9 @@ enum What {
     Lanes(sight::Args),
     /// The vehicle in front: gap and closing speed against the true ones, by distance.
     Lead(sight::Args),
+    /// How much of the transformed image the latent holds.
+    #[cfg(feature = "learn")]
+    Encoder(encoder::Args),
 }
 
 /// Runs the command.
@@ -30,6 +35,8 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
         What::Detector(args) => detector::run(args),
         What::Lanes(args) => runtime()?.block_on(sight::lanes(args)),
         What::Lead(args) => runtime()?.block_on(sight::lead(args)),
+        #[cfg(feature = "learn")]
+        What::Encoder(args) => encoder::run(&args),
     }
 }
 

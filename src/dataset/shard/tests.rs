@@ -1,9 +1,7 @@
 use super::*;
 use crate::camera::Preset;
-use crate::dataset::Labels;
-use crate::observation::RawState;
+use crate::dataset::testing::{self, Picture};
 use crate::traffic::Counts;
-use crate::vehicle::{Control, EgoState};
 
 fn header() -> ShardHeader {
     ShardHeader {
@@ -21,34 +19,8 @@ fn header() -> ShardHeader {
 }
 
 fn frame(n: u8) -> Frame {
-    let mut transformed = TransformedImage::default();
-    for (i, byte) in transformed.bytes_mut().iter_mut().enumerate() {
-        *byte = (i % 251) as u8 ^ n;
-    }
-    let ego = EgoState {
-        pose: crate::geometry::Pose::new(1.0, 2.0, 0.0, 0.5),
-        roll: 0.0,
-        pitch: 0.0,
-        velocity: crate::geometry::Vector::new(3.0, 0.0),
-        speed: 3.0,
-        lateral_speed: 0.0,
-        yaw_rate: 0.0,
-        acceleration: 0.0,
-        steer_angle: 0.0,
-    };
-    let record = FrameRecord {
-        time: f64::from(n),
-        weather: Preset::SoftRainNoon,
-        ego,
-        control: Control::default(),
-        disturbed: n == 1,
-        boxes: Vec::new(),
-        light: None,
-        raw: RawState::STANDING,
-        labels: Labels { lead: Some(12.5), pedestrian: None, red: true },
-        lanes: Default::default(),
-    };
-    Frame { record, transformed, camera: vec![n; 5] }
+    let picture = Picture { red: n == 0, object: [20 + usize::from(n), 40, 9, 7] };
+    Frame { camera: vec![n; 5], ..testing::frame(picture, Preset::SoftRainNoon) }
 }
 
 fn write(path: &Path) {

@@ -1,0 +1,66 @@
+//! `wad-cosim report latents`: the paper's figure 5.
+
+use crate::cli::{Exit, dataset as data, print};
+use anyhow::Context;
+use clap::ValueHint;
+use std::path::PathBuf;
+use wad_cosim::camera::Picture;
+use wad_cosim::dataset::Dataset;
+use wad_cosim::latent::TchEncoder;
+use wad_cosim::latent::judge::{JudgeError, pairs};
+use wad_cosim::perception::{TRANSFORMED_SIZE, TransformedImage};
+
+/// Transformed images above, their reconstructions below.
+#[derive(clap::Args, Debug)]
+pub struct Args {
+    /// A .safetensors file, a folder of `train encoder`, or a bundled encoder.
+    #[arg(long, value_name = "NAME", default_value = "default")]
+    encoder: String,
+    /// A dataset to take frames from, evenly.
+    #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
+    data: PathBuf,
+    /// Pairs in a row, and rows of pairs.
+    #[arg(long, value_name = "N", default_value_t = 8)]
+    columns: usize,
+    #[arg(long, value_name = "N", default_value_t = 2)]
+    rows: usize,
+    /// PNG file to write.
+    #[arg(long, value_name = "FILE", default_value = "latents.png", value_hint = ValueHint::FilePath)]
+    out: PathBuf,
+    /// Use a dataset that was not collected to its end.
+    #[arg(long)]
+    partial: bool,
+}
+
+/// Pixels between pictures, and between rows of pairs.
+const GAP: usize = 4;
+const ROW_GAP: usize = 12;
+
+/// Runs the command.
+pub fn run(args: &Args) -> anyhow::Result<Exit> {
+    tch::set_num_threads(1);
+    let encoder = TchEncoder::find(&args.encoder).map_err(|e| Exit::Input.because(e))?;
+    let dataset = Dataset::open(&args.data, args.partial).map_err(data::with_exit)?;
+    let (columns, rows) = (args.columns.max(1), args.rows.max(1));
+    let pairs = pairs(&encoder, &dataset, columns * rows).map_err(|error| match error {
+        JudgeError::Dataset(error) => data::with_exit(error),
+        JudgeError::Latent(error) => Exit::Other.because(error),
+    })?;
+    let side = TRANSFORMED_SIZE;
+    let height = 2 * side + GAP;
+    let mut page =
+        Picture::new(columns * (side + GAP) - GAP, rows * (height + ROW_GAP) - ROW_GAP);
+    page.rgb.fill(255);
+    let picture =
+        |image: &TransformedImage| Picture { width: side, height: side, rgb: image.bytes().to_vec() };
+    for (n, (wanted, made)) in pairs.iter().take(columns * rows).enumerate() {
+        let (x, y) = (n % columns * (side + GAP), n / columns * (height + ROW_GAP));
+        page.paste(&picture(wanted), x, y);
+        page.paste(&picture(made), x, y + side + GAP);
+    }
+    page.save(&args.out).map_err(|e| Exit::Other.because(e)).with_context(|| {
+        format!("cannot write the picture {}", args.out.display())
+    })?;
+    print(&format!("{}\n", args.out.display()))?;
+    Ok(Exit::Done)
+}

@@ -1,0 +1,232 @@
+//! Judges an encoder on frames that it has not seen.
+
+use super::encoder::TchEncoder;
+use super::probe::{Probe, auc};
+use super::score::{ObjectScore, psnr, ssim};
+use super::LatentError;
+use crate::bench::median;
+use crate::camera::{CameraConfig, Preset};
+use crate::cpu_time;
+use crate::dataset::{Dataset, DatasetError, FrameRecord, Labels};
+use crate::observation::LATENT_SIZE;
+use crate::perception::TransformedImage;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use tch::Device;
+
+/// Why an encoder cannot be judged.
+#[derive(Debug, thiserror::Error)]
+pub enum JudgeError {
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+    #[error(transparent)]
+    Latent(#[from] LatentError),
+}
+
+impl From<tch::TchError> for JudgeError {
+    fn from(error: tch::TchError) -> Self {
+        Self::Latent(error.into())
+    }
+}
+
+/// A linear probe's result.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct ProbeScore {
+    /// Area under the ROC curve on the measured frames; None where one kind of frame is missing.
+    pub auc: Option<f64>,
+    /// Frames with the thing, where fitted and where measured.
+    pub fitted_positives: usize,
+    pub measured_positives: usize,
+}
+
+/// What an encoder is worth.
+#[derive(Clone, Debug, Serialize)]
+pub struct Judgement {
+    pub encoder: String,
+    pub town: String,
+    pub frames: usize,
+    pub psnr_db: f64,
+    pub ssim: f64,
+    pub psnr_by_weather: BTreeMap<&'static str, f64>,
+    pub objects: ObjectScore,
+    pub kept_large: f64,
+    pub kept_small: f64,
+    pub kept_tiny: f64,
+    pub blue_iou: f64,
+    /// CPU time of one image through the encoder, one thread, median (ms).
+    pub encode_ms: f64,
+    pub probe_frames: usize,
+    pub probe_town: String,
+    /// A vehicle in the lane within 20 m.
+    pub lead: ProbeScore,
+    /// A pedestrian in the lane within 15 m.
+    pub pedestrian: ProbeScore,
+    /// The light painted red.
+    pub red: ProbeScore,
+}
+
+/// How near counts (m).
+const LEAD: f64 = 20.0;
+const PEDESTRIAN: f64 = 15.0;
+/// Frames encoded at once.
+const BATCH: usize = 64;
+
+/// A batch of frames with latents and reconstructions.
+struct Batch {
+    records: Vec<FrameRecord>,
+    latents: Vec<Vec<f32>>,
+    images: Vec<(TransformedImage, TransformedImage)>,
+}
+
+/// Judges `encoder` on `frames` of `measured`, evenly over it; probes are fitted on `fitted`.
+///
+/// # Errors
+/// A dataset cannot be read, or torch fails.
+pub fn judge(
+    encoder: &TchEncoder,
+    measured: &Dataset,
+    fitted: &Dataset,
+    (frames, probe_frames): (usize, usize),
+    mut report: impl FnMut(usize),
+) -> Result<Judgement, JudgeError> {
+    let camera = CameraConfig::default();
+    let (mut psnr_sum, mut ssim_sum, mut objects) = (0.0, 0.0, ObjectScore::default());
+    let mut by_weather: BTreeMap<Preset, (f64, f64)> = BTreeMap::new();
+    let (mut latents, mut labels) = (Vec::new(), Vec::new());
+    each(encoder, measured, frames, true, |batch| {
+        for (record, (wanted, made)) in batch.records.iter().zip(&batch.images) {
+            let db = psnr(wanted, made);
+            psnr_sum += db;
+            ssim_sum += ssim(wanted, made);
+            let sum = by_weather.entry(record.weather).or_default();
+            *sum = (sum.0 + db, sum.1 + 1.0);
+            objects.add(wanted, made, &record.boxes, (camera.width, camera.height));
+        }
+        labels.extend(batch.records.iter().map(|record| record.labels));
+        latents.extend(batch.latents);
+        report(latents.len());
+    })?;
+    let (mut known, mut known_labels) = (Vec::new(), Vec::new());
+    each(encoder, fitted, probe_frames, false, |batch| {
+        known_labels.extend(batch.records.iter().map(|record| record.labels));
+        known.extend(batch.latents);
+        report(latents.len() + known.len());
+    })?;
+    let probe = |what: fn(&Labels) -> bool| {
+        let told: Vec<bool> = known_labels.iter().map(what).collect();
+        let wanted: Vec<bool> = labels.iter().map(what).collect();
+        let ranked = Probe::fit(&known, &told).and_then(|probe| {
+            let scores: Vec<f64> = latents.iter().map(|latent| probe.score(latent)).collect();
+            auc(&scores, &wanted)
+        });
+        let count = |labels: &[bool]| labels.iter().filter(|label| **label).count();
+        ProbeScore { auc: ranked, fitted_positives: count(&told), measured_positives: count(&wanted) }
+    };
+    let count = latents.len().max(1) as f64;
+    Ok(Judgement {
+        encoder: super::Encoder::hash(encoder).to_string(),
+        town: measured.manifest.town.clone(),
+        frames: latents.len(),
+        psnr_db: psnr_sum / count,
+        ssim: ssim_sum / count,
+        psnr_by_weather: by_weather.into_iter().map(|(w, (sum, n))| (w.name(), sum / n)).collect(),
+        objects,
+        kept_large: objects.large.share(),
+        kept_small: objects.small.share(),
+        kept_tiny: objects.tiny.share(),
+        blue_iou: objects.blue_iou(),
+        encode_ms: encode_ms(encoder)?,
+        probe_frames: known.len(),
+        probe_town: fitted.manifest.town.clone(),
+        lead: probe(|l| l.lead.is_some_and(|gap| gap <= LEAD)),
+        pedestrian: probe(|l| l.pedestrian.is_some_and(|gap| gap <= PEDESTRIAN)),
+        red: probe(|l| l.red),
+    })
+}
+
+/// Median CPU time of one image through the encoder (ms).
+fn encode_ms(encoder: &TchEncoder) -> Result<f64, JudgeError> {
+    let image = TransformedImage::default();
+    let mut times = Vec::new();
+    for _ in 0..100 {
+        let before = cpu_time::of_thread();
+        encoder.encode_all(&[&image], 1)?;
+        times.extend(cpu_time::of_thread().zip(before).map(|(after, before)| 1000.0 * (after - before)));
+    }
+    Ok(median(times))
+}
+
+/// Hands `frames` frames of `dataset`, evenly over it, to `take` in batches.
+fn each(
+    encoder: &TchEncoder,
+    dataset: &Dataset,
+    frames: usize,
+    reconstruct: bool,
+    mut take: impl FnMut(Batch),
+) -> Result<(), JudgeError> {
+    let total = dataset.frames();
+    let mut number = 0;
+    let mut records = Vec::new();
+    let mut images: Vec<TransformedImage> = Vec::new();
+    let mut hand_over = |records: &mut Vec<FrameRecord>, images: &mut Vec<TransformedImage>| {
+        if images.is_empty() {
+            return Ok(());
+        }
+        let wanted = std::mem::take(images);
+        let refs: Vec<&TransformedImage> = wanted.iter().collect();
+        let latents = encoder.encode_all(&refs, BATCH)?;
+        let made = if reconstruct { decode_all(encoder, &latents)? } else { Vec::new() };
+        let images = wanted.into_iter().zip(made).collect();
+        take(Batch { records: std::mem::take(records), latents, images });
+        Ok::<(), JudgeError>(())
+    };
+    for shard in 0..dataset.shards.len() {
+        let mut reader = dataset.reader(shard)?;
+        while let Some(frame) = reader.next_frame()? {
+            // Evenly: frame n is taken when n * frames / total grows.
+            let due = frames >= total || (number + 1) * frames / total > number * frames / total;
+            number += 1;
+            if due {
+                records.push(frame.record);
+                images.push(frame.transformed);
+            }
+            if images.len() == BATCH {
+                hand_over(&mut records, &mut images)?;
+            }
+        }
+    }
+    hand_over(&mut records, &mut images)
+}
+
+/// Images of latents.
+///
+/// # Errors
+/// torch fails.
+pub fn decode_all(encoder: &TchEncoder, latents: &[Vec<f32>]) -> Result<Vec<TransformedImage>, LatentError> {
+    let mut images = Vec::with_capacity(latents.len());
+    for latents in latents.chunks(BATCH) {
+        let flat: Vec<f32> = latents.iter().flatten().copied().collect();
+        let tensor = tch::Tensor::f_from_slice(&flat)?.f_view([-1, LATENT_SIZE as i64])?;
+        let made = encoder.decode_tensor(&tensor)?.f_to_device(Device::Cpu)?;
+        let mut bytes = vec![0; latents.len() * TransformedImage::BYTES];
+        let count = bytes.len();
+        made.f_copy_data(&mut bytes, count)?;
+        let chunks = bytes.chunks(TransformedImage::BYTES);
+        images.extend(chunks.filter_map(|chunk| TransformedImage::from_bytes(chunk.to_vec())));
+    }
+    Ok(images)
+}
+
+/// For the paper's figure 5: `count` transformed images, evenly over a dataset, each with its reconstruction.
+///
+/// # Errors
+/// The dataset cannot be read, or torch fails.
+pub fn pairs(
+    encoder: &TchEncoder,
+    dataset: &Dataset,
+    count: usize,
+) -> Result<Vec<(TransformedImage, TransformedImage)>, JudgeError> {
+    let mut pairs = Vec::new();
+    each(encoder, dataset, count, true, |batch| pairs.extend(batch.images))?;
+    Ok(pairs)
+}

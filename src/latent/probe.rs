@@ -1,0 +1,111 @@
+//! Linear probes: logistic regression from the latent, and how well it ranks unseen frames.
+
+use nalgebra::{DMatrix, DVector};
+
+/// A logistic regression.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Probe {
+    /// One per feature, then the bias.
+    weights: DVector<f64>,
+}
+
+/// Newton steps, and the square penalty on weights: small against the data, enough for separable data.
+const STEPS: usize = 12;
+const PENALTY: f64 = 1.0;
+
+impl Probe {
+    /// Fits by Newton's method with an L2 penalty. None where all labels are equal or nothing is given.
+    pub fn fit(features: &[Vec<f32>], labels: &[bool]) -> Option<Self> {
+        let size = features.first()?.len() + 1;
+        let positives = labels.iter().filter(|label| **label).count();
+        if positives == 0 || positives == labels.len() || labels.len() != features.len() {
+            return None;
+        }
+        let rows = features.len();
+        let x = DMatrix::from_fn(rows, size, |i, j| features[i].get(j).map_or(1.0, |v| f64::from(*v)));
+        let y = DVector::from_fn(rows, |i, _| f64::from(u8::from(labels[i])));
+        let mut weights = DVector::zeros(size);
+        for _ in 0..STEPS {
+            let p = (&x * &weights).map(|z: f64| 1.0 / (1.0 + (-z).exp()));
+            let mut gradient = x.tr_mul(&(&p - &y)) + &weights * PENALTY;
+            gradient[size - 1] -= weights[size - 1] * PENALTY;
+            let mut scaled = x.clone();
+            for (i, mut row) in scaled.row_iter_mut().enumerate() {
+                row *= (p[i] * (1.0 - p[i])).max(1e-6);
+            }
+            let mut hessian = x.tr_mul(&scaled);
+            for i in 0..size {
+                hessian[(i, i)] += if i + 1 == size { 1e-6 } else { PENALTY };
+            }
+            let step = hessian.cholesky()?.solve(&gradient);
+            weights -= &step;
+            if step.norm() < 1e-6 * (1.0 + weights.norm()) {
+                break;
+            }
+        }
+        Some(Self { weights })
+    }
+
+    /// The higher, the more likely.
+    pub fn score(&self, features: &[f32]) -> f64 {
+        let bias = self.weights[self.weights.len() - 1];
+        bias + features.iter().zip(self.weights.iter()).map(|(x, w)| f64::from(*x) * w).sum::<f64>()
+    }
+}
+
+/// Area under the ROC curve: how often a positive scores above a negative, ties counted half. None where
+/// one kind is missing.
+pub fn auc(scores: &[f64], labels: &[bool]) -> Option<f64> {
+    let mut order: Vec<usize> = (0..scores.len().min(labels.len())).collect();
+    order.sort_by(|&a, &b| scores[a].total_cmp(&scores[b]));
+    let (mut below, mut wins, mut positives) = (0.0, 0.0, 0.0);
+    let mut at = 0;
+    while at < order.len() {
+        let tied = order[at..].iter().take_while(|&&i| scores[i] == scores[order[at]]).count();
+        let group = &order[at..at + tied];
+        let plus = group.iter().filter(|&&i| labels[i]).count() as f64;
+        let minus = tied as f64 - plus;
+        wins += plus * (below + 0.5 * minus);
+        below += minus;
+        positives += plus;
+        at += tied;
+    }
+    (positives > 0.0 && below > 0.0).then(|| wins / (positives * below))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::seeds;
+    use rand::RngExt;
+
+    #[test]
+    fn auc_counts_pairs() {
+        let labels = [false, false, true, true];
+        assert_eq!(auc(&[0.1, 0.4, 0.35, 0.8], &labels), Some(0.75));
+        assert_eq!(auc(&[0.5; 4], &labels), Some(0.5));
+        assert_eq!(auc(&[0.5; 4], &[true; 4]), None);
+    }
+
+    #[test]
+    fn a_probe_finds_the_direction_and_not_more() {
+        let mut rng = seeds::rng(1, "probe");
+        let mut draw = |count: usize| -> (Vec<Vec<f32>>, Vec<bool>, Vec<bool>) {
+            let rows: Vec<Vec<f32>> =
+                (0..count).map(|_| (0..20).map(|_| rng.random::<f32>() - 0.5).collect()).collect();
+            let told = rows.iter().map(|r| r[3] - 2.0 * r[7] > 0.1).collect();
+            let chance = rows.iter().map(|_| rng.random::<bool>()).collect();
+            (rows, told, chance)
+        };
+        let (train, told, chance) = draw(2000);
+        let (test, told_test, chance_test) = draw(2000);
+        let rank = |labels: &[bool], test_labels: &[bool]| {
+            let probe = Probe::fit(&train, labels).unwrap();
+            let scores: Vec<f64> = test.iter().map(|row| probe.score(row)).collect();
+            auc(&scores, test_labels).unwrap()
+        };
+        assert!(rank(&told, &told_test) > 0.99);
+        assert!((rank(&chance, &chance_test) - 0.5).abs() < 0.05);
+        assert_eq!(Probe::fit(&train, &vec![true; 2000]), None);
+    }
+}

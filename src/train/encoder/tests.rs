@@ -1,0 +1,116 @@
+use super::*;
+use crate::camera::Preset;
+use crate::dataset::testing::{Picture, write};
+use std::sync::atomic::AtomicBool;
+
+/// A dataset of 24 + 8 frames with a blue box on a grey road, one shard of each.
+fn data(folder: &Path, town: &str) {
+    let picture = |n: usize| Picture { red: n % 3 == 0, object: [30 + n % 40, 60, 20, 14] };
+    write(folder, town, &[24, 8], Preset::ClearNoon, picture);
+}
+
+fn options(data: &Path, out: &Path, epochs: u64) -> TrainOptions {
+    TrainOptions { batch: 8, epochs, decay: 0.0, ..TrainOptions::new(data, out) }
+}
+
+fn go(options: &TrainOptions, resume: bool) -> Result<Trained, TrainError> {
+    tch::set_num_threads(1);
+    train(options, Device::Cpu, resume, &AtomicBool::new(false), |_| {})
+}
+
+#[test]
+fn a_broken_off_training_ends_with_the_same_bits() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    data(&path("data"), "town3");
+    go(&options(&path("data"), &path("whole"), 4), false).unwrap();
+    go(&options(&path("data"), &path("parts"), 2), false).unwrap();
+    let resumed = go(&options(&path("data"), &path("parts"), 4), true).unwrap();
+    assert_eq!((resumed.epochs, resumed.steps), (4, 12));
+    let tensors = |name: &str| {
+        let weights = Weights::load(&path(name).join("checkpoint.safetensors")).unwrap();
+        weights.hash().unwrap()
+    };
+    assert_eq!(tensors("whole"), tensors("parts"));
+    let lines = std::fs::read_to_string(path("parts").join("metrics.jsonl")).unwrap();
+    assert_eq!(lines.lines().count(), 4);
+}
+
+#[test]
+fn training_learns_and_its_encoder_is_read_back() {
+    use crate::latent::{Decoder, Encoder, TchEncoder};
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    data(&path("data"), "town3");
+    let options = TrainOptions { learning_rate: 1e-3, ..options(&path("data"), &path("out"), 12) };
+    let trained = go(&options, false).unwrap();
+    let lines = std::fs::read_to_string(path("out").join("metrics.jsonl")).unwrap();
+    let records: Vec<EpochRecord> = lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert!(trained.best.loss < 0.5 * records[0].validation.loss, "{lines}");
+    let mut encoder = TchEncoder::find(&path("out").to_string_lossy()).unwrap();
+    let dataset = Dataset::open(&path("data"), false).unwrap();
+    let mut latents = Vec::new();
+    let mut reader = dataset.reader(0).unwrap();
+    while let Some(frame) = reader.next_frame().unwrap() {
+        let mut latent = Vec::new();
+        encoder.encode(&frame.transformed, &mut latent).unwrap();
+        latents.push(latent);
+        let made = encoder.reconstruct(&frame.transformed).unwrap();
+        assert!(crate::latent::score::psnr(&made, &frame.transformed) > 8.0);
+    }
+    // Standardised over the training images.
+    let mean = latents.iter().flatten().map(|x| f64::from(*x)).sum::<f64>() / (24.0 * 200.0);
+    let square = latents.iter().flatten().map(|x| f64::from(*x).powi(2)).sum::<f64>() / (24.0 * 200.0);
+    assert!(mean.abs() < 0.2 && (0.3..2.0).contains(&square), "{mean} {square}");
+    // The file's content is its name; a changed file is refused.
+    let file = path("out").join("encoder.safetensors");
+    let mut bytes = std::fs::read(&file).unwrap();
+    let last = bytes.len() - 10;
+    bytes[last] ^= 1;
+    std::fs::write(&file, bytes).unwrap();
+    let error = TchEncoder::load(&file, Device::Cpu).unwrap_err().to_string();
+    assert!(error.contains("hash"), "{error}");
+}
+
+#[test]
+fn an_infinite_loss_stops_and_keeps_the_last_checkpoint() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    data(&path("data"), "town3");
+    go(&options(&path("data"), &path("out"), 1), false).unwrap();
+    let checkpoint = path("out").join("checkpoint.safetensors");
+    let before = std::fs::read(&checkpoint).unwrap();
+    let wild = TrainOptions { learning_rate: 1e30, ..options(&path("data"), &path("out"), 9) };
+    let error = go(&wild, true).unwrap_err();
+    assert!(matches!(error, TrainError::NotFinite { .. }), "{error}");
+    assert_eq!(std::fs::read(&checkpoint).unwrap(), before);
+}
+
+#[test]
+fn test_data_other_seeds_and_taken_folders_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    data(&path("town5"), "town5");
+    let error = go(&options(&path("town5"), &path("out"), 1), false).unwrap_err().to_string();
+    assert!(error.contains("test data") && error.contains("town5"), "{error}");
+    data(&path("data"), "town3");
+    let error = go(&options(&path("data"), &path("out"), 1), true).unwrap_err();
+    assert!(matches!(error, TrainError::NothingToResume { .. }), "{error}");
+    go(&options(&path("data"), &path("out"), 1), false).unwrap();
+    let error = go(&options(&path("data"), &path("out"), 1), false).unwrap_err();
+    assert!(matches!(error, TrainError::Taken { .. }), "{error}");
+    let other = TrainOptions { seed: 5, ..options(&path("data"), &path("out"), 2) };
+    let error = go(&other, true).unwrap_err().to_string();
+    assert!(error.contains("--seed") && error.contains('5'), "{error}");
+}
+
+#[test]
+fn a_variational_one_trains_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    data(&path("data"), "town3");
+    let options = TrainOptions { beta: 1.0, ..options(&path("data"), &path("out"), 2) };
+    let trained = go(&options, false).unwrap();
+    assert!(trained.best.divergence > 0.0);
+    crate::latent::TchEncoder::find(&path("out").to_string_lossy()).unwrap();
+}
