@@ -4,6 +4,7 @@
 mod bench;
 mod bench_camera;
 mod doctor;
+mod eval;
 mod exit;
 mod run;
 mod snapshot;
@@ -37,6 +38,8 @@ enum Command {
     Run(Box<run::Args>),
     /// Drive into a town under the autopilot, and take a picture.
     Snapshot(Box<snapshot::Args>),
+    /// Drive the episodes of a suite, and say how they ended.
+    Eval(Box<eval::Args>),
     /// Measure speed, as a ratio to SUMO alone in the same run.
     Bench(bench::Args),
     /// Check what this machine has for wad-cosim, and say what to do about what is missing.
@@ -50,6 +53,7 @@ pub fn main() -> ExitCode {
     let result = match cli.command {
         Command::Run(args) => run::run(*args),
         Command::Snapshot(args) => snapshot::run(*args),
+        Command::Eval(args) => eval::run(*args),
         Command::Bench(args) => bench::run(args),
         Command::Doctor(args) => doctor::run(args),
     };
