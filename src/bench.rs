@@ -1,14 +1,18 @@
 //! What the bridge costs, as a ratio to SUMO alone in the same run.
 //!
-//! For each population the same stretch of the same simulation is timed twice, in turns:
+//! For each population a short stretch of the same simulation is timed twice, many times over:
 //! *bridge*: pose in, step, the whole [`crate::world::WorldState`] within 100 m decoded (physics and
-//! autopilot are timed apart); *SUMO alone*: a plain `sumo` without TraCI that loads the state saved
-//! where the stretch begins, a run over the stretch less a run over its first ticks, so that start-up
-//! and loading cancel out.
+//! autopilot are timed apart); *SUMO alone*: a second `sumo` that loads the state saved where the
+//! stretch begins and is told, in one message, to run to its end.
+//!
+//! Stretches are short, so that nobody arrives who would have been replaced, and that a machine whose
+//! speed drifts is equally fast for both; the two take turns in going first.
 
+use crate::cores::Cores;
 use crate::cpu_time;
 use crate::drive::{Drive, DriveError, DriveOptions};
-use crate::traci::process::{InstallError, SumoInstall};
+use crate::traci::process::{InstallError, LaunchError, SumoInstall, SumoProcess};
+use crate::traci::{self, Batch, LaunchOptions, TcpClient, person, simulation, vehicle};
 use crate::traffic::{Counts, TrafficSpec};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -21,10 +25,10 @@ pub struct BridgeBench {
     pub base: DriveOptions,
     /// Populations: vehicles and pedestrians.
     pub populations: Vec<(usize, usize)>,
-    /// Ticks before the stretch, and in it.
+    /// Ticks before the first stretch, and in each.
     pub warm_up: u64,
     pub ticks: u64,
-    /// Times that each stretch is measured; the median counts.
+    /// Stretches, each measured both ways; the median counts.
     pub repeat: usize,
     /// Folder for scratch files.
     pub scratch: PathBuf,
@@ -37,8 +41,10 @@ pub struct BridgeRow {
     pub pedestrians: usize,
     pub sumo_alone_ms: f64,
     pub bridge_ms: f64,
-    /// Median of the ratios of the turns, not ratio of the medians.
+    /// Median of the ratios of the stretches, not ratio of the medians.
     pub ratio: f64,
+    /// A quarter of the stretches' ratios are below the first, a quarter above the second.
+    pub ratio_quartiles: [f64; 2],
     /// The same in CPU time, which other load on the machine hardly touches: SUMO's and ours together
     /// against SUMO's alone.
     pub sumo_alone_cpu_ms: f64,
@@ -46,6 +52,11 @@ pub struct BridgeRow {
     pub cpu_ratio: f64,
     pub physics_ms: f64,
     pub autopilot_ms: f64,
+    /// Mean background population of the stretches, the ego left out, on either side.
+    pub alone_vehicles: f64,
+    pub alone_pedestrians: f64,
+    pub bridge_vehicles: f64,
+    pub bridge_pedestrians: f64,
     /// Actors within sight of the ego, on average.
     pub actors_in_sight: f64,
     pub ticks: u64,
@@ -59,18 +70,17 @@ pub enum BenchError {
     Drive(#[from] DriveError),
     #[error(transparent)]
     Install(#[from] InstallError),
-    #[error("plain SUMO failed in the comparison: {0}")]
-    Alone(String),
+    #[error("SUMO alone, for the comparison: {0}")]
+    Launch(#[from] LaunchError),
+    #[error("SUMO alone, for the comparison: {0}")]
+    Alone(#[from] traci::Error),
 }
 
-/// A shorter stretch of SUMO alone is lengthened (s).
-const SHORTEST_ALONE: f64 = 0.05;
-
-/// Ticks of the short run that is subtracted.
+/// Ticks before a stretch that are not timed: caches fill, and a state just loaded settles.
 const HEAD: u64 = 10;
 
 impl BridgeBench {
-    /// Measures one population. `progress` hears of each turn.
+    /// Measures one population. `progress` hears of each stretch.
     ///
     /// # Errors
     /// SUMO fails.
@@ -80,114 +90,195 @@ impl BridgeBench {
         pedestrians: usize,
         progress: &mut dyn FnMut(usize),
     ) -> Result<BridgeRow, BenchError> {
-        let mut turns = Vec::new();
-        for turn in 0..self.repeat.max(1) {
-            let folder = self.scratch.join(format!("{vehicles}-{pedestrians}-{turn}"));
-            turns.push(self.turn(vehicles, pedestrians, &folder).await?);
-            progress(turn + 1);
-        }
-        let median_of = |figure: &dyn Fn(&Turn) -> f64| median(turns.iter().map(figure).collect());
-        Ok(BridgeRow {
-            vehicles,
-            pedestrians,
-            sumo_alone_ms: median_of(&|t| t.alone),
-            bridge_ms: median_of(&|t| t.bridge),
-            ratio: median_of(&|t| t.bridge / t.alone),
-            sumo_alone_cpu_ms: median_of(&|t| t.alone_cpu),
-            bridge_cpu_ms: median_of(&|t| t.bridge_cpu),
-            cpu_ratio: median_of(&|t| t.bridge_cpu / t.alone_cpu),
-            physics_ms: median_of(&|t| t.physics),
-            autopilot_ms: median_of(&|t| t.autopilot),
-            actors_in_sight: median_of(&|t| t.actors),
-            ticks: self.ticks,
-            repeat: turns.len(),
-        })
-    }
-
-    async fn turn(&self, vehicles: usize, pedestrians: usize, folder: &Path) -> Result<Turn, BenchError> {
+        let folder = self.scratch.join(format!("{vehicles}-{pedestrians}"));
         let mut options = self.base.clone();
-        options.out = folder.to_path_buf();
+        options.out = folder.clone();
         options.bridge.output_dir = folder.join("sumo");
         options.bridge.traffic = TrafficSpec::Counts(Counts { vehicles, pedestrians });
         let mut drive = Drive::start(options).await?;
+        let mut alone = Alone::start(&folder, drive.bridge().tick()).await?;
         for _ in 0..self.warm_up {
             drive.tick().await?;
         }
-        let state = folder.join("state.xml.gz");
-        drive.save_state(&state).await?;
-        let begin = drive.bridge().time();
-        let sumo_cpu =
-            |drive: &Drive| drive.bridge().sumo_pid().and_then(cpu_time::of_process).unwrap_or(f64::NAN);
-        let (before, cpu_before) = (drive.timings(), sumo_cpu(&drive));
-        let mut actors = 0;
-        for _ in 0..self.ticks {
-            drive.tick().await?;
-            let world = drive.ego().world();
-            actors += world.vehicles.len() + world.pedestrians.len();
+        let state = folder.join("state.xml");
+        let mut pairs = Vec::new();
+        for number in 0..self.repeat.max(1) {
+            drive.save_state(&state).await?;
+            let begin = drive.bridge().time();
+            let (with_bridge, without);
+            if number % 2 == 0 {
+                with_bridge = bridge_stretch(&mut drive, self.ticks).await?;
+                without = alone.stretch(&state, begin, self.ticks).await?;
+            } else {
+                without = alone.stretch(&state, begin, self.ticks).await?;
+                with_bridge = bridge_stretch(&mut drive, self.ticks).await?;
+            }
+            pairs.push((with_bridge, without));
+            progress(number + 1);
         }
-        let (after, cpu_after) = (drive.timings(), sumo_cpu(&drive));
-        let tick = drive.bridge().tick();
+        alone.client.close().await?;
         drive.finish("survived", false).await?;
-        let install = SumoInstall::find()?;
-        let config = folder.join("sumo/sumo.sumocfg");
-        let time = |ticks: u64| alone(&install, &config, &state, begin + tick * ticks as f64);
-        let (head, mut whole) = (time(HEAD)?, time(HEAD + self.ticks)?);
-        let mut alone_ticks = self.ticks;
-        if whole.0 - head.0 < SHORTEST_ALONE {
-            // Too short to tell from the start-up's own scatter.
-            alone_ticks = 50 * self.ticks;
-            whole = time(HEAD + alone_ticks)?;
+        Ok(self.judge(vehicles, pedestrians, &pairs))
+    }
+
+    fn judge(&self, vehicles: usize, pedestrians: usize, pairs: &[(Stretch, Stretch)]) -> BridgeRow {
+        let all = |figure: &dyn Fn(&Stretch, &Stretch) -> f64| -> Vec<f64> {
+            pairs.iter().map(|(bridge, alone)| figure(bridge, alone)).collect()
+        };
+        let median = |figure: &dyn Fn(&Stretch, &Stretch) -> f64| quantile(all(figure), 0.5);
+        let mean = |figure: &dyn Fn(&Stretch, &Stretch) -> f64| {
+            all(figure).iter().sum::<f64>() / pairs.len().max(1) as f64
+        };
+        let ratios = all(&|bridge, alone| bridge.wall / alone.wall);
+        BridgeRow {
+            vehicles,
+            pedestrians,
+            sumo_alone_ms: median(&|_, alone| alone.wall),
+            bridge_ms: median(&|bridge, _| bridge.wall),
+            ratio: quantile(ratios.clone(), 0.5),
+            ratio_quartiles: [quantile(ratios.clone(), 0.25), quantile(ratios, 0.75)],
+            sumo_alone_cpu_ms: median(&|_, alone| alone.cpu),
+            bridge_cpu_ms: median(&|bridge, _| bridge.cpu),
+            cpu_ratio: median(&|bridge, alone| bridge.cpu / alone.cpu),
+            physics_ms: median(&|bridge, _| bridge.physics),
+            autopilot_ms: median(&|bridge, _| bridge.autopilot),
+            alone_vehicles: mean(&|_, alone| alone.vehicles),
+            alone_pedestrians: mean(&|_, alone| alone.pedestrians),
+            bridge_vehicles: mean(&|bridge, _| bridge.vehicles),
+            bridge_pedestrians: mean(&|bridge, _| bridge.pedestrians),
+            actors_in_sight: mean(&|bridge, _| bridge.actors),
+            ticks: self.ticks,
+            repeat: pairs.len(),
         }
-        let per_alone_tick = |seconds: f64| (1000.0 * seconds / alone_ticks as f64).max(1e-6);
-        let per_tick = |seconds: f64| 1000.0 * seconds / self.ticks as f64;
-        Ok(Turn {
-            alone: per_alone_tick(whole.0 - head.0),
-            bridge: per_tick(after.bridge - before.bridge),
-            alone_cpu: per_alone_tick(whole.1 - head.1),
-            bridge_cpu: per_tick(after.bridge_cpu - before.bridge_cpu + cpu_after - cpu_before),
-            physics: per_tick(after.physics - before.physics),
-            autopilot: per_tick(after.agent - before.agent),
-            actors: actors as f64 / self.ticks as f64,
+    }
+}
+
+/// One stretch: milliseconds per tick, and how many were there.
+#[derive(Clone, Copy, Debug, Default)]
+struct Stretch {
+    wall: f64,
+    cpu: f64,
+    physics: f64,
+    autopilot: f64,
+    actors: f64,
+    vehicles: f64,
+    pedestrians: f64,
+}
+
+async fn bridge_stretch(drive: &mut Drive, ticks: u64) -> Result<Stretch, BenchError> {
+    for _ in 0..HEAD {
+        drive.tick().await?;
+    }
+    let sumo_cpu =
+        |drive: &Drive| drive.bridge().sumo_pid().and_then(cpu_time::of_process).unwrap_or(f64::NAN);
+    let (before, cpu_before) = (drive.timings(), sumo_cpu(drive));
+    let (mut actors, mut vehicles, mut pedestrians) = (0, 0, 0);
+    for _ in 0..ticks {
+        drive.tick().await?;
+        let world = drive.ego().world();
+        actors += world.vehicles.len() + world.pedestrians.len();
+        vehicles += drive.bridge().counts().0;
+        pedestrians += drive.bridge().counts().1;
+    }
+    let (after, cpu_after) = (drive.timings(), sumo_cpu(drive));
+    let per_tick = |seconds: f64| 1000.0 * seconds / ticks as f64;
+    let mean = |sum: usize| sum as f64 / ticks as f64;
+    Ok(Stretch {
+        wall: per_tick(after.bridge - before.bridge),
+        cpu: per_tick(after.bridge_cpu - before.bridge_cpu + cpu_after - cpu_before),
+        physics: per_tick(after.physics - before.physics),
+        autopilot: per_tick(after.agent - before.agent),
+        actors: mean(actors),
+        vehicles: mean(vehicles),
+        pedestrians: mean(pedestrians),
+    })
+}
+
+/// A SUMO of its own that runs whole stretches without hearing from anybody.
+struct Alone {
+    process: SumoProcess,
+    client: TcpClient,
+    /// s.
+    tick: f64,
+}
+
+impl Alone {
+    /// Starts it with the configuration that the bridge in `folder` runs.
+    async fn start(folder: &Path, tick: f64) -> Result<Self, BenchError> {
+        let options = LaunchOptions {
+            log_file: Some(folder.join("alone.log")),
+            ..LaunchOptions::config(folder.join("sumo/sumo.sumocfg"))
+        };
+        let options = options.option("output-prefix", "alone_").option("no-warnings", "true");
+        let (process, client) = SumoProcess::launch_with(&SumoInstall::find()?, &options).await?;
+        // On the core that the bridge and its SUMO share: the same neighbours for both.
+        if let Some(core) = Cores::current() {
+            core.confine(process.id());
+        }
+        Ok(Self { process, client, tick })
+    }
+
+    /// Loads a state saved at `begin` (s) and runs on from there.
+    async fn stretch(&mut self, state: &Path, begin: f64, ticks: u64) -> Result<Stretch, BenchError> {
+        self.client.load_state(&state.to_string_lossy()).await?;
+        let first = self.run_to(begin + self.tick * HEAD as f64).await?;
+        let cpu = || cpu_time::of_process(self.process.id()).unwrap_or(f64::NAN);
+        let (clock, cpu_before) = (Instant::now(), cpu());
+        let mut batch = Batch::new();
+        batch.step_to(begin + self.tick * (HEAD + ticks) as f64);
+        self.client.send(&batch).await?.check().map_err(traci::Error::from)?;
+        let (wall, cpu) = (clock.elapsed().as_secs_f64(), cpu() - cpu_before);
+        let last = self.counts().await?;
+        let per_tick = |seconds: f64| 1000.0 * seconds * self.tick / (last.time - first.time);
+        Ok(Stretch {
+            wall: per_tick(wall),
+            cpu: per_tick(cpu),
+            vehicles: 0.5 * (first.vehicles + last.vehicles),
+            pedestrians: 0.5 * (first.pedestrians + last.pedestrians),
+            ..Stretch::default()
+        })
+    }
+
+    async fn run_to(&mut self, time: f64) -> Result<Moment, BenchError> {
+        let mut batch = Batch::new();
+        batch.step_to(time);
+        self.client.send(&batch).await?.check().map_err(traci::Error::from)?;
+        self.counts().await
+    }
+
+    async fn counts(&mut self) -> Result<Moment, BenchError> {
+        let mut batch = Batch::new();
+        let time = batch.get(simulation::TIME, "");
+        let vehicles = batch.get(vehicle::ID_LIST, "");
+        let pedestrians = batch.get(person::ID_LIST, "");
+        let replies = self.client.send(&batch).await?;
+        let vehicles = replies.get_ref(vehicles).map_err(traci::Error::from)?;
+        let pedestrians = replies.get_ref(pedestrians).map_err(traci::Error::from)?;
+        Ok(Moment {
+            time: replies.get(time).map_err(traci::Error::from)?,
+            vehicles: vehicles.filter(|id| *id != "ego").count() as f64,
+            pedestrians: pedestrians.count() as f64,
         })
     }
 }
 
-/// Milliseconds per tick of one turn.
-struct Turn {
-    alone: f64,
-    bridge: f64,
-    alone_cpu: f64,
-    bridge_cpu: f64,
-    physics: f64,
-    autopilot: f64,
-    actors: f64,
+/// A moment of SUMO alone: its clock (s) and population.
+struct Moment {
+    time: f64,
+    vehicles: f64,
+    pedestrians: f64,
 }
 
-/// Wall and CPU seconds that plain SUMO takes from the saved state until `end` (s).
-fn alone(install: &SumoInstall, config: &Path, state: &Path, end: f64) -> Result<(f64, f64), BenchError> {
-    let cpu = || cpu_time::of_ended_children().unwrap_or(f64::NAN);
-    let (began, cpu_before) = (Instant::now(), cpu());
-    let output = install
-        .command("sumo")
-        .arg("-c")
-        .arg(config)
-        .arg("--load-state")
-        .arg(state)
-        .args(["--end", &format!("{end:.3}"), "--no-warnings", "true"])
-        .output()
-        .map_err(|e| BenchError::Alone(e.to_string()))?;
-    if !output.status.success() {
-        return Err(BenchError::Alone(String::from_utf8_lossy(&output.stderr).trim().to_string()));
-    }
-    Ok((began.elapsed().as_secs_f64(), cpu() - cpu_before))
+/// The value below which a share `q` of the values is, between neighbours linearly.
+fn quantile(mut values: Vec<f64>, q: f64) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let Some(last) = values.len().checked_sub(1) else { return f64::NAN };
+    let at = q.clamp(0.0, 1.0) * last as f64;
+    let (low, high) = (at.floor() as usize, at.ceil() as usize);
+    values[low] + (values[high] - values[low]) * (at - low as f64)
 }
 
 /// The middle value.
-pub fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    match values.len() {
-        0 => f64::NAN,
-        n if n % 2 == 1 => values[n / 2],
-        n => 0.5 * (values[n / 2 - 1] + values[n / 2]),
-    }
+pub fn median(values: Vec<f64>) -> f64 {
+    quantile(values, 0.5)
 }

@@ -4,6 +4,7 @@ use include_dir::{Dir, DirEntry, include_dir};
 use std::path::{Path, PathBuf};
 
 static TOWNS: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/sumo_nets");
+static ENCODERS: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/models/encoder");
 
 /// Why a CONFIG argument does not name a file.
 #[derive(Debug, thiserror::Error)]
@@ -28,6 +29,21 @@ pub fn towns() -> Vec<String> {
         .collect();
     names.sort();
     names
+}
+
+/// Names of the bundled encoders (`models/encoder/NAME.safetensors`), sorted.
+pub fn encoders() -> Vec<String> {
+    let mut names: Vec<String> = ENCODERS
+        .files()
+        .filter_map(|file| Some(file.path().to_str()?.strip_suffix(".safetensors")?.to_string()))
+        .collect();
+    names.sort();
+    names
+}
+
+/// The bundled encoder of that name.
+pub fn encoder(name: &str) -> Option<&'static [u8]> {
+    ENCODERS.get_file(format!("{name}.safetensors")).map(|file| file.contents())
 }
 
 /// The user's cache folder of this project: `$XDG_CACHE_HOME/wad-cosim` or `~/.cache/wad-cosim`.

@@ -32,6 +32,20 @@ impl Cores {
         Some(Self(set))
     }
 
+    /// The n-th of the cores that this thread may run on, counted round and round.
+    pub fn nth(n: usize) -> Option<Self> {
+        let allowed = Self::allowed()?;
+        // SAFETY: `core` is within the set, and the set is live.
+        let mine = |core: &usize| unsafe { libc::CPU_ISSET(*core, &allowed.0) };
+        let cores: Vec<usize> = (0..8 * std::mem::size_of::<libc::cpu_set_t>()).filter(mine).collect();
+        let core = *cores.get(n % cores.len().max(1))?;
+        // SAFETY: an all-zero cpu_set_t is the empty set.
+        let mut set: libc::cpu_set_t = unsafe { std::mem::zeroed() };
+        // SAFETY: `core` is within the set, as just checked.
+        unsafe { libc::CPU_SET(core, &mut set) };
+        Some(Self(set))
+    }
+
     /// Confines a process to these cores; pid 0 is the calling thread. False where the system refuses.
     pub fn confine(&self, pid: u32) -> bool {
         let Ok(pid) = libc::pid_t::try_from(pid) else { return false };

@@ -120,6 +120,8 @@ pub struct Drive {
 pub struct Timings {
     /// Pose in, SUMO's step, the new world decoded.
     pub bridge: f64,
+    /// Of that: from sending the message to having the whole answer.
+    pub sumo: f64,
     /// CPU time of that on our side.
     pub bridge_cpu: f64,
     pub physics: f64,
@@ -232,6 +234,7 @@ impl Drive {
         self.bridge.step(&mut [&mut self.ego]).await?;
         let cpu = cpu_time::of_thread().zip(cpu).map_or(0.0, |(after, before)| after - before);
         self.timings.bridge_cpu += cpu;
+        self.timings.sumo = self.bridge.sumo_seconds();
         self.timings.agent += decided.as_secs_f64();
         self.timings.physics += (moved - decided).as_secs_f64();
         self.timings.bridge += (clock.elapsed() - moved).as_secs_f64();
@@ -422,7 +425,7 @@ impl Totals {
 }
 
 /// The polygons of the config's additional files.
-fn polygons(bridge: &Bridge, network: &Network) -> Vec<Polygon> {
+pub(crate) fn polygons(bridge: &Bridge, network: &Network) -> Vec<Polygon> {
     let mut polygons = Vec::new();
     for file in bridge.config().additional_files() {
         match Shapes::load(&file, network) {
@@ -437,7 +440,10 @@ fn polygons(bridge: &Bridge, network: &Network) -> Vec<Polygon> {
 const SHORTEST_ROUTE: f64 = 60.0;
 
 /// A random route from a random place: the first of some length, else the longest found.
-fn first_route(network: &Network, destinations: &mut Destinations) -> Result<Route, DestinationError> {
+pub(crate) fn first_route(
+    network: &Network,
+    destinations: &mut Destinations,
+) -> Result<Route, DestinationError> {
     let mut best: Result<Route, DestinationError> = Err(DestinationError::NoLane);
     for _ in 0..20 {
         let from: LanePosition = destinations.place(network);

@@ -18,8 +18,11 @@
 //! | [`bridge`] | one SUMO, one network, any number of egos, in lock-step |
 //! | [`camera`] | the town and its traffic as pictures with ground truth |
 //! | [`perception`] | detections, lanes and light: the transformed image |
+//! | [`watch`] | front camera and perception in a run |
+//! | [`dataset`] | frames by the autopilot, collected and read back |
 //! | [`latent`] | the encoder-decoder: the transformed image as 200 numbers |
 //! | [`observation`] | what an agent is given each tick |
+//! | [`train`] | training of the networks |
 //! | [`agent`] | agents that learn to drive |
 //! | [`tasks`] | what is to be driven, and where on a net that can be done |
 //! | [`reward`] | the paper's six reward terms |
@@ -36,6 +39,7 @@
 pub mod agent;
 pub mod autopilot;
 pub mod bench;
+pub mod bench_tick;
 pub mod bridge;
 pub mod bundled;
 pub mod camera;
@@ -43,11 +47,13 @@ pub mod clock;
 pub mod cores;
 pub mod cpu_time;
 pub mod criteria;
+pub mod dataset;
 pub mod destination;
 pub mod drive;
 pub mod env;
 pub mod eval;
 pub mod geometry;
+pub mod interrupt;
 pub mod latent;
 pub mod network;
 pub mod observation;
@@ -61,5 +67,7 @@ pub mod tasks;
 pub mod telemetry;
 pub mod traci;
 pub mod traffic;
+pub mod train;
 pub mod vehicle;
+pub mod watch;
 pub mod world;

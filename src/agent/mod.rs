@@ -1,4 +1,35 @@
 //! Drive: agents that turn observations into controls (paper, section "Watch and Drive Agents").
+//!
+//! | module | what it is |
+//! |---|---|
+//! | [`action`] | the three numbers of an action, and the [`Control`] they mean |
+//! | [`exploration`] | noise that explores a road at six decisions a second |
+//! | [`networks`] | WAD-T's and WAD-S' actors and critics |
+//! | [`adam`] | the optimiser, with a state that can be saved |
+//! | [`td3`], [`sac`] | one learning step each, in the papers' order |
+//! | [`replay_buffer`], [`replay_files`] | a million transitions of latents, in memory and on disk |
+//! | [`policy`] | a trained actor as a file, and as an [`Agent`] |
+
+pub mod action;
+#[cfg(feature = "learn")]
+pub mod adam;
+pub mod exploration;
+#[cfg(feature = "learn")]
+pub mod learner;
+#[cfg(feature = "learn")]
+pub mod networks;
+#[cfg(feature = "learn")]
+pub mod policy;
+#[cfg(feature = "learn")]
+pub mod replay_buffer;
+#[cfg(feature = "learn")]
+pub mod replay_files;
+#[cfg(feature = "learn")]
+pub mod sac;
+#[cfg(feature = "learn")]
+pub mod td3;
+#[cfg(all(test, feature = "learn"))]
+mod tests;
 
 use crate::observation::Observation;
 use crate::vehicle::Control;

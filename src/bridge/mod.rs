@@ -30,7 +30,7 @@ use serde::{Deserialize, Serialize};
 use signals::SignalWatch;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// How to start a co-simulation.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -99,6 +99,8 @@ pub struct Bridge {
     ticks: u64,
     /// Background vehicles and pedestrians in the network after the last step.
     counts: (usize, usize),
+    /// Time spent waiting for SUMO's answers to steps (s).
+    sumo_seconds: f64,
 }
 
 impl Bridge {
@@ -187,6 +189,7 @@ impl Bridge {
             tick_ms,
             ticks: 0,
             counts: (0, 0),
+            sumo_seconds: 0.0,
         })
     }
 
@@ -213,6 +216,11 @@ impl Bridge {
     /// Background vehicles and pedestrians in the network after the last step.
     pub fn counts(&self) -> (usize, usize) {
         self.counts
+    }
+
+    /// Time spent so far waiting for SUMO's answers to steps (s).
+    pub fn sumo_seconds(&self) -> f64 {
+        self.sumo_seconds
     }
 
     /// Id of SUMO's process, None where attached.
@@ -283,10 +291,12 @@ impl Bridge {
         let reported: Vec<_> =
             egos.iter_mut().map(|ego| ego.report(&self.network, &mut self.batch)).collect();
         self.batch.step();
+        let sent = Instant::now();
         let replies = match self.client.send(&self.batch).await {
             Ok(replies) => replies,
             Err(error) => return Err(self.explain(error).await),
         };
+        self.sumo_seconds += sent.elapsed().as_secs_f64();
         // From here on the batch is the next tick's.
         self.batch.clear();
         self.ticks += 1;

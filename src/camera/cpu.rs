@@ -13,7 +13,8 @@ use super::gather::{Gather, Geometry};
 use super::ground_marks::Marks;
 use super::model::{Scene, SemanticTag};
 use super::raster::{CamVertex, PAD, Visibility, draw_ground};
-use super::shade::{self, Ground, Row, Run, Wall};
+use super::shade::{self, Row, Run, Wall};
+use super::shade_ground::{Ground, ground};
 use super::shadow_map::ShadowMap;
 use super::simd::{multiversion, pack, tone};
 use super::sky::{Look, Sky};
@@ -26,13 +27,17 @@ use super::{Renderer, Shot};
 pub struct CpuRenderer {
     visibility: Visibility,
     vertices: Vec<CamVertex>,
+    sheets: Vec<bool>,
+    borders: Vec<u32>,
     marks: Marks,
     shadows: ShadowMap,
     /// The scene that the shadows are of.
     stamp: u64,
     sky: Option<Sky>,
     look: Look,
+    /// The looks of what is seen, and by triangle their index + 1; 0: not worked out yet.
     surfaces: Vec<Surface>,
+    looks: Vec<u32>,
     facades: Vec<FacadeNumbers>,
     grounds: Vec<GroundNumbers>,
     row: Row,
@@ -40,6 +45,12 @@ pub struct CpuRenderer {
     mirrors: Vec<u8>,
     foot: Vec<i32>,
     seen: Vec<Extent>,
+}
+
+/// What is the same for all ground of a frame: as [`Ground`] has it.
+struct Still {
+    eye: [f32; 2],
+    height: f32,
 }
 
 /// The pixels of an item.
@@ -59,6 +70,10 @@ impl Renderer for CpuRenderer {
         if self.stamp != scene.grid.stamp() {
             self.stamp = scene.grid.stamp();
             self.shadows.forget();
+            let materials = &scene.library.materials;
+            self.sheets = materials.iter().map(|material| material.double_sided).collect();
+            self.facades = materials.iter().map(facade_numbers).collect();
+            self.grounds = materials.iter().map(ground_numbers).collect();
         }
         let sunny = weather.shadows > 0.02;
         if sunny && outputs.rgb {
@@ -77,6 +92,7 @@ impl Renderer for CpuRenderer {
             weather,
             visibility: &mut self.visibility,
             vertices: &mut self.vertices,
+            sheets: &self.sheets,
             sun_at: &sun_at,
             shows_ego: shot.shows_ego,
         }
@@ -145,19 +161,25 @@ impl CpuRenderer {
         let library = &scene.library;
         let lighting = Lighting { weather, library, view };
         self.surfaces.clear();
-        self.surfaces.resize(geometry.tris.len() + 1, Surface::default());
+        self.looks.clear();
+        self.looks.resize(geometry.tris.len() + 1, 0);
         if let Some(material) = plane {
-            self.surfaces[geometry.tris.len()] = lighting.ground(material);
+            self.surfaces.push(lighting.ground(material));
+            self.looks[geometry.tris.len()] = 1;
         }
-        self.facades.clear();
-        self.facades.extend(library.materials.iter().map(facade_numbers));
-        self.grounds.clear();
-        self.grounds.extend(library.materials.iter().map(ground_numbers));
         self.seen.clear();
         self.seen.resize(geometry.items.len(), NOTHING);
         self.row.resize(width);
-        self.pixels.resize(width * height + PAD, 0);
-        self.mirrors.resize(width * height, 0);
+        self.pixels.resize(width * height + 2 * PAD, 0);
+        let wet = weather.wetness > 0.0;
+        if wet {
+            self.mirrors.resize(width * height, 0);
+        }
+        let plane_height = scene.ground.map_or(0.0, |g| g.1);
+        let still = Still {
+            eye: [ShadowMap::wrap(view.eye.x), ShadowMap::wrap(view.eye.y)],
+            height: ((view.eye.z - plane_height) as f32).max(0.3),
+        };
         size(&mut frame.semantic, outputs.semantic, width * height, SemanticTag::Sky as u8);
         size(&mut frame.instance, outputs.instance, width * height, 0);
         if let (Some(sky), true) = (&self.sky, outputs.rgb) {
@@ -169,7 +191,7 @@ impl CpuRenderer {
             let ids = &self.visibility.id[y * stride..][..stride];
             let iz = &self.visibility.iz[y * stride..][..stride];
             let at = y * width;
-            if outputs.rgb {
+            if outputs.rgb && wet {
                 row.mirror.fill(0);
             }
             // The first and the end of the pixels that show something.
@@ -187,12 +209,13 @@ impl CpuRenderer {
                 any = any.min(x0);
                 last = x;
                 if outputs.rgb {
-                    if self.surfaces[index].kind == Kind::Unknown {
-                        self.surfaces[index] = lighting.surface(geometry, &self.vertices, index);
+                    if self.looks[index] == 0 {
+                        self.surfaces.push(lighting.surface(geometry, &self.vertices, index));
+                        self.looks[index] = self.surfaces.len() as u32;
                     }
-                    let surface = &self.surfaces[index];
+                    let surface = &self.surfaces[self.looks[index] as usize - 1];
                     let run = Run { surface, x0, x1: x, y: y as f32 + 0.5, iz };
-                    self.shade(&run, &mut row, shot, y);
+                    self.shade(&run, &mut row, shot, &still, y);
                 }
                 let tri = geometry.tris.get(index);
                 if outputs.semantic {
@@ -230,14 +253,16 @@ impl CpuRenderer {
                     let pixels = &mut self.pixels[at..];
                     shade::finish(&row, iz, &self.look.haze, weather.fog, (any, last), pixels);
                 }
-                self.mirrors[at..at + width].copy_from_slice(&row.mirror[..width]);
+                if wet {
+                    self.mirrors[at..at + width].copy_from_slice(&row.mirror[..width]);
+                }
             }
         }
         self.row = row;
     }
 
     /// The colours of a run.
-    fn shade(&self, run: &Run<'_>, row: &mut Row, shot: &Shot<'_>, y: usize) {
+    fn shade(&self, run: &Run<'_>, row: &mut Row, shot: &Shot<'_>, still: &Still, y: usize) {
         let (view, weather) = (shot.view, shot.weather);
         let material = run.surface.material as usize;
         match run.surface.kind {
@@ -251,22 +276,23 @@ impl CpuRenderer {
                 let left = (0.5 - view.centre[0]) / view.focal;
                 let base = |i: usize| view.ahead[i] + ry * view.up[i] + left * view.right[i];
                 let lies = run.surface.lies;
-                let plane = shot.scene.ground.map_or(0.0, |g| g.1);
-                let ground = Ground {
-                    eye: [ShadowMap::wrap(view.eye.x), ShadowMap::wrap(view.eye.y)],
+                let site = Ground {
+                    eye: still.eye,
                     base: [base(0), base(1)],
                     step: [view.right[0] / view.focal, view.right[1] / view.focal],
-                    height: ((view.eye.z - plane) as f32).max(0.3),
+                    height: still.height,
                     focal: view.focal,
                     shadows: self.shadows.texels(),
                     weather,
                     paint: &self.marks.paint[start..end],
                     shade: &self.marks.shade[start..end],
+                    painted: self.marks.painted[y],
+                    shaded: self.marks.shaded[y],
                     shadow_reach: if lies && weather.shadows > 0.02 { 96.0 } else { 1e-3 },
                     numbers: &self.grounds[material],
                     lies,
                 };
-                shade::ground(run, &ground, row);
+                ground(run, &site, row);
             }
             Kind::Leaves | Kind::Bricks | Kind::Plate => {
                 let wall = Wall { focal: view.focal, weather, facade: &self.facades[material] };
@@ -286,7 +312,14 @@ impl CpuRenderer {
             let horizon = view.centre[1] + view.focal * view.ahead[2] / view.up[2].max(0.1);
             effects::mirror(pixels, &self.mirrors, view.width, horizon as i32, &mut self.foot);
         }
-        effects::smooth_edges(pixels, &self.visibility, geometry, &self.vertices);
+        effects::smooth_edges(
+            &mut self.pixels,
+            &self.visibility,
+            geometry,
+            &self.vertices,
+            &mut self.borders,
+        );
+        let pixels = &mut self.pixels[..view.width * view.height];
         if weather.lamps {
             let gain = weather.lamp_gain * 0.6;
             effects::glow(pixels, &geometry.seen, &scene.library, view, &self.visibility, gain);

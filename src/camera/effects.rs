@@ -2,6 +2,7 @@
 //! in the air and on the glass.
 
 use super::gather::{Geometry, Seen};
+use super::lanes::lanes;
 use super::model::{Channel, Library};
 use super::raster::{CamVertex, Visibility};
 use super::simd::{hash, mix_packed, multiversion, unit};
@@ -41,68 +42,59 @@ multiversion! {
 }
 
 /// Smooths the outlines: the share of a pixel that the nearer surface covers follows from its edge.
+/// `borders` is scratch.
 pub fn smooth_edges(
     pixels: &mut [u32],
     visibility: &Visibility,
     geometry: &Geometry<'_>,
     vertices: &[CamVertex],
+    borders: &mut Vec<u32>,
 ) {
     let (width, height, stride) = (visibility.width, visibility.height, visibility.stride);
     let outline = Outline { geometry, vertices };
-    let mut borders = Vec::with_capacity(width);
     for y in 0..height {
-        let next = if y + 1 < height { y + 1 } else { y };
         let row = |y: usize| (&visibility.id[y * stride..][..stride], &visibility.iz[y * stride..][..stride]);
-        let ((ids, iz), (below, iz_below)) = (row(y), row(next));
-        find_borders(ids, below, width, &mut borders);
-        for &x in &borders {
-            let x = x as usize;
-            let (id, at) = (ids[x], y * width + x);
+        let (ids, iz) = row(y);
+        borders.clear();
+        find_borders(ids, &ids[1..], &pixels[y * width..], &pixels[y * width + 1..], width - 1, borders);
+        for &x in borders.iter() {
+            let (x, at) = (x as usize, y * width + x as usize);
             let centre = (x as f32 + 0.5, y as f32 + 0.5);
-            if x + 1 < width
-                && ids[x + 1] != id
-                && differ(pixels[at], pixels[at + 1])
-                && let Some(cut) = outline.cut((id, iz[x]), (ids[x + 1], iz[x + 1]), 0, centre)
-            {
+            if let Some(cut) = outline.cut((ids[x], iz[x]), (ids[x + 1], iz[x + 1]), 0, centre) {
                 blend(pixels, at, at + 1, cut - (x as f32 + 1.0));
             }
-            if below[x] != id
-                && differ(pixels[at], pixels[at + width])
-                && let Some(cut) = outline.cut((id, iz[x]), (below[x], iz_below[x]), 1, centre)
-            {
+        }
+        if y + 1 == height {
+            break;
+        }
+        let (below, iz_below) = row(y + 1);
+        borders.clear();
+        find_borders(ids, below, &pixels[y * width..], &pixels[(y + 1) * width..], width, borders);
+        for &x in borders.iter() {
+            let (x, at) = (x as usize, y * width + x as usize);
+            let centre = (x as f32 + 0.5, y as f32 + 0.5);
+            if let Some(cut) = outline.cut((ids[x], iz[x]), (below[x], iz_below[x]), 1, centre) {
                 blend(pixels, at, at + width, cut - (y as f32 + 1.0));
             }
         }
     }
 }
 
-/// Whether two colours are far enough apart for their border to show.
-#[inline(always)]
-fn differ(a: u32, b: u32) -> bool {
-    let gap = |shift: u32| (a >> shift & 0xff).abs_diff(b >> shift & 0xff);
-    gap(0) + gap(8) + gap(16) > 20
-}
-
-multiversion! {
-    /// The pixels whose right or lower neighbour shows another triangle. Rows are padded.
-    fn find_borders(ids: &[u32], below: &[u32], width: usize, out: &mut Vec<u32>) {
-        out.clear();
+lanes! {
+    /// Which of `count` pixels show another triangle than their neighbours, and another colour. Padded.
+    fn find_borders<L>(ids: &[u32], other_ids: &[u32], colours: &[u32], other_colours: &[u32], count: usize, out: &mut Vec<u32>) {
         let mut x = 0;
-        while x < width {
-            let (Some(own), Some(low)) = (ids[x..].first_chunk::<8>(), below[x..].first_chunk::<8>()) else { break };
-            let Some(right) = ids[x + 1..].first_chunk::<8>().or(ids[x..].first_chunk::<8>()) else { break };
-            let mut any = 0;
-            for i in 0..8 {
-                any |= (own[i] ^ low[i]) | (own[i] ^ right[i]);
-            }
-            if any != 0 {
-                for i in 0..8.min(width - x) {
-                    if own[i] != low[i] || own[i] != right[i] {
-                        out.push((x + i) as u32);
-                    }
+        while x < count {
+            let mut found =
+                L::borders([&ids[x..], &other_ids[x..]], [&colours[x..], &other_colours[x..]]);
+            while found != 0 {
+                let at = x + found.trailing_zeros() as usize;
+                if at < count {
+                    out.push(at as u32);
                 }
+                found &= found - 1;
             }
-            x += 8;
+            x += L::COUNT;
         }
     }
 }

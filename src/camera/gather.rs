@@ -53,6 +53,8 @@ pub struct Gather<'a, 'b> {
     pub weather: &'b Weather,
     pub visibility: &'b mut Visibility,
     pub vertices: &'b mut Vec<CamVertex>,
+    /// Of each material: whether it is seen from both sides.
+    pub sheets: &'b [bool],
     /// Share of sun (0..1) at a world point.
     pub sun_at: &'b dyn Fn(&Point3<f64>) -> f32,
     /// The ego is drawn too.
@@ -206,7 +208,7 @@ impl<'a> Gather<'a, '_> {
         let job = Draw {
             triangles: &mesh.triangles,
             vertices: &self.vertices[first..],
-            library: &self.scene.library,
+            sheets: self.sheets,
             item: out.items.len() as u32,
             focal: self.view.focal,
             centre: self.view.centre,

@@ -16,7 +16,13 @@ pub struct Marks {
     pub paint: Vec<u16>,
     /// Share of sun left by road users in the low byte, of sky light in the high byte.
     pub shade: Vec<u16>,
+    /// By row the pixels from .. to that may be touched.
+    pub painted: Vec<[u32; 2]>,
+    pub shaded: Vec<[u32; 2]>,
+    stride: usize,
 }
+
+const UNTOUCHED: [u32; 2] = [u32::MAX, 0];
 
 /// Paint farther than this (m) is not drawn.
 const PAINT_DISTANCE: f32 = 140.0;
@@ -55,11 +61,21 @@ struct Shape {
 impl Marks {
     /// Empties the buffers.
     pub fn clear(&mut self, visibility: &Visibility) {
-        let size = visibility.stride * visibility.height;
-        self.paint.clear();
-        self.paint.resize(size, 0);
-        self.shade.clear();
-        self.shade.resize(size, 0xffff);
+        let (stride, height) = (visibility.stride, visibility.height);
+        if self.stride != stride || self.paint.len() != stride * height {
+            self.stride = stride;
+            self.paint.clear();
+            self.paint.resize(stride * height, 0);
+            self.shade.clear();
+            self.shade.resize(stride * height, 0xffff);
+        } else {
+            wipe(&mut self.paint, &self.painted, stride, 0);
+            wipe(&mut self.shade, &self.shaded, stride, 0xffff);
+        }
+        for rows in [&mut self.painted, &mut self.shaded] {
+            rows.clear();
+            rows.resize(height, UNTOUCHED);
+        }
     }
 
     /// Draws a chunk's paint.
@@ -67,7 +83,7 @@ impl Marks {
         let corner = view.point(&chunk.origin);
         for paint in &chunk.paint {
             if let Some(shape) = paint_shape(paint, corner, view) {
-                draw(&shape, visibility, &mut self.paint, &mut self.shade);
+                draw(&shape, visibility, self);
             }
         }
     }
@@ -101,7 +117,7 @@ impl Marks {
         let mut cast = |outline: &[[f32; 2]], soft: f32, ink: Ink| {
             let corners: Vec<[f32; 3]> = outline.iter().map(|p| place(*p)).collect();
             if let Some(shape) = soft_shape(&corners, view, soft, height, ink) {
-                draw(&shape, visibility, &mut self.paint, &mut self.shade);
+                draw(&shape, visibility, self);
             }
         };
         if sunny && weather.shadows > 0.05 {
@@ -130,6 +146,14 @@ impl Marks {
         ];
         let thin = if high[0] - low[0] > 1.2 { 0.22 } else { 0.55 };
         cast(&outline, 0.5, Ink::Shade(thin, thin));
+    }
+}
+
+fn wipe(words: &mut [u16], touched: &[[u32; 2]], stride: usize, value: u16) {
+    for (row, &[from, to]) in words.chunks_exact_mut(stride).zip(touched) {
+        if from < to {
+            row[from as usize..(to as usize).min(stride)].fill(value);
+        }
     }
 }
 
@@ -294,7 +318,12 @@ fn soft_shape(corners: &[[f32; 3]], view: &View, soft: f32, height: f32, ink: In
 }
 
 multiversion! {
-    fn draw(shape: &Shape, visibility: &Visibility, paint: &mut [u16], shade: &mut [u16]) {
+    fn draw(shape: &Shape, visibility: &Visibility, marks: &mut Marks) {
+        let Marks { paint, shade, painted, shaded, .. } = marks;
+        let touched = match shape.ink {
+            Ink::Paint(..) => painted,
+            Ink::Shade(..) => shaded,
+        };
         let stride = visibility.stride;
         let rows = (shape.rows.0.max(0.0) as usize, (shape.rows.1.max(0.0) as usize + 1).min(visibility.height));
         let columns = (shape.columns.0.max(0.0), shape.columns.1.min(visibility.width as f32));
@@ -317,6 +346,8 @@ multiversion! {
                 continue;
             }
             let (x0, x1) = (left.max(0.0) as usize, (right as usize + 1).min(visibility.width));
+            let range = &mut touched[y];
+            *range = [range[0].min(x0 as u32), range[1].max(x1 as u32)];
             let base = shape.iz[1] * yc + shape.iz[2] + 0.5 * shape.iz[0];
             let mut x = x0;
             while x < x1 {

@@ -27,7 +27,10 @@ pub trait Lane:
     fn min(self, other: Self) -> Self;
     fn max(self, other: Self) -> Self;
     fn abs(self) -> Self;
-    fn sqrt(self) -> Self;
+    /// `self` x `a` + `b`, rounded once.
+    fn fma(self, a: Self, b: Self) -> Self;
+    /// The square root within 0.07 %, for numbers from 0 on; faster.
+    fn root(self) -> Self;
     fn less(self, other: Self) -> Self::Mask;
     fn both(a: Self::Mask, b: Self::Mask) -> Self::Mask;
     fn select(mask: Self::Mask, yes: Self, no: Self) -> Self;
@@ -36,6 +39,12 @@ pub trait Lane:
     fn texel(table: &[u32], bits: u32, x: Self, y: Self) -> Self;
     /// The words of `table` at whole-numbered indices, which are brought within it.
     fn lookup(table: &[u32], index: Self, to: &mut [u32]);
+    /// Puts these into the first `count` places of `depth`, and `id` into those of `ids`, where they are
+    /// larger (and above 0); whether any is.
+    fn nearer(self, count: i32, depth: &mut [f32], ids: &mut [u32], id: u32) -> bool;
+    /// The places, as bits, where two rows of ids differ and two rows of packed colours are far enough
+    /// apart (more than 20 of 765) to see it.
+    fn borders(ids: [&[u32]; 2], colours: [&[u32]; 2]) -> u32;
     /// A well-mixed number 0..1 for each pair of whole numbers and a seed.
     fn random(x: Self, y: Self, seed: u32) -> Self;
 
@@ -53,7 +62,7 @@ pub trait Lane:
     /// From `self` to `other` by `t`.
     #[inline(always)]
     fn mix(self, other: Self, t: Self) -> Self {
-        self + (other - self) * t
+        (other - self).fma(t, self)
     }
 }
 
@@ -104,8 +113,14 @@ impl Lane for f32 {
         f32::abs(self)
     }
     #[inline(always)]
-    fn sqrt(self) -> Self {
-        f32::sqrt(self)
+    fn fma(self, a: Self, b: Self) -> Self {
+        f32::mul_add(self, a, b)
+    }
+    #[inline(always)]
+    fn root(self) -> Self {
+        // Kadlec's numbers for the inverse root by its bits, and one of Newton's steps.
+        let guess = f32::from_bits(0x5f1f_fff9 - (self.to_bits() >> 1));
+        self * (guess * 0.703_952_25) * (2.389_244_6 - self * guess * guess)
     }
     #[inline(always)]
     fn less(self, other: Self) -> bool {
@@ -125,13 +140,25 @@ impl Lane for f32 {
         let mask = (1 << bits) - 1;
         let word = table[((iy & mask) << bits | ix & mask) as usize];
         let corner = |shift: u32| (word >> shift & 0xff) as f32;
-        let low = corner(0) + (corner(8) - corner(0)) * fx;
-        let high = corner(16) + (corner(24) - corner(16)) * fx;
-        low + (high - low) * fy
+        corner(0).mix(corner(8), fx).mix(corner(16).mix(corner(24), fx), fy)
     }
     #[inline(always)]
     fn lookup(table: &[u32], index: Self, to: &mut [u32]) {
         to[0] = table[(index.max(0.0) as usize).min(table.len() - 1)];
+    }
+    #[inline(always)]
+    fn nearer(self, count: i32, depth: &mut [f32], ids: &mut [u32], id: u32) -> bool {
+        let nearer = count > 0 && self > depth[0];
+        if nearer {
+            (depth[0], ids[0]) = (self, id);
+        }
+        nearer
+    }
+    #[inline(always)]
+    fn borders(ids: [&[u32]; 2], colours: [&[u32]; 2]) -> u32 {
+        let byte = |word: u32, shift: u32| word >> shift & 0xff;
+        let gap = |shift| byte(colours[0][0], shift).abs_diff(byte(colours[1][0], shift));
+        u32::from(ids[0][0] != ids[1][0] && gap(0) + gap(8) + gap(16) + gap(24) > 20)
     }
     #[inline(always)]
     fn random(x: Self, y: Self, seed: u32) -> Self {
@@ -195,7 +222,7 @@ mod avx {
     /// 0..1 as a byte in each word.
     #[inline(always)]
     fn byte(v: Eight) -> __m256i {
-        let v = v.unit() * Eight::splat(255.0) + Eight::splat(12_582_912.0);
+        let v = v * Eight::splat(255.0) + Eight::splat(12_582_912.0);
         // SAFETY: see [`Eight`].
         unsafe { _mm256_and_si256(_mm256_castps_si256(v.0), _mm256_set1_epi32(0xff)) }
     }
@@ -256,9 +283,11 @@ mod avx {
             let (r, g, b) = (byte(r), byte(g), byte(b));
             unsafe {
                 let gb = _mm256_or_si256(_mm256_slli_epi32::<8>(g), _mm256_slli_epi32::<16>(b));
-                let new = _mm256_castsi256_ps(_mm256_or_si256(r, gb));
-                let old = _mm256_loadu_ps(to.as_ptr().cast());
-                _mm256_storeu_ps(to.as_mut_ptr().cast(), _mm256_blendv_ps(new, old, keep));
+                let new = _mm256_or_si256(r, gb);
+                let old = _mm256_loadu_si256(to.as_ptr().cast());
+                // A blend would become a slow masked store.
+                let change = _mm256_andnot_si256(_mm256_castps_si256(keep), _mm256_xor_si256(old, new));
+                _mm256_storeu_si256(to.as_mut_ptr().cast(), _mm256_xor_si256(old, change));
             }
         }
         #[inline(always)]
@@ -274,8 +303,16 @@ mod avx {
             unsafe { Self(_mm256_andnot_ps(_mm256_set1_ps(-0.0), self.0)) }
         }
         #[inline(always)]
-        fn sqrt(self) -> Self {
-            unsafe { Self(_mm256_sqrt_ps(self.0)) }
+        fn fma(self, a: Self, b: Self) -> Self {
+            unsafe { Self(_mm256_fmadd_ps(self.0, a.0, b.0)) }
+        }
+        #[inline(always)]
+        fn root(self) -> Self {
+            let guess = unsafe {
+                let half = _mm256_srli_epi32::<1>(_mm256_castps_si256(self.0));
+                Self(_mm256_castsi256_ps(_mm256_sub_epi32(_mm256_set1_epi32(0x5f1f_fff9), half)))
+            };
+            self * (guess * Self::splat(0.703_952_25)) * (Self::splat(2.389_244_6) - self * guess * guess)
         }
         #[inline(always)]
         fn less(self, other: Self) -> __m256 {
@@ -302,8 +339,7 @@ mod avx {
                 let c1 = number(_mm256_srli_epi32::<8>(word));
                 let c2 = number(_mm256_srli_epi32::<16>(word));
                 let c3 = number(_mm256_srli_epi32::<24>(word));
-                let (low, high) = (c0 + (c1 - c0) * fx, c2 + (c3 - c2) * fx);
-                low + (high - low) * fy
+                c0.mix(c1, fx).mix(c2.mix(c3, fx), fy)
             }
         }
         #[inline(always)]
@@ -314,6 +350,37 @@ mod avx {
             unsafe {
                 let words = _mm256_i32gather_epi32::<4>(table.as_ptr().cast(), _mm256_cvttps_epi32(index.0));
                 _mm256_storeu_si256(to.as_mut_ptr().cast(), words);
+            }
+        }
+        #[inline(always)]
+        fn nearer(self, count: i32, depth: &mut [f32], ids: &mut [u32], id: u32) -> bool {
+            let (depth, ids) = (&mut depth[..8], &mut ids[..8]);
+            unsafe {
+                let ramp = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
+                let within = _mm256_cmpgt_epi32(_mm256_set1_epi32(count), ramp);
+                let new = _mm256_and_ps(self.0, _mm256_castsi256_ps(within));
+                let old = _mm256_loadu_ps(depth.as_ptr());
+                let nearer = _mm256_cmp_ps::<_CMP_GT_OQ>(new, old);
+                // Blends that are stored where one side was loaded become slow masked stores.
+                _mm256_storeu_ps(depth.as_mut_ptr(), _mm256_max_ps(new, old));
+                let old = _mm256_loadu_si256(ids.as_ptr().cast());
+                let change = _mm256_xor_si256(old, _mm256_set1_epi32(id as i32));
+                let change = _mm256_and_si256(change, _mm256_castps_si256(nearer));
+                _mm256_storeu_si256(ids.as_mut_ptr().cast(), _mm256_xor_si256(old, change));
+                _mm256_movemask_ps(nearer) != 0
+            }
+        }
+        #[inline(always)]
+        fn borders(ids: [&[u32]; 2], colours: [&[u32]; 2]) -> u32 {
+            let ([a, b], [c, d]) = (ids.map(|row| &row[..8]), colours.map(|row| &row[..8]));
+            unsafe {
+                let [a, b, c, d] = [a, b, c, d].map(|row| _mm256_loadu_si256(row.as_ptr().cast()));
+                let gaps = _mm256_or_si256(_mm256_subs_epu8(c, d), _mm256_subs_epu8(d, c));
+                let pairs = _mm256_maddubs_epi16(gaps, _mm256_set1_epi8(1));
+                let sums = _mm256_madd_epi16(pairs, _mm256_set1_epi16(1));
+                let seen = _mm256_cmpgt_epi32(sums, _mm256_set1_epi32(20));
+                let border = _mm256_andnot_si256(_mm256_cmpeq_epi32(a, b), seen);
+                _mm256_movemask_ps(_mm256_castsi256_ps(border)) as u32
             }
         }
         #[inline(always)]
@@ -339,7 +406,7 @@ macro_rules! lanes {
             fn body<$lane: $crate::camera::lanes::Lane>($($arg: $ty),*) $body
             #[cfg(target_arch = "x86_64")]
             {
-                #[target_feature(enable = "avx2,bmi1,bmi2")]
+                #[target_feature(enable = "avx2,fma,bmi1,bmi2")]
                 fn fast($($arg: $ty),*) {
                     body::<$crate::camera::lanes::Eight>($($arg),*)
                 }
@@ -366,7 +433,8 @@ mod tests {
             let (a, b) = (L::load(&x[at..]), L::load(&y[at..]));
             let results = [
                 a.min(b),
-                a.max(b).sqrt(),
+                a.max(b).fma(a, b),
+                a.abs().root(),
                 a.floor(),
                 a.abs() / b,
                 L::select(L::less(a, b), a, b),
@@ -381,13 +449,13 @@ mod tests {
             }
             let mut packed = [7; 8];
             L::pack(a.unit(), b.unit(), a.unit(), &mut packed, L::less(a, L::splat(0.3)));
-            out.extend(packed[..L::COUNT].iter().enumerate().map(|(i, &v)| (64 + at + i, v)));
+            out.extend(packed[..L::COUNT].iter().enumerate().map(|(i, &v)| (72 + at + i, v)));
         }
         out.sort_unstable();
         out.into_iter().map(|(_, bits)| bits).collect()
     }
 
-    #[target_feature(enable = "avx2,bmi1,bmi2")]
+    #[target_feature(enable = "avx2,fma,bmi1,bmi2")]
     fn eight(x: &[f32; 8], y: &[f32; 8], table: &[u32]) -> Vec<u32> {
         work::<Eight>(x, y, table)
     }

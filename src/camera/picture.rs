@@ -108,7 +108,14 @@ impl Picture {
         picture
     }
 
-    fn outline(&mut self, [x0, y0, x1, y1]: [usize; 4], colour: [u8; 3]) {
+    /// Draws a box (left, top, right, bottom in pixels, right and bottom exclusive).
+    pub fn frame(&mut self, bounds: [f32; 4], colour: [u8; 3]) {
+        let [x0, y0, x1, y1] = bounds.map(|v| v.max(0.0).round() as usize);
+        self.outline([x0, y0, x1.max(x0 + 1) - 1, y1.max(y0 + 1) - 1], colour);
+    }
+
+    /// A thin box; left, top, right, bottom inclusive. What is outside the picture is cut.
+    pub fn outline(&mut self, [x0, y0, x1, y1]: [usize; 4], colour: [u8; 3]) {
         for x in x0..=x1 {
             self.set(x, y0, colour);
             self.set(x, y1, colour);
@@ -119,7 +126,8 @@ impl Picture {
         }
     }
 
-    fn set(&mut self, x: usize, y: usize, colour: [u8; 3]) {
+    /// Colours a pixel; one outside the picture is passed over.
+    pub fn set(&mut self, x: usize, y: usize, colour: [u8; 3]) {
         if x < self.width && y < self.height {
             let at = 3 * (y * self.width + x);
             self.rgb[at..at + 3].copy_from_slice(&colour);

@@ -3,7 +3,8 @@
 //! Scanlines with exact edges: two triangles that share an edge compute it from the same numbers, so
 //! that no pixel between them is missed or drawn twice. 1 / depth is linear over the picture.
 
-use super::model::{Library, Triangle};
+use super::lanes::{Lane, lanes};
+use super::model::Triangle;
 use super::simd::{first_centre, multiversion};
 use super::view::{NEAR, cross, dot, sub};
 
@@ -101,7 +102,8 @@ pub struct Draw<'a> {
     pub triangles: &'a [Triangle],
     /// The mesh's vertices in this frame.
     pub vertices: &'a [CamVertex],
-    pub library: &'a Library,
+    /// Of each material: whether it is seen from both sides.
+    pub sheets: &'a [bool],
     pub item: u32,
     pub focal: f32,
     pub centre: [f32; 2],
@@ -109,21 +111,21 @@ pub struct Draw<'a> {
     pub whole: bool,
 }
 
-multiversion! {
-    /// Draws a mesh.
-    pub fn draw(job: &Draw<'_>, out: &mut Visibility, tris: &mut Vec<Tri>) {
+lanes! {
+    /// Draws a mesh; appends the triangles that show somewhere.
+    pub fn draw<L>(job: &Draw<'_>, out: &mut Visibility, tris: &mut Vec<Tri>) {
         let (w, h) = (out.width as f32, out.height as f32);
         for (number, triangle) in job.triangles.iter().enumerate() {
             let [a, b, c] = triangle.corners.map(|i| &job.vertices[i as usize]);
             let ahead = job.whole || (a.p[2] >= NEAR && b.p[2] >= NEAR && c.p[2] >= NEAR);
+            let least = |i: usize| min(a.s[i], min(b.s[i], c.s[i]));
+            let most = |i: usize| max(a.s[i], max(b.s[i], c.s[i]));
             if ahead {
                 // Seen from behind, beside the picture, or between pixel centres: nothing to do.
                 let area = (b.s[0] - a.s[0]) * (c.s[1] - a.s[1]) - (c.s[0] - a.s[0]) * (b.s[1] - a.s[1]);
-                if area >= 0.0 && !job.library.materials[triangle.material.0 as usize].double_sided {
+                if area >= 0.0 && !job.sheets[triangle.material.0 as usize] {
                     continue;
                 }
-                let least = |i: usize| a.s[i].min(b.s[i]).min(c.s[i]);
-                let most = |i: usize| a.s[i].max(b.s[i]).max(c.s[i]);
                 if most(0) < 0.5 || least(0) > w - 0.5 || most(1) < 0.5 || least(1) > h - 0.5 {
                     continue;
                 }
@@ -138,23 +140,34 @@ multiversion! {
             let normal = cross(sub(b.p, a.p), sub(c.p, a.p));
             let distance = dot(normal, a.p);
             // The camera's frame is left-handed: front faces have a positive distance.
-            if distance <= 0.0 && !job.library.materials[triangle.material.0 as usize].double_sided {
+            if distance <= 0.0 && !job.sheets[triangle.material.0 as usize] {
                 continue;
             }
             if distance.abs() < 1e-12 {
                 continue;
             }
+            let (far, near) = if ahead {
+                let high = 1.0001 / min(a.p[2], min(b.p[2], c.p[2]));
+                if out.hides([least(0), least(1)], [most(0), most(1)], high) {
+                    continue;
+                }
+                (0.9999 / max(a.p[2], max(b.p[2], c.p[2])), high)
+            } else {
+                (0.0, 1.0001 / NEAR)
+            };
             let scale = 1.0 / (distance * job.focal);
             let (dx, dy) = (normal[0] * scale, -normal[1] * scale);
             let iz = [dx, dy, normal[2] / distance - dx * job.centre[0] - dy * job.centre[1]];
             let id = tris.len() as u32 + 1;
-            let drawn = if ahead {
-                let far = a.p[2].max(b.p[2]).max(c.p[2]);
-                let near = a.p[2].min(b.p[2]).min(c.p[2]);
-                fill(out, [a.s, b.s, c.s], id, iz, 0.9999 / far, 1.0001 / near)
-            } else {
-                clipped(job, out, [a, b, c], id, iz)
-            };
+            let (mut corners, mut count, mut low) = ([a.s, b.s, c.s, c.s], 3, far);
+            if !ahead {
+                (corners, count, low) = clipped(job, [a, b, c]);
+            }
+            let mut drawn = false;
+            for last in 2..count {
+                let corners = [corners[0], corners[last - 1], corners[last]];
+                drawn |= fill::<L>(out, corners, id, iz, (low, near));
+            }
             if drawn {
                 tris.push(Tri { item: job.item, triangle: number as u32 });
             }
@@ -162,8 +175,21 @@ multiversion! {
     }
 }
 
-/// Draws the part of a triangle that is ahead of the near plane.
-fn clipped(job: &Draw<'_>, out: &mut Visibility, corners: [&CamVertex; 3], id: u32, iz: [f32; 3]) -> bool {
+// The standard library's look after numbers that are none, which costs.
+
+#[inline(always)]
+fn min(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
+}
+
+#[inline(always)]
+fn max(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}
+
+/// The part of a triangle that is ahead of the near plane: its corners, how many, and its least
+/// 1 / depth.
+fn clipped(job: &Draw<'_>, corners: [&CamVertex; 3]) -> ([[f32; 2]; 4], usize, f32) {
     let mut polygon = [[0.0; 2]; 4];
     let mut count = 0;
     let mut far = NEAR;
@@ -185,15 +211,18 @@ fn clipped(job: &Draw<'_>, out: &mut Visibility, corners: [&CamVertex; 3], id: u
             count += 1;
         }
     }
-    let (low, high) = (0.9999 / far, 1.0001 / NEAR);
-    let first = fill(out, [polygon[0], polygon[1], polygon[2]], id, iz, low, high);
-    let second = count == 4 && fill(out, [polygon[0], polygon[2], polygon[3]], id, iz, low, high);
-    first || second
+    (polygon, count, 0.9999 / far)
 }
 
-/// Draws a triangle of the picture; whether it holds a pixel centre.
+/// Draws a triangle of the picture, its 1 / depth within bounds; whether any pixel shows it.
 #[inline(always)]
-fn fill(out: &mut Visibility, corners: [[f32; 2]; 3], id: u32, iz: [f32; 3], low: f32, high: f32) -> bool {
+fn fill<L: Lane>(
+    out: &mut Visibility,
+    corners: [[f32; 2]; 3],
+    id: u32,
+    iz: [f32; 3],
+    (low, high): (f32, f32),
+) -> bool {
     let [mut a, mut b, mut c] = corners;
     if b[1] < a[1] {
         (a, b) = (b, a);
@@ -211,6 +240,8 @@ fn fill(out: &mut Visibility, corners: [[f32; 2]; 3], id: u32, iz: [f32; 3], low
     }
     let long = (c[0] - a[0]) / (c[1] - a[1]);
     let turn = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1]);
+    let v = L::splat;
+    let (low, high, slope) = (v(low), v(high), v(iz[0]));
     let mut drawn = false;
     for (from, to, p, q) in [(top, middle, a, b), (middle, bottom, b, c)] {
         if from >= to {
@@ -225,49 +256,20 @@ fn fill(out: &mut Visibility, corners: [[f32; 2]; 3], id: u32, iz: [f32; 3], low
             if x0 >= x1 {
                 continue;
             }
-            drawn = true;
             let start = y as usize * out.stride;
-            let base = iz[1] * yc + iz[2] + iz[0] * 0.5;
-            span(
-                &mut out.iz[start..start + out.stride],
-                &mut out.id[start..start + out.stride],
-                (x0 as usize, x1 as usize),
-                (base, iz[0]),
-                (low, high),
-                id,
-            );
+            let (depth, ids) =
+                (&mut out.iz[start..start + out.stride], &mut out.id[start..start + out.stride]);
+            let base = v(iz[1] * yc + iz[2] + iz[0] * 0.5);
+            let mut x = x0;
+            while x < x1 {
+                let z = base + slope * (v(x as f32) + L::ramp());
+                let at = x as usize;
+                drawn |= z.max(low).min(high).nearer(x1 - x, &mut depth[at..], &mut ids[at..], id);
+                x += L::COUNT as i32;
+            }
         }
     }
     drawn
-}
-
-#[inline(always)]
-fn span(
-    depth: &mut [f32],
-    ids: &mut [u32],
-    (x0, x1): (usize, usize),
-    (base, slope): (f32, f32),
-    (low, high): (f32, f32),
-    id: u32,
-) {
-    let mut x = x0;
-    while x < x1 {
-        let (Some(depth), Some(ids)) = (depth[x..].first_chunk_mut::<8>(), ids[x..].first_chunk_mut::<8>())
-        else {
-            return;
-        };
-        let left = (x1 - x) as i32;
-        let begin = x as f32;
-        for lane in 0..8 {
-            let z = base + slope * (begin + lane as f32);
-            let z = if z > low { z } else { low };
-            let z = if z < high { z } else { high };
-            let nearer = (z > depth[lane]) & ((lane as i32) < left);
-            depth[lane] = if nearer { z } else { depth[lane] };
-            ids[lane] = if nearer { id } else { ids[lane] };
-        }
-        x += 8;
-    }
 }
 
 multiversion! {
@@ -283,9 +285,10 @@ multiversion! {
             let ids = &mut out.id[y * stride..][..width];
             for (x, (depth, seen)) in depth.iter_mut().zip(ids).enumerate() {
                 let z = base + iz[0] * x as f32;
-                let empty = (*depth == 0.0) & (z > far);
-                *depth = if empty { z } else { *depth };
-                *seen = if empty { id } else { *seen };
+                // By bits: blends that are stored where one side was loaded become slow masked stores.
+                let empty = u32::from((*depth == 0.0) & (z > far)).wrapping_neg();
+                *depth = f32::from_bits(depth.to_bits() | z.to_bits() & empty);
+                *seen |= id & empty;
             }
         }
     }

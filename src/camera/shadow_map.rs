@@ -4,7 +4,7 @@
 //! the sun stands still. Each texel holds its right, upper and diagonal neighbours' values too.
 
 use super::lanes::Lane;
-use super::model::{Chunk, Library, Scene};
+use super::model::{Chunk, Library, Scene, SemanticTag as Tag};
 
 use super::view::View;
 use nalgebra::Point3;
@@ -54,7 +54,9 @@ impl ShadowMap {
         }
         let cell = |v: f64| (v / CELL_M).floor() as i32;
         let (cx, cy) = (cell(view.eye.x), cell(view.eye.y));
-        let ground = scene.ground.map_or(0.0, |g| g.1);
+        // On hills the plane under everything may be far below the ground in view.
+        let plane = scene.ground.map_or(0.0, |g| g.1);
+        let grounds = [plane, view.eye.z - 2.0];
         for y in cy - REACH..=cy + REACH {
             for x in cx - REACH..=cx + REACH {
                 let slot = (y.rem_euclid(CELLS) * CELLS + x.rem_euclid(CELLS)) as usize;
@@ -62,8 +64,11 @@ impl ShadowMap {
                     continue;
                 }
                 let middle = |c: i32| (f64::from(c) + 0.5) * CELL_M;
-                let centre = view.point(&Point3::new(middle(x), middle(y), ground));
-                if view.sees_ball(centre, 0.75 * CELL_M as f32) {
+                let seen = grounds.iter().any(|&ground| {
+                    let centre = view.point(&Point3::new(middle(x), middle(y), ground));
+                    view.sees_ball(centre, 0.75 * CELL_M as f32)
+                });
+                if seen {
                     self.fill(scene, (x, y), slot);
                     self.owners[slot] = Some((x, y));
                 }
@@ -88,7 +93,7 @@ impl ShadowMap {
                 at(0) + shift.min(0.0) < corner[i] + CELL_M + 1.0 && at(1) + shift.max(0.0) > corner[i] - 1.0
             };
             if fits(0) && fits(1) {
-                self.cast_chunk(chunk, &scene.library, corner, scene.ground.map_or(0.0, |g| g.1));
+                self.cast_chunk(chunk, &scene.library, corner);
             }
         }
         self.store(slot);
@@ -100,13 +105,10 @@ impl ShadowMap {
         [-self.sun[0] / z, -self.sun[1] / z]
     }
 
-    fn cast_chunk(&mut self, chunk: &Chunk, library: &Library, corner: [f64; 2], ground: f64) {
+    fn cast_chunk(&mut self, chunk: &Chunk, library: &Library, corner: [f64; 2]) {
         let throw = self.throw();
-        let base = [
-            (chunk.origin.x - corner[0]) as f32,
-            (chunk.origin.y - corner[1]) as f32,
-            (chunk.origin.z - ground) as f32,
-        ];
+        // The chunk's origin lies on the ground.
+        let base = [(chunk.origin.x - corner[0]) as f32, (chunk.origin.y - corner[1]) as f32, 0.05];
         let land = |p: [f32; 3]| {
             let h = (p[2] + base[2]).max(0.0);
             [(p[0] + base[0] + throw[0] * h) * DENSITY, (p[1] + base[1] + throw[1] * h) * DENSITY]
@@ -114,6 +116,11 @@ impl ShadowMap {
         if let Some((_, mesh)) = chunk.levels.first() {
             for triangle in &mesh.triangles {
                 let corners = triangle.corners.map(|i| mesh.vertices[i as usize].position);
+                // Ground that rises within the chunk does not shade itself.
+                let tag = library.materials[triangle.material.0 as usize].tag;
+                if matches!(tag, Tag::Road | Tag::SideWalk | Tag::Terrain | Tag::Ground | Tag::Water) {
+                    continue;
+                }
                 if corners.iter().any(|p| p[2] + base[2] > 0.6) {
                     self.triangle(corners.map(land));
                 }

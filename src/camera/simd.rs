@@ -1,8 +1,9 @@
 //! Arithmetic that vectorises, and the choice of the instruction set at run time.
 //!
-//! Nothing here fuses multiply and add, so that every instruction set gives the same bits.
+//! The compiler fuses no multiply and add by itself; where the lanes do so, single numbers do too, so
+//! that every instruction set gives the same bits.
 
-/// Defines a function whose body is compiled twice, for AVX2 and for any x86-64 (or other) machine,
+/// Defines a function whose body is compiled twice, for AVX2 with FMA and for any x86-64 (or other) machine,
 /// and picked at run time.
 macro_rules! multiversion {
     ($(#[$meta:meta])* $vis:vis fn $name:ident($($arg:ident: $ty:ty),* $(,)?) $(-> $ret:ty)? $body:block) => {
@@ -14,7 +15,7 @@ macro_rules! multiversion {
             fn body($($arg: $ty),*) $(-> $ret)? $body
             #[cfg(target_arch = "x86_64")]
             {
-                #[target_feature(enable = "avx2,bmi1,bmi2")]
+                #[target_feature(enable = "avx2,fma,bmi1,bmi2")]
                 #[allow(clippy::too_many_arguments)]
                 fn fast($($arg: $ty),*) $(-> $ret)? {
                     body($($arg),*)
@@ -35,6 +36,7 @@ pub(super) use multiversion;
 #[inline]
 pub fn has_avx2() -> bool {
     std::is_x86_feature_detected!("avx2")
+        && std::is_x86_feature_detected!("fma")
         && std::is_x86_feature_detected!("bmi1")
         && std::is_x86_feature_detected!("bmi2")
 }
@@ -52,9 +54,12 @@ pub fn split(x: f32) -> (u32, f32) {
 /// The smallest pixel whose centre is not before `x`, within 0..=`limit`.
 #[inline(always)]
 pub fn first_centre(x: f32, limit: f32) -> i32 {
+    let x = x - 0.5;
     // NaN becomes 0.
-    let x = (x - 0.5).max(0.0).min(limit);
-    let whole = x as i32;
+    let x = if x > 0.0 { x } else { 0.0 };
+    let x = if x < limit { x } else { limit };
+    // SAFETY: 0 <= x <= limit, a picture's side.
+    let whole = unsafe { x.to_int_unchecked::<i32>() };
     whole + i32::from((whole as f32) < x)
 }
 

@@ -1,6 +1,6 @@
 //! `wad-cosim bench`: what things cost.
 
-use super::{Exit, bench_camera, print, run};
+use super::{Exit, bench_camera, bench_tick, print, run};
 use anyhow::Context;
 use wad_cosim::bench::{BenchError, BridgeBench, BridgeRow};
 use wad_cosim::bridge::BridgeOptions;
@@ -20,12 +20,14 @@ enum What {
     Bridge(BridgeArgs),
     /// A frame of the front camera, by weather, size and outputs, on one core.
     Camera(bench_camera::Args),
+    /// A tick of the whole loop, stage by stage.
+    Tick(bench_tick::Args),
 }
 
 const EXAMPLES: &str = "\
 Examples:
   wad-cosim bench bridge
-  wad-cosim bench bridge --populations 70/100 --repeat 9 --json
+  wad-cosim bench bridge --populations 70/100 --repeat 80 --json
   wad-cosim bench bridge my.sumocfg --populations 0/0,200/0";
 
 /// The bridge against SUMO alone.
@@ -39,10 +41,10 @@ struct BridgeArgs {
     #[arg(long, value_delimiter = ',', default_value = "0/0,20/50,70/100,100/250,500/500", value_parser = population)]
     populations: Vec<(usize, usize)>,
     /// Ticks per stretch.
-    #[arg(long, default_value_t = 600)]
+    #[arg(long, default_value_t = 100)]
     ticks: u64,
-    /// Stretches per population; the median counts.
-    #[arg(long, default_value_t = 5)]
+    /// Stretches per population, each timed with the bridge and alone; the median counts.
+    #[arg(long, default_value_t = 40)]
     repeat: usize,
     /// Seed of the traffic.
     #[arg(long, default_value_t = 0)]
@@ -67,6 +69,7 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
     match args.what {
         What::Bridge(args) => runtime.block_on(bridge(args)),
         What::Camera(args) => runtime.block_on(bench_camera::run(args)),
+        What::Tick(args) => runtime.block_on(bench_tick::run(args)),
     }
 }
 
@@ -90,12 +93,13 @@ async fn bridge(args: BridgeArgs) -> anyhow::Result<Exit> {
     };
     let mut rows = Vec::new();
     let header = format!(
-        "{:>9} {:>12} {:>14} {:>10} {:>6} {:>10} {:>11} {:>13} {:>9}",
+        "{:>9} {:>12} {:>14} {:>10} {:>6} {:>10} {:>10} {:>11} {:>13} {:>9}",
         "vehicles",
         "pedestrians",
         "sumo alone ms",
         "bridge ms",
         "ratio",
+        "quartiles",
         "cpu ratio",
         "physics ms",
         "autopilot ms",
@@ -121,12 +125,13 @@ async fn bridge(args: BridgeArgs) -> anyhow::Result<Exit> {
 
 fn line(r: &BridgeRow) -> String {
     format!(
-        "{:>9} {:>12} {:>14.3} {:>10.3} {:>6.2} {:>10.2} {:>11.3} {:>13.3} {:>9.1}",
+        "{:>9} {:>12} {:>14.3} {:>10.3} {:>6.2} {:>10} {:>10.2} {:>11.3} {:>13.3} {:>9.1}",
         r.vehicles,
         r.pedestrians,
         r.sumo_alone_ms,
         r.bridge_ms,
         r.ratio,
+        format!("{:.2}-{:.2}", r.ratio_quartiles[0], r.ratio_quartiles[1]),
         r.cpu_ratio,
         r.physics_ms,
         r.autopilot_ms,

@@ -3,11 +3,15 @@
 
 mod bench;
 mod bench_camera;
+mod bench_tick;
+mod dataset;
 mod doctor;
 mod eval;
 mod exit;
+mod progress;
 mod run;
 mod snapshot;
+mod train;
 
 use clap::{ArgAction, Parser, Subcommand};
 use std::io::Write;
@@ -38,10 +42,14 @@ enum Command {
     Run(Box<run::Args>),
     /// Drive into a town under the autopilot, and take a picture.
     Snapshot(Box<snapshot::Args>),
-    /// Drive the episodes of a suite, and say how they ended.
-    Eval(Box<eval::Args>),
+    /// Collect training data from the autopilot's drives.
+    Dataset(Box<dataset::Args>),
+    /// Train a network.
+    Train(train::Args),
     /// Measure speed, as a ratio to SUMO alone in the same run.
     Bench(bench::Args),
+    /// Drive the episodes of a suite, or judge a part of the system by the ground truth.
+    Eval(eval::Args),
     /// Check what this machine has for wad-cosim, and say what to do about what is missing.
     Doctor(doctor::Args),
 }
@@ -53,8 +61,10 @@ pub fn main() -> ExitCode {
     let result = match cli.command {
         Command::Run(args) => run::run(*args),
         Command::Snapshot(args) => snapshot::run(*args),
-        Command::Eval(args) => eval::run(*args),
+        Command::Dataset(args) => dataset::run(*args),
+        Command::Train(args) => train::run(args),
         Command::Bench(args) => bench::run(args),
+        Command::Eval(args) => eval::run(args),
         Command::Doctor(args) => doctor::run(args),
     };
     match result {

@@ -9,14 +9,17 @@ use wad_cosim::bundled;
 use wad_cosim::camera::{Camera, CameraConfig, Outputs, Picture, Preset, Town, Weather};
 use wad_cosim::drive::{Drive, DriveOptions};
 use wad_cosim::geometry::Pose;
+use wad_cosim::perception::{self, stages};
 use wad_cosim::sight;
 use wad_cosim::traffic::TrafficSpec;
+use wad_cosim::watch::Watch;
 
 const EXAMPLES: &str = "\
 Examples:
   wad-cosim snapshot town5 --out front.png
   wad-cosim snapshot town5 --weather HardRainNoon --time 60 --seed 3 --out rain.png
   wad-cosim snapshot town3 --overlay boxes --out boxes.png
+  wad-cosim snapshot town5 --stage transformed --out transformed.png
   wad-cosim snapshot town5 --view chase --size 1280x720 --out chase.png
   wad-cosim snapshot town5 --sheet --out weathers.png";
 
@@ -60,8 +63,14 @@ pub struct Args {
     /// What to show in place of the plain picture.
     #[arg(long, value_enum)]
     overlay: Option<Overlay>,
+    /// What perception makes of the front camera's picture, in place of the plain picture.
+    #[arg(long, value_enum, conflicts_with_all = ["overlay", "view"])]
+    stage: Option<Stage>,
+    /// Who detects: truth (the renderer's boxes) or truth:faulty (with a real detector's faults).
+    #[arg(long, default_value = "truth", value_name = "NAME", requires = "stage")]
+    detector: String,
     /// All 14 weathers in one picture.
-    #[arg(long, conflicts_with_all = ["weather", "overlay"])]
+    #[arg(long, conflicts_with_all = ["weather", "overlay", "stage"])]
     sheet: bool,
 }
 
@@ -87,6 +96,20 @@ enum Overlay {
     Boxes,
 }
 
+#[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
+enum Stage {
+    /// Boxes of what is detected.
+    Detect,
+    /// The ego lane's boundaries; a red border where the light at the intersection is red.
+    Lanes,
+    /// The transformed image, 128x128.
+    Transformed,
+    /// What the latent holds of the transformed image, 128x128.
+    Latent,
+    /// Camera, detections, transformed image and reconstruction side by side.
+    All,
+}
+
 pub fn size(text: &str) -> Result<(usize, usize), String> {
     let wrong = || format!("`{text}` is not WIDTHxHEIGHT, e.g. 512x512");
     let (width, height) = text.split_once('x').ok_or_else(wrong)?;
@@ -101,14 +124,25 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
         Place::Bird => args.size.map_or(CameraConfig::bird(720, 720), |(w, h)| CameraConfig::bird(w, h)),
     };
     let camera = Camera::new(config).map_err(|e| Exit::Input.because(e))?;
+    let watch = args.stage.map(|stage| watch(&args, stage, config)).transpose()?;
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()
         .context("cannot start the asynchronous runtime")?;
-    runtime.block_on(take(args, camera))
+    runtime.block_on(take(args, camera, watch))
 }
 
-async fn take(args: Args, mut camera: Camera) -> anyhow::Result<Exit> {
+fn watch(args: &Args, stage: Stage, config: CameraConfig) -> anyhow::Result<Watch> {
+    if stage == Stage::Latent {
+        let why = "no encoder is there yet: train one, or choose --stage transformed";
+        return Err(Exit::Input.because(anyhow::anyhow!(why)));
+    }
+    let detector =
+        perception::detector(&args.detector, perception::MIN_SCORE).map_err(|e| Exit::Input.because(e))?;
+    Watch::new(detector, config).map_err(|e| Exit::Input.because(e))
+}
+
+async fn take(args: Args, mut camera: Camera, mut watch: Option<Watch>) -> anyhow::Result<Exit> {
     let config = bundled::resolve(&args.config).map_err(|e| Exit::Input.because(e))?;
     let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
     let options = DriveOptions {
@@ -127,14 +161,32 @@ async fn take(args: Args, mut camera: Camera) -> anyhow::Result<Exit> {
     let mut town = sight::town(drive.bridge(), args.seed);
     let begin = drive.bridge().time();
     for number in 0..args.count.max(1) {
+        let mut looked = false;
         let until = begin + args.time + number as f64 * args.every;
         while drive.bridge().time() < until {
             drive.tick().await.map_err(run::with_exit)?;
             sight::follow(&mut town, drive.ego());
+            // The vehicle in front and the lanes are followed over the last ticks.
+            if drive.bridge().time() > until - 2.0
+                && let Some(watch) = &mut watch
+            {
+                look(watch, &town, &drive, args.weather)?;
+                looked = true;
+            }
         }
-        sight::follow(&mut town, drive.ego());
-        let pose = drive.ego().state().pose;
-        let picture = picture(&args, &mut camera, &town, &pose);
+        let picture = match (&mut watch, args.stage) {
+            (Some(watch), Some(stage)) => {
+                if !looked {
+                    sight::follow(&mut town, drive.ego());
+                    look(watch, &town, &drive, args.weather)?;
+                }
+                stage_picture(watch, stage)
+            }
+            _ => {
+                sight::follow(&mut town, drive.ego());
+                picture(&args, &mut camera, &town, &drive.ego().state().pose)
+            }
+        };
         let out = if args.count > 1 {
             let stem = args.out.file_stem().unwrap_or_default().to_string_lossy().into_owned();
             args.out.with_file_name(format!("{stem}-{number:03}.png"))
@@ -149,6 +201,23 @@ async fn take(args: Args, mut camera: Camera) -> anyhow::Result<Exit> {
     }
     drive.finish("survived", false).await.map_err(run::with_exit)?;
     Ok(Exit::Done)
+}
+
+fn look(watch: &mut Watch, town: &Town, drive: &Drive, weather: Preset) -> anyhow::Result<()> {
+    let bridge = drive.bridge();
+    watch.look(town, &Weather::from(weather), bridge.network(), drive.ego(), bridge.tick())?;
+    Ok(())
+}
+
+fn stage_picture(watch: &Watch, stage: Stage) -> Picture {
+    let (frame, percept) = (watch.frame(), watch.percept());
+    match stage {
+        Stage::Detect => stages::detections(frame, &percept.detections),
+        Stage::Lanes => stages::lanes(frame, percept, watch.perception().ground()),
+        Stage::Transformed => stages::transformed(&percept.transformed),
+        Stage::Latent => stages::transformed(watch.reconstruction().unwrap_or(&percept.transformed)),
+        Stage::All => watch.strip(frame.height.max(128)),
+    }
 }
 
 fn picture(args: &Args, camera: &mut Camera, town: &Town, pose: &Pose) -> Picture {

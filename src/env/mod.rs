@@ -48,7 +48,6 @@ mod world;
 pub use assets::Assets;
 pub use end::{End, Ending, Termination};
 pub use error::EnvError;
-pub use eyes::detector;
 pub use options::{EnvOptions, ObservationMode, StartOffset, WorldMode};
 
 use crate::criteria::Event;

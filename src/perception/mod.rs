@@ -6,21 +6,38 @@
 //! signals --light---> red or not --/
 //! ```
 
+#[cfg(feature = "learn")]
+pub mod centernet;
+mod choice;
+pub mod coco;
 mod ground;
+pub mod heads;
 mod image;
 mod lanes;
 pub mod lead;
 mod light;
+pub mod metrics;
+#[cfg(feature = "vision")]
+mod onnx;
+pub mod onnx_file;
 pub mod paint;
 mod pipeline;
+pub mod score;
+pub mod sight_score;
+pub mod stages;
+mod tour;
 mod truth;
 
+pub use choice::{DETECTORS, MIN_SCORE, detector};
 pub use ground::GroundPlane;
 pub use image::{TRANSFORMED_SIZE, TransformedImage};
-pub use lanes::{LaneBoundary, LaneEstimate};
+pub use lanes::{LaneBoundary, LaneDetector, LaneEstimate};
 pub use light::{AT_INTERSECTION, LightAhead};
+#[cfg(feature = "vision")]
+pub use onnx::OnnxDetector;
 pub use pipeline::{EgoFacts, Percept, Perception};
-pub use truth::TruthDetector;
+pub use tour::Tour;
+pub use truth::{Faults, TruthDetector};
 
 use crate::camera::model::ObjectClass;
 use crate::camera::{CameraConfig, Frame, Outputs};

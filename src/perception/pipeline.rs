@@ -3,7 +3,9 @@
 use super::lead::{self, LeadTracker};
 use super::light::LightAhead;
 use super::paint::Painter;
-use super::{Detection, Detector, GroundPlane, LaneEstimate, PerceptionError, TransformedImage};
+use super::{
+    Detection, Detector, GroundPlane, LaneDetector, LaneEstimate, PerceptionError, TransformedImage,
+};
 use crate::bridge::Ego;
 use crate::camera::{CameraConfig, Frame, Outputs};
 use crate::criteria::EgoOnRoute;
@@ -57,6 +59,7 @@ pub struct Perception {
     detector: Box<dyn Detector>,
     camera: CameraConfig,
     ground: GroundPlane,
+    lanes: LaneDetector,
     lead: LeadTracker,
     painter: Painter,
     percept: Percept,
@@ -72,6 +75,7 @@ impl Perception {
             detector,
             camera,
             ground: GroundPlane::new(&camera),
+            lanes: LaneDetector::new()?,
             lead: LeadTracker::default(),
             painter: Painter::default(),
             percept: Percept {
@@ -103,6 +107,7 @@ impl Perception {
     /// Begins an episode: forgets everything, draws the detector's faults from `seed`.
     pub fn reset(&mut self, seed: u64) {
         self.detector.reset(seed);
+        self.lanes.reset();
         self.lead.reset();
     }
 
@@ -136,7 +141,8 @@ impl Perception {
     ///
     /// # Errors
     /// OpenCV fails.
-    pub fn find_lanes(&mut self, _frame: &Frame, _facts: &EgoFacts<'_>) -> Result<(), PerceptionError> {
+    pub fn find_lanes(&mut self, frame: &Frame, facts: &EgoFacts<'_>) -> Result<(), PerceptionError> {
+        self.percept.lanes = self.lanes.find(frame, &self.ground, facts)?;
         Ok(())
     }
 

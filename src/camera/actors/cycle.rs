@@ -1,13 +1,17 @@
-//! Motorcycles and bicycles with their riders.
+//! Motorcycles and bicycles, and those who ride them.
 
 use super::palette::{PersonPalette, VehiclePalette};
 use super::person::{Detail, Seat, rider};
+use crate::camera::model::Bone;
 use crate::camera::scene::shape::{Shaper, V3, add, mix};
 use std::f32::consts::TAU;
 
 /// Sizes (m) as built: length, width, height with rider.
 pub(super) const MOTORCYCLE: [f32; 3] = [2.15, 0.80, 1.60];
 pub(super) const BICYCLE: [f32; 3] = [1.75, 0.60, 1.75];
+/// Height of the cycles themselves (m).
+pub(super) const MOTORCYCLE_TOP: f32 = 1.21;
+pub(super) const BICYCLE_TOP: f32 = 1.055;
 /// Radius of the wheels (m), and where their axles are (x; front and rear alike).
 pub(super) const MOTORCYCLE_WHEEL: f32 = 0.31;
 pub(super) const MOTORCYCLE_AXLE: f32 = 0.73;
@@ -31,10 +35,114 @@ const BICYCLE_SEAT: Seat = Seat {
     head: [0.10, 0.0, 1.63],
     elbow: [0.14, 0.26, 1.20],
     hand: [0.30, 0.26, 1.06],
-    knees: [[0.13, 0.12, 0.70], [0.05, 0.11, 0.60]],
-    feet: [[-0.06, 0.11, 0.40], [-0.10, 0.11, 0.16]],
+    // Of the mean of a turn of the pedals, see `pedalling`.
+    knees: [[0.0; 3]; 2],
+    feet: [[0.0; 3]; 2],
     helmet: false,
 };
+
+/// Where the pedals turn, their radius, and the wheel's turns to one of theirs.
+const CRANK: V3 = [-0.08, 0.0, 0.29];
+const PEDAL: f32 = 0.17;
+pub(super) const GEAR: f32 = 2.6;
+/// Lengths of a thigh and of a shin (m).
+const LEG: [f32; 2] = [0.44, 0.43];
+/// An ankle's height over its pedal (m).
+const ANKLE: f32 = 0.075;
+
+/// Mean, amplitude and offset of an angle over a turn: its first harmonic.
+#[derive(Clone, Copy, Debug)]
+struct Swing {
+    mean: f32,
+    amplitude: f32,
+    offset: f32,
+}
+
+/// How the left thigh turns about its hip and its shin about the knee (rad, about y, from hanging) while
+/// the pedals turn: the leg that reaches from hip to pedal, its knee ahead.
+fn pedalling() -> [Swing; 2] {
+    const STEPS: usize = 48;
+    let hip = BICYCLE_SEAT.hip;
+    let [thigh, shin] = LEG;
+    let angles: Vec<[f32; 2]> = (0..STEPS)
+        .map(|k| {
+            let (sin, cos) = (k as f32 / STEPS as f32 * TAU).sin_cos();
+            let ankle = [CRANK[0] + PEDAL * cos, CRANK[2] - PEDAL * sin + ANKLE];
+            let (x, z) = (ankle[0] - hip[0], ankle[1] - hip[2] + 0.02);
+            let reach = x.hypot(z).min(0.999 * (thigh + shin));
+            let at =
+                |a: f32, b: f32, c: f32| ((a * a + b * b - c * c) / (2.0 * a * b)).clamp(-1.0, 1.0).acos();
+            // What hangs swings backwards by a positive angle.
+            let line = x.atan2(-z);
+            [-(line + at(thigh, reach, shin)), std::f32::consts::PI - at(thigh, shin, reach)]
+        })
+        .collect();
+    [0, 1].map(|joint| {
+        let sum = |weight: &dyn Fn(f32) -> f32| {
+            let total: f32 = angles
+                .iter()
+                .enumerate()
+                .map(|(k, a)| a[joint] * weight(k as f32 / STEPS as f32 * TAU))
+                .sum();
+            total / STEPS as f32
+        };
+        let (sin, cos) = (2.0 * sum(&f32::sin), 2.0 * sum(&f32::cos));
+        Swing { mean: sum(&|_| 1.0), amplitude: sin.hypot(cos), offset: cos.atan2(sin) }
+    })
+}
+
+/// A cyclist's seat with both legs in the mean of their turn, in which they rest.
+fn cyclist() -> Seat {
+    let [thigh, shin] = pedalling().map(|swing| swing.mean);
+    let hip = BICYCLE_SEAT.hip;
+    let hang = |angle: f32, length: f32| [-angle.sin() * length, 0.0, -angle.cos() * length];
+    let knee = add([hip[0], 0.11, hip[2] - 0.02], hang(thigh, LEG[0]));
+    let foot = add(knee, hang(thigh + shin, LEG[1]));
+    Seat { knees: [knee; 2], feet: [foot; 2], ..BICYCLE_SEAT }
+}
+
+/// Bones of a cyclist: 1, 2 thighs (left, right), 3, 4 shins, 5 the pedals.
+pub(super) fn cyclist_bones() -> Vec<Bone> {
+    let [thigh, shin] = pedalling();
+    let seat = cyclist();
+    let bone = |at: V3, side: f32, swing: Swing, parent: Option<u8>| Bone {
+        pivot: [at[0], side * 0.1, at[2]],
+        axis: [0.0, 1.0, 0.0],
+        amplitude: swing.amplitude,
+        offset: swing.offset + if side < 0.0 { std::f32::consts::PI } else { 0.0 },
+        spins: false,
+        parent,
+    };
+    let hip = add(seat.hip, [0.0, 0.0, -0.02]);
+    vec![
+        Bone::default(),
+        bone(hip, 1.0, thigh, None),
+        bone(hip, -1.0, thigh, None),
+        bone(seat.knees[0], 1.0, shin, Some(1)),
+        bone(seat.knees[1], -1.0, shin, Some(2)),
+        Bone { pivot: CRANK, axis: [0.0, 1.0, 0.0], spins: true, ..Bone::default() },
+    ]
+}
+
+/// Who rides a motorcycle.
+pub(super) fn motorcyclist(s: &mut Shaper, p: &PersonPalette, detail: Detail) {
+    rider(s, p, &MOTORCYCLE_SEAT, false, detail);
+}
+
+/// Who rides a bicycle, with its pedals; see [`cyclist_bones`].
+pub(super) fn bicyclist(s: &mut Shaper, v: &VehiclePalette, p: &PersonPalette, detail: Detail) {
+    rider(s, p, &cyclist(), true, detail);
+    if detail != Detail::Near {
+        return;
+    }
+    s.bone = 5;
+    for side in [1.0, -1.0_f32] {
+        let end = add(CRANK, [side * PEDAL, side * 0.08, 0.0]);
+        s.tube(&[(add(CRANK, [0.0, side * 0.07, 0.0]), 0.014), (end, 0.012)], 4, true, v.chrome);
+        s.cuboid(add(end, [-0.045, -0.02, -0.012]), add(end, [0.045, 0.06, 0.012]), true, v.black);
+    }
+    s.bone = 0;
+}
 
 /// A ring about an axle along y.
 fn tyre(s: &mut Shaper, m: &VehiclePalette, c: V3, radius: f32, thick: f32, sides: usize) {
@@ -82,7 +190,7 @@ fn spokes(s: &mut Shaper, m: &VehiclePalette, c: V3, radius: f32, count: usize, 
 }
 
 /// A motorcycle; bones 1 and 2 are its wheels.
-pub(super) fn motorcycle(s: &mut Shaper, v: &VehiclePalette, p: &PersonPalette, detail: Detail) {
+pub(super) fn motorcycle(s: &mut Shaper, v: &VehiclePalette, detail: Detail) {
     let near = detail == Detail::Near;
     let sides = match detail {
         Detail::Near => 18,
@@ -104,7 +212,6 @@ pub(super) fn motorcycle(s: &mut Shaper, v: &VehiclePalette, p: &PersonPalette, 
             [[-0.97, 0.08, 0.65], [-0.97, -0.08, 0.65], [-0.97, -0.08, 0.82], [-0.97, 0.08, 0.82]],
             v.brake,
         );
-        rider(s, p, &MOTORCYCLE_SEAT, detail);
         return;
     }
     let round = if near { 10 } else { 5 };
@@ -197,11 +304,10 @@ pub(super) fn motorcycle(s: &mut Shaper, v: &VehiclePalette, p: &PersonPalette, 
             v.plate,
         );
     }
-    rider(s, p, &MOTORCYCLE_SEAT, detail);
 }
 
 /// A bicycle; bones 1 and 2 are its wheels.
-pub(super) fn bicycle(s: &mut Shaper, v: &VehiclePalette, p: &PersonPalette, detail: Detail) {
+pub(super) fn bicycle(s: &mut Shaper, v: &VehiclePalette, detail: Detail) {
     let near = detail == Detail::Near;
     let sides = match detail {
         Detail::Near => 20,
@@ -220,10 +326,9 @@ pub(super) fn bicycle(s: &mut Shaper, v: &VehiclePalette, p: &PersonPalette, det
     }
     if detail == Detail::Far {
         s.cuboid([-0.35, -0.03, 0.35], [0.40, 0.03, 0.85], false, v.paint);
-        rider(s, p, &BICYCLE_SEAT, detail);
         return;
     }
-    let crank = [-0.08, 0.0, 0.29];
+    let crank = CRANK;
     let saddle = [-0.26, 0.0, 0.94];
     let head = [0.38, 0.0, 0.88];
     let low = mix(head, front, 0.18);
@@ -250,5 +355,4 @@ pub(super) fn bicycle(s: &mut Shaper, v: &VehiclePalette, p: &PersonPalette, det
         s.ball([0.46, 0.0, 0.93], [0.03, 0.03, 0.03], (3, 6), (-1.0, 1.0), v.head);
         s.ball([-0.62, 0.0, 0.72], [0.02, 0.03, 0.03], (3, 6), (-1.0, 1.0), v.tail);
     }
-    rider(s, p, &BICYCLE_SEAT, detail);
 }

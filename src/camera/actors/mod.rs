@@ -42,8 +42,9 @@ pub struct Cast {
     vans: Vec<(Body, Figure)>,
     bus: Figure,
     truck: Figure,
-    motorcycle: Figure,
-    bicycle: Figure,
+    /// With those who ride them.
+    motorcycle: (Figure, Figure),
+    bicycle: (Figure, Figure),
     /// Walking and standing, by build: adults first.
     people: Vec<(Figure, Figure)>,
     children: Vec<(Figure, Figure)>,
@@ -139,11 +140,20 @@ impl Cast {
             ActorKind::Van => of(&self.vans, if t.height > 2.15 { Body::PanelVan } else { Body::Minivan }),
             ActorKind::Truck => Some(self.truck),
             ActorKind::Bus => Some(self.bus),
-            ActorKind::Motorcycle => Some(self.motorcycle),
-            ActorKind::Bicycle => Some(self.bicycle),
+            ActorKind::Motorcycle => Some(self.motorcycle.0),
+            ActorKind::Bicycle => Some(self.bicycle.0),
             ActorKind::Pedestrian => None,
         }
         .unwrap_or(self.bus)
+    }
+
+    /// Who rides `actor`, and how far it goes (m) in a turn of what moves them.
+    fn rider(&self, actor: &Actor) -> Option<Figure> {
+        match actor.actor_type.kind {
+            ActorKind::Motorcycle => Some(self.motorcycle.1),
+            ActorKind::Bicycle => Some(self.bicycle.1),
+            _ => None,
+        }
     }
 
     /// A parked car at `pose` (centre), chosen by `key`, with its sizes (m): length, width, height.
@@ -227,10 +237,17 @@ fn heavy(library: &mut Library, name: &str, palette: &VehiclePalette, is_bus: bo
     Figure { model: library.model(made), length, width, height, turn: TAU * lorry::WHEEL }
 }
 
-fn cycle(library: &mut Library, name: &str, v: &VehiclePalette, p: &PersonPalette, motor: bool) -> Figure {
+/// A cycle, and who rides it: apart, since detectors tell them apart.
+fn cycle(
+    library: &mut Library,
+    name: &str,
+    v: &VehiclePalette,
+    p: &PersonPalette,
+    motor: bool,
+) -> (Figure, Figure) {
     let build = |detail: Detail| {
         shaped(PERSON_CREASE, |s| {
-            if motor { cycle::motorcycle(s, v, p, detail) } else { cycle::bicycle(s, v, p, detail) }
+            if motor { cycle::motorcycle(s, v, detail) } else { cycle::bicycle(s, v, detail) }
         })
     };
     let meshes = [build(Detail::Near), build(Detail::Middle), build(Detail::Far)];
@@ -241,13 +258,8 @@ fn cycle(library: &mut Library, name: &str, v: &VehiclePalette, p: &PersonPalett
     };
     let bones = vec![Bone::default(), spinning([axle, 0.0, radius]), spinning([-axle, 0.0, radius])];
     let mut made = model(name, meshes, bones);
-    let (f, w) = (0.5 * length, 0.5 * width);
-    made.shadow_boxes = vec![
-        [[-f, -0.08, 0.0], [f, 0.08, 0.75]],
-        [[-0.4, -0.25, 0.6], [0.35, 0.25, 1.3]],
-        [[-0.05, -0.1, 1.3], [0.2, 0.1, height]],
-    ];
-    made.bounds = [[-f, -w, 0.0], [f, w, height]];
+    made.shadow_boxes = vec![[[-0.5 * length, -0.08, 0.0], [0.5 * length, 0.08, 0.75]]];
+    let f = 0.5 * length;
     if motor {
         made.glows = vec![
             ([f, 0.0, 0.95], Channel::Head),
@@ -255,7 +267,25 @@ fn cycle(library: &mut Library, name: &str, v: &VehiclePalette, p: &PersonPalett
             ([-f, 0.0, 0.7], Channel::Tail),
         ];
     }
-    Figure { model: library.model(made), length, width, height, turn: TAU * radius }
+    let turn = TAU * radius;
+    let cycle = Figure { model: library.model(made), length, width, height, turn };
+    let build = |detail: Detail| {
+        shaped(PERSON_CREASE, |s| {
+            if motor { cycle::motorcyclist(s, p, detail) } else { cycle::bicyclist(s, v, p, detail) }
+        })
+    };
+    let meshes = [build(Detail::Near), build(Detail::Middle), build(Detail::Far)];
+    let bones = if motor { Vec::new() } else { cycle::cyclist_bones() };
+    let mut made = model(&format!("{name} rider"), meshes, bones);
+    made.shadow_boxes =
+        vec![[[-0.4, -0.25, 0.6], [0.35, 0.25, 1.3]], [[-0.05, -0.1, 1.3], [0.2, 0.1, height]]];
+    if !motor {
+        // Feet go round.
+        made.bounds[0][2] -= 0.25;
+        made.bounds[1][0] += 0.2;
+    }
+    let rider = Figure { model: library.model(made), turn: cycle::GEAR * turn, ..cycle };
+    (cycle, rider)
 }
 
 fn walker(library: &mut Library, palette: &PersonPalette, build: &Build) -> (Figure, Figure) {
@@ -340,7 +370,8 @@ impl Animation {
         *gone
     }
 
-    /// Fills `frame` with the road users of `world`, in its order: vehicles, then pedestrians.
+    /// Fills `frame` with the road users of `world`, in its order: vehicles, those with a rider after the
+    /// rider, then pedestrians.
     pub fn pose(&mut self, cast: &Cast, world: &WorldState, frame: &mut ActorFrame) {
         self.generation += 1;
         frame.time = world.time;
@@ -350,6 +381,10 @@ impl Animation {
         for actor in world.vehicles.iter().chain(&world.pedestrians) {
             id += 1;
             let gone = self.distance(actor);
+            if let Some(figure) = cast.rider(actor) {
+                frame.instances.push(rider(cast, figure, actor, gone, id));
+                id += 1;
+            }
             let instance = if actor.actor_type.kind == ActorKind::Pedestrian {
                 pedestrian(cast, actor, gone, id)
             } else {
@@ -404,8 +439,26 @@ fn vehicle(cast: &Cast, actor: &Actor, gone: f64, id: u32) -> Instance {
         ActorKind::Bicycle => ObjectClass::Bicycle,
         _ => ObjectClass::Car,
     };
-    let bounds = Box3 { pose: actor.pose, size: [t.length, t.width, t.height] };
+    let mut bounds = Box3 { pose: actor.pose, size: [t.length, t.width, t.height] };
+    // Its own height, without who rides it.
+    match t.kind {
+        ActorKind::Motorcycle => bounds.size[2] *= f64::from(cycle::MOTORCYCLE_TOP / figure.height),
+        ActorKind::Bicycle => bounds.size[2] *= f64::from(cycle::BICYCLE_TOP / figure.height),
+        _ => {}
+    }
     instance.object = Some(Object { class, id, bounds });
+    instance
+}
+
+/// Who rides `actor`: a person, as COCO counts them.
+fn rider(cast: &Cast, figure: Figure, actor: &Actor, gone: f64, id: u32) -> Instance {
+    let mut instance = vehicle(cast, actor, gone, id);
+    instance.model = figure.model;
+    instance.phase = phase(gone, f64::from(figure.turn * instance.scale[2]));
+    let t = &actor.actor_type;
+    let size = [0.5 * t.length, t.width, t.height];
+    instance.object =
+        Some(Object { class: ObjectClass::Person, id, bounds: Box3 { pose: actor.pose, size } });
     instance
 }
 

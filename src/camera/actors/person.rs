@@ -306,8 +306,8 @@ pub(super) struct Seat {
     pub helmet: bool,
 }
 
-/// Someone who sits on a cycle.
-pub(super) fn rider(s: &mut Shaper, m: &PersonPalette, seat: &Seat, detail: Detail) {
+/// Someone who sits on a cycle. Where `pedals`, bones 1 and 2 are the thighs, 3 and 4 the shins.
+pub(super) fn rider(s: &mut Shaper, m: &PersonPalette, seat: &Seat, pedals: bool, detail: Detail) {
     let (sides, near) = match detail {
         Detail::Near => (10, true),
         Detail::Middle => (4, false),
@@ -363,16 +363,12 @@ pub(super) fn rider(s: &mut Shaper, m: &PersonPalette, seat: &Seat, detail: Deta
         let joint = [shoulder[0], side * 0.185, shoulder[2] - 0.02];
         if detail == Detail::Far {
             s.tube(&[(joint, 0.06), (hand, 0.04)], 3, false, m.top);
-            s.tube(
-                &[
-                    ([hip[0], side * 0.095, hip[2]], 0.09),
-                    (to(seat.knees[i]), 0.06),
-                    (to(seat.feet[i]), 0.05),
-                ],
-                3,
-                false,
-                m.legs,
-            );
+            let knee = to(seat.knees[i]);
+            s.bone = if pedals { 1 + i as u8 } else { 0 };
+            s.tube(&[([hip[0], side * 0.095, hip[2]], 0.09), (knee, 0.06)], 3, false, m.legs);
+            s.bone = if pedals { 3 + i as u8 } else { 0 };
+            s.tube(&[(knee, 0.06), (to(seat.feet[i]), 0.05)], 3, false, m.legs);
+            s.bone = 0;
             continue;
         }
         limb(s, &[(joint, 0.062), (elbow, 0.047), (hand, 0.036)], sides.min(8), m.top);
@@ -381,7 +377,9 @@ pub(super) fn rider(s: &mut Shaper, m: &PersonPalette, seat: &Seat, detail: Deta
         }
         let (knee, foot) = (to(seat.knees[i]), to(seat.feet[i]));
         let thigh = [hip[0], side * 0.095, hip[2] - 0.02];
+        s.bone = if pedals { 1 + i as u8 } else { 0 };
         limb(s, &[(thigh, 0.092), (mix(thigh, knee, 0.5), 0.082), (knee, 0.062)], sides.min(8), m.legs);
+        s.bone = if pedals { 3 + i as u8 } else { 0 };
         limb(s, &[(knee, 0.062), (mix(knee, foot, 0.35), 0.060), (foot, 0.043)], sides.min(8), m.legs);
         if detail != Detail::Far {
             s.ball(
@@ -392,5 +390,6 @@ pub(super) fn rider(s: &mut Shaper, m: &PersonPalette, seat: &Seat, detail: Deta
                 m.shoes,
             );
         }
+        s.bone = 0;
     }
 }

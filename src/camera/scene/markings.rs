@@ -1,6 +1,6 @@
 //! Paint: lines between lanes and directions, stop lines, zebra crossings, arrows.
 
-use super::roads::{Station, Surface, stations, surface};
+use super::roads::{JunctionHeight, Station, Surface, stations, surface};
 use super::tiles::Tiles;
 use crate::camera::model::PaintColour;
 use crate::geometry::{Point, Pose, Vector};
@@ -17,13 +17,15 @@ struct Painter<'a> {
     tiles: &'a mut Tiles,
     line: Vec<Station>,
     length: f64,
+    /// Lines along the lane keep to this stretch of it (m): they end with the stop line.
+    reach: (f64, f64),
     strength: f32,
 }
 
 impl Painter<'_> {
     /// A stripe `d` (m) left of the line from `from` to `to` along it (m).
     fn stripe(&mut self, d: f64, breadth: f64, from: f64, to: f64) {
-        let (from, to) = (from.max(0.0), to.min(self.length));
+        let (from, to) = (from.max(self.reach.0), to.min(self.reach.1));
         if to - from < 0.05 {
             return;
         }
@@ -50,7 +52,8 @@ impl Painter<'_> {
         let count = ((self.length - dash) / period).floor().max(0.0);
         // Centred, so that both ends look alike.
         let mut s = 0.5 * (self.length - count * period - dash);
-        while s + 0.5 * dash < self.length {
+        // The last one is not cut short to a stump.
+        while s + 0.5 * dash < self.reach.1 {
             self.stripe(d, LINE, s, s + dash);
             s += period;
         }
@@ -86,11 +89,10 @@ pub(super) fn opposite(network: &Network, edge: EdgeId) -> Option<(EdgeId, f64)>
 
 /// Paints the whole network.
 pub(super) fn build(network: &Network, seed: u64, tiles: &mut Tiles) {
-    let inward = if network.left_hand { -1.0 } else { 1.0 };
     for number in 0..network.edges.len() {
         let id = EdgeId(number as u32);
         if network.edge(id).kind == EdgeKind::Normal {
-            edge(network, id, inward, seed, tiles);
+            edge(network, id, seed, tiles);
         }
     }
     for crossing in &network.crossings {
@@ -101,6 +103,7 @@ pub(super) fn build(network: &Network, seed: u64, tiles: &mut Tiles) {
             continue;
         }
         let half = 0.5 * lane.width - 0.25;
+        let height = JunctionHeight::of(network, network.junction(crossing.junction));
         let (bar, gap) = (0.5, 0.5);
         let count = ((length - 0.5) / (bar + gap)).floor().max(1.0);
         let mut s = 0.5 * (length - count * (bar + gap) + gap);
@@ -109,7 +112,7 @@ pub(super) fn build(network: &Network, seed: u64, tiles: &mut Tiles) {
             let b = lane.shape.at(s + bar);
             let p = |pose: &Pose, d: f64| {
                 let q = pose.to_world(Vector::new(0.0, d));
-                Point3::new(q.x, q.y, pose.position.z)
+                Point3::new(q.x, q.y, height.surface(q))
             };
             // The long sides lie along the traffic.
             let q = [p(&b, -half), p(&b, half), p(&a, half), p(&a, -half)];
@@ -119,71 +122,166 @@ pub(super) fn build(network: &Network, seed: u64, tiles: &mut Tiles) {
     }
 }
 
-fn edge(network: &Network, id: EdgeId, inward: f64, seed: u64, tiles: &mut Tiles) {
-    let edge = network.edge(id);
-    let driven: Vec<LaneId> =
-        edge.lanes.iter().copied().filter(|&l| surface(network.lane(l)) == Surface::Road).collect();
-    let (Some(&outer), Some(&inner)) = (driven.first(), driven.last()) else { return };
-    let across = opposite(network, id);
+/// The line on the inner side of a lane: its centre, m left of the lane's.
+enum Inner {
+    Solid(f64),
+    Dashes {
+        d: f64,
+        dash: f64,
+        gap: f64,
+    },
+    /// Between this direction and the other: two lines, or dashes on narrow roads.
+    Between {
+        middle: f64,
+        double: bool,
+        other: EdgeId,
+    },
+}
+
+/// From the middle of a double line to its two (m).
+const DOUBLE: f64 = 0.12;
+
+fn inward(network: &Network) -> f64 {
+    if network.left_hand { -1.0 } else { 1.0 }
+}
+
+fn driven(network: &Network, id: EdgeId) -> Vec<LaneId> {
+    network.edge(id).lanes.iter().copied().filter(|&l| surface(network.lane(l)) == Surface::Road).collect()
+}
+
+/// Narrow roads have no lines at their borders.
+fn is_narrow(network: &Network, driven: &[LaneId]) -> bool {
+    driven.last().is_some_and(|&inner| network.lane(inner).width < 2.9)
+}
+
+fn inner_line(network: &Network, id: LaneId, driven: &[LaneId]) -> Inner {
+    let lane = network.lane(id);
+    let (half, inward) = (0.5 * lane.width, inward(network));
+    let next = driven.iter().position(|&l| l == id).and_then(|i| driven.get(i + 1)).map(|&l| network.lane(l));
+    let Some(next) = next else {
+        return match opposite(network, lane.edge) {
+            Some((other, gap)) if gap < ADJACENT => Inner::Between {
+                middle: inward * (half + 0.5 * gap.max(0.0)),
+                double: !is_narrow(network, driven),
+                other,
+            },
+            _ => Inner::Solid(inward * (half - 0.22)),
+        };
+    };
+    let car = VehicleClass::Passenger;
+    let open = lane.change_up.allows(car) || next.change_down.allows(car);
+    let cycle_lane = !lane.permissions.allows(car) || !next.permissions.allows(car);
+    let d = inward * half;
+    match () {
+        () if !open || cycle_lane => Inner::Solid(d),
+        () if lane.speed_limit > 20.0 => Inner::Dashes { d, dash: 6.0, gap: 12.0 },
+        () => Inner::Dashes { d, dash: 3.0, gap: 6.0 },
+    }
+}
+
+/// The line on the outer side of a lane (m left of its centre): the road's border or the next lane's line.
+fn outer_line(network: &Network, id: LaneId, driven: &[LaneId]) -> Option<f64> {
+    let half = 0.5 * network.lane(id).width;
+    if driven.first() != Some(&id) {
+        return Some(-inward(network) * half);
+    }
+    (!is_narrow(network, driven)).then(|| -inward(network) * (half - 0.22))
+}
+
+/// Where the painted lines next to a lane's centre are: left and right, m left of the lane's centre line;
+/// None where there is none, as inside junctions.
+pub fn painted_sides(network: &Network, id: LaneId) -> [Option<f64>; 2] {
+    let edge = network.lane(id).edge;
+    let driven = driven(network, edge);
+    if network.edge(edge).kind != EdgeKind::Normal || !driven.contains(&id) {
+        return [None; 2];
+    }
+    let inner = match inner_line(network, id, &driven) {
+        Inner::Solid(d) | Inner::Dashes { d, .. } => d,
+        Inner::Between { middle, double: false, .. } => middle,
+        Inner::Between { middle, double: true, .. } => middle - DOUBLE.copysign(middle),
+    };
+    let outer = outer_line(network, id, &driven);
+    if inner > 0.0 { [Some(inner), outer] } else { [outer, Some(inner)] }
+}
+
+fn edge(network: &Network, id: EdgeId, seed: u64, tiles: &mut Tiles) {
+    let driven = driven(network, id);
+    let Some(&outer) = driven.first() else { return };
     let strength =
         0.6 + 0.35 * ((crate::seeds::derive(seed ^ u64::from(id.0), "paint") % 100) as f32 / 100.0);
-    let narrow = network.lane(inner).width < 2.9;
+    let stops = |lanes: &[LaneId]| lanes.iter().any(|&l| line_at_end(network, l) != EndLine::None);
+    let trim = if stops(&driven) { STOP_LINE.1 } else { 0.0 };
     for &lane_id in &driven {
         let lane = network.lane(lane_id);
-        let half = 0.5 * lane.width;
         let line = stations(&lane.shape, 16.0);
         if line.len() < 2 || lane.shape.length() < 2.0 {
             continue;
         }
-        let mut painter = Painter { tiles, line, length: lane.shape.length(), strength };
-        let length = painter.length;
-        if lane_id == outer && !narrow {
-            painter.stripe(-inward * (half - 0.22), LINE, 0.0, length);
+        let length = lane.shape.length();
+        let mut painter = Painter { tiles, line, length, reach: (0.0, length - trim), strength };
+        if let Some(d) = outer_line(network, lane_id, &driven).filter(|_| lane_id == outer) {
+            painter.stripe(d, LINE, 0.0, length);
         }
-        if lane_id == inner {
-            match across {
-                Some((other, gap)) if gap < ADJACENT => {
-                    // Painted once for both directions.
-                    if id < other {
-                        let middle = inward * (half + 0.5 * gap.max(0.0));
-                        if narrow {
-                            painter.dashes(middle, 3.0, 3.0);
-                        } else {
-                            painter.stripe(middle - 0.12, 0.10, 0.0, length);
-                            painter.stripe(middle + 0.12, 0.10, 0.0, length);
-                        }
-                    }
+        match inner_line(network, lane_id, &driven) {
+            Inner::Solid(d) => painter.stripe(d, LINE, 0.0, length),
+            Inner::Dashes { d, dash, gap } => painter.dashes(d, dash, gap),
+            // Painted once for both directions.
+            Inner::Between { other, .. } if other < id => {}
+            Inner::Between { middle, double, other } => {
+                painter.reach.0 = if stops(&network.edge(other).lanes) { STOP_LINE.1 } else { 0.0 };
+                if double {
+                    painter.stripe(middle - DOUBLE, 0.10, 0.0, length);
+                    painter.stripe(middle + DOUBLE, 0.10, 0.0, length);
+                } else {
+                    painter.dashes(middle, 3.0, 3.0);
                 }
-                _ => painter.stripe(inward * (half - 0.22), LINE, 0.0, length),
-            }
-        } else {
-            let fast = lane.speed_limit > 20.0;
-            let car = VehicleClass::Passenger;
-            let next = driven.iter().position(|&l| l == lane_id).map(|i| network.lane(driven[i + 1]));
-            let open = lane.change_up.allows(car) || next.is_some_and(|n| n.change_down.allows(car));
-            let cycle_lane =
-                !lane.permissions.allows(car) || next.is_some_and(|n| !n.permissions.allows(car));
-            if !open || cycle_lane {
-                painter.stripe(inward * half, LINE, 0.0, length);
-            } else if fast {
-                painter.dashes(inward * half, 6.0, 12.0);
-            } else {
-                painter.dashes(inward * half, 3.0, 6.0);
             }
         }
-        ends(network, lane_id, tiles, strength);
+        let (right, left) = (lane_id == driven[0], lane_id == driven[driven.len() - 1]);
+        let sides = if inward(network) > 0.0 { [right, left] } else { [left, right] };
+        ends(network, lane_id, sides, tiles, strength);
     }
 }
 
-/// Stop line, give-way line and arrows at a lane's end.
-fn ends(network: &Network, id: LaneId, tiles: &mut Tiles, strength: f32) {
+/// Where stop lines begin and end, before the lane's end (m).
+const STOP_LINE: (f64, f64) = (0.85, 0.4);
+
+/// The line across a lane's end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum EndLine {
+    None,
+    Stop,
+    /// A broken one: give way.
+    Yield,
+}
+
+fn line_at_end(network: &Network, id: LaneId) -> EndLine {
+    let lane = network.lane(id);
+    if surface(lane) != Surface::Road || lane.shape.length() < 6.0 {
+        return EndLine::None;
+    }
+    let links = || lane.outgoing.iter().map(|&l| network.link(l));
+    if links().any(|l| l.signal.is_some() || l.state == 's') {
+        EndLine::Stop
+    } else if links().any(|l| matches!(l.state, 'm' | 'w')) && links().any(|l| !l.must_yield_to.is_empty()) {
+        EndLine::Yield
+    } else {
+        EndLine::None
+    }
+}
+
+/// Stop line, give-way line and arrows at a lane's end. `sides`: whether the carriageway ends on the
+/// lane's right and on its left.
+fn ends(network: &Network, id: LaneId, sides: [bool; 2], tiles: &mut Tiles, strength: f32) {
     let lane = network.lane(id);
     let length = lane.shape.length();
     if lane.outgoing.is_empty() || length < 6.0 {
         return;
     }
     let links: Vec<_> = lane.outgoing.iter().map(|&l| network.link(l)).collect();
-    let half = 0.5 * lane.width - 0.05;
+    // From line to line; over the seams between lanes.
+    let [right, left] = sides.map(|at_border| 0.5 * lane.width + if at_border { -0.17 } else { 0.03 });
     let bar = |tiles: &mut Tiles, from: f64, to: f64, right: f64, left: f64| {
         let (a, b) = (lane.shape.at(from), lane.shape.at(to));
         let p = |pose: &Pose, d: f64| {
@@ -198,16 +296,17 @@ fn ends(network: &Network, id: LaneId, tiles: &mut Tiles, strength: f32) {
             [true, true],
         );
     };
-    let yields = links.iter().any(|l| matches!(l.state, 'm' | 'w'))
-        && links.iter().any(|l| !l.must_yield_to.is_empty());
-    if links.iter().any(|l| l.signal.is_some() || matches!(l.state, 's')) {
-        bar(tiles, length - 0.85, length - 0.4, -half, half);
-    } else if yields {
-        let mut d = -half + 0.15;
-        while d + 0.5 <= half {
-            bar(tiles, length - 0.75, length - 0.4, d, d + 0.5);
-            d += 0.8;
+    let (from, to) = (length - STOP_LINE.0, length - STOP_LINE.1);
+    match line_at_end(network, id) {
+        EndLine::Stop => bar(tiles, from, to, -right, left),
+        EndLine::Yield => {
+            let mut d = -right + 0.1;
+            while d + 0.5 <= left {
+                bar(tiles, from + 0.1, to, d, d + 0.5);
+                d += 0.8;
+            }
         }
+        EndLine::None => {}
     }
     let edge = network.edge(lane.edge);
     let many = edge.lanes.iter().filter(|&&l| surface(network.lane(l)) == Surface::Road).count() > 1;

@@ -20,6 +20,8 @@ mod tests;
 mod tiles;
 mod trees;
 
+pub use markings::painted_sides;
+
 use super::actors::Cast;
 use super::model::Scene;
 use crate::network::{Network, Shapes};
@@ -100,7 +102,7 @@ pub fn build(network: &Network, shapes: &Shapes, seed: u64) -> (Scene, Cast) {
     areas::horizon(network, terrain.low, (&materials.hills, materials.skyline), seed, &mut tiles);
 
     scene.ground = Some((materials.grass, terrain.low - if terrain.flat { 0.05 } else { 6.0 }));
-    scene.chunks = tiles.finish(&scene.library);
+    scene.chunks = tiles.finish(&scene.library, &|p| terrain.at(p));
     scene.index();
     (scene, cast)
 }

@@ -14,6 +14,8 @@ pub(super) const KERB: f64 = 0.12;
 const KERB_STONE: f64 = 0.15;
 /// How far below a road's surface its sides reach (m).
 const SKIRT: f64 = 0.25;
+/// How far ramps at crossings reach into the road (m).
+const RAMP: f64 = 0.35;
 /// Junctions lie this much below lanes (m), which overlap them a little.
 const JUNCTION_BELOW: f64 = 0.005;
 
@@ -206,9 +208,8 @@ pub(super) fn build(network: &Network, ground: &Ground, terrain: &Terrain, m: &M
     }
     for junction in &network.junctions {
         let height = JunctionHeight::of(network, junction);
-        let z = |p: Point| height.at(p) - JUNCTION_BELOW;
         for t in triangulate(&junction.shape) {
-            tiles.floor(t, &z, m.junction, Levels::All);
+            tiles.floor(t, &|p| height.surface(p), m.junction, Levels::All);
         }
         for &id in &junction.walkingareas {
             walkingarea(network.lane(id), ground, &height, m, tiles);
@@ -282,8 +283,17 @@ fn walkingarea(lane: &Lane, ground: &Ground, height: &JunctionHeight, m: &Materi
             m.kerb,
             Levels::All,
         );
-        if beyond & uses::WAY != 0 && length > 0.1 {
-            // The kerb's stone, lowered at crossings in colour only.
+        if beyond & uses::CROSSING != 0 && length > 0.8 {
+            // Down to the crossing by a ramp, with no kerb to step over.
+            let foot = outward * RAMP;
+            tiles.wall(
+                [p(a + foot, 0.012), p(b + foot, 0.012), p(b, KERB), p(a, KERB)],
+                [[0.0, 0.0], [length, 0.0], [length, RAMP], [0.0, RAMP]],
+                m.slabs,
+                Levels::All,
+            );
+        } else if beyond & uses::WAY != 0 && length > 0.1 {
+            // The kerb's stone.
             let inner = outward * -KERB_STONE;
             let top = KERB + 0.004;
             tiles.wall(
@@ -296,10 +306,12 @@ fn walkingarea(lane: &Lane, ground: &Ground, height: &JunctionHeight, m: &Materi
     }
 }
 
-/// Height over a junction, from the lanes that end there.
+/// Height over a junction: the plane through the lanes that end there, so that any triangulation of its
+/// outline and the paint on it lie on one surface.
 pub(super) struct JunctionHeight {
-    ends: Vec<Point3<f64>>,
-    flat: Option<f64>,
+    middle: Point,
+    /// Height in the middle (m), slopes along x and y.
+    plane: [f64; 3],
 }
 
 impl JunctionHeight {
@@ -310,22 +322,37 @@ impl JunctionHeight {
         let coming = lanes(&junction.incoming_edges).into_iter().filter_map(|l| l.shape.points().last());
         let going = lanes(&junction.outgoing_edges);
         let going = going.iter().filter_map(|l| l.shape.points().first());
-        let ends: Vec<Point3<f64>> = coming.chain(going).copied().filter(|p| p.z.is_finite()).collect();
-        let first = ends.first().map_or(0.0, |p| p.z);
-        let flat = ends.iter().all(|p| (p.z - first).abs() < 0.01).then_some(first);
-        Self { ends, flat }
+        let ends: Vec<Point3<f64>> =
+            coming.chain(going).copied().filter(|p| p.coords.iter().all(|c| c.is_finite())).collect();
+        let mean = |of: &dyn Fn(&Point3<f64>) -> f64| ends.iter().map(of).sum::<f64>() / ends.len() as f64;
+        if ends.is_empty() {
+            return Self { middle: junction.position, plane: [0.0; 3] };
+        }
+        let middle = Point::new(mean(&|p| p.x), mean(&|p| p.y));
+        let z = mean(&|p| p.z);
+        // Least squares; a square metre more on the diagonal where all ends lie in a line.
+        let product =
+            |a: &dyn Fn(&Point3<f64>) -> f64, b: &dyn Fn(&Point3<f64>) -> f64| mean(&|p| a(p) * b(p));
+        let (x, y, up) =
+            (&|p: &Point3<f64>| p.x - middle.x, &|p: &Point3<f64>| p.y - middle.y, &|p: &Point3<f64>| {
+                p.z - z
+            });
+        let (xx, xy, yy) = (product(x, x) + 1.0, product(x, y), product(y, y) + 1.0);
+        let (xz, yz) = (product(x, up), product(y, up));
+        let area = (xx * yy - xy * xy).max(1e-9);
+        let slope = |v: f64| v.clamp(-0.3, 0.3);
+        Self { middle, plane: [z, slope((xz * yy - yz * xy) / area), slope((yz * xx - xz * xy) / area)] }
     }
 
-    /// m; nearer ends weigh more.
+    /// m.
     pub fn at(&self, p: Point) -> f64 {
-        if let Some(z) = self.flat {
-            return z;
-        }
-        let (sum, weights) = self.ends.iter().fold((0.0, 0.0), |(sum, weights), end| {
-            let w = 1.0 / (0.05 + (end.xy() - p).norm_squared());
-            (sum + w * end.z, weights + w)
-        });
-        if weights > 0.0 { sum / weights } else { 0.0 }
+        let [z, along_x, along_y] = self.plane;
+        z + along_x * (p.x - self.middle.x) + along_y * (p.y - self.middle.y)
+    }
+
+    /// Of the junction's asphalt (m).
+    pub fn surface(&self, p: Point) -> f64 {
+        self.at(p) - JUNCTION_BELOW
     }
 }
 

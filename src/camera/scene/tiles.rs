@@ -69,6 +69,17 @@ fn local(p: Point3<f64>, origin: Point3<f64>) -> V3 {
     [d.x as f32, d.y as f32, d.z as f32]
 }
 
+impl Tile {
+    /// Raises what is in the tile's frame (m).
+    fn lift(&mut self, up: f32) {
+        for vertex in self.meshes.iter_mut().flat_map(|mesh| &mut mesh.vertices) {
+            vertex.position[2] += up;
+        }
+        self.paint.iter_mut().flat_map(|p| &mut p.corners).for_each(|c| c[2] += up);
+        self.lights.iter_mut().for_each(|l| l.position[2] += up);
+    }
+}
+
 impl Tiles {
     fn tile(&mut self, x: f64, y: f64) -> (&mut Tile, Point3<f64>) {
         let key = tile_of(x, y);
@@ -184,12 +195,16 @@ impl Tiles {
         tile.lights.push(PointLight { position: local(at, origin), colour, radius });
     }
 
-    /// The chunks, in a fixed order.
-    pub fn finish(self, library: &Library) -> Vec<Chunk> {
+    /// The chunks, in a fixed order; `ground` is the ground's height at a place (m), where a chunk's
+    /// origin is.
+    pub fn finish(self, library: &Library, ground: &dyn Fn(Point) -> f64) -> Vec<Chunk> {
         self.tiles
             .into_iter()
-            .map(|(key, tile)| {
-                let origin = origin(key);
+            .map(|(key, mut tile)| {
+                let flat = origin(key);
+                let middle = flat.xy() + Vector::new(0.5 * CHUNK_SIZE, 0.5 * CHUNK_SIZE);
+                let origin = Point3::new(flat.x, flat.y, ground(middle));
+                tile.lift(-(origin.z as f32));
                 let mut bounds = bounds_of([&tile.meshes[0], &tile.meshes[2]]);
                 let empty = tile.meshes.iter().all(|m| m.vertices.is_empty());
                 if empty {

@@ -1,14 +1,13 @@
-//! `eval SUITE`: drive the episodes of a suite, and say how they ended.
+//! `eval tasks`, `eval composite`: drive the episodes of a suite, and say how they ended.
 
-use super::exit::Exit;
-use super::print;
+use crate::cli::progress::Bar;
+use crate::cli::{Exit, print};
 use anyhow::Context;
-use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::io::{IsTerminal, Write};
+use std::io::Write;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use wad_cosim::camera::Preset;
 use wad_cosim::env::EnvOptions;
 use wad_cosim::eval::{
@@ -17,11 +16,9 @@ use wad_cosim::eval::{
 use wad_cosim::tasks::TaskKind;
 use wad_cosim::traffic::TrafficSpec;
 
-/// Options of `eval`.
-#[derive(clap::Args)]
+/// Options of `eval tasks` and `eval composite`.
+#[derive(clap::Args, Debug)]
 pub struct Args {
-    /// tasks (the paper's five) or composite.
-    suite: Suite,
     /// Who drives: autopilot, random, constant[:THROTTLE,STEER,BRAKE]. May be given several times.
     #[arg(long = "agent", value_name = "NAME", default_value = "autopilot")]
     agents: Vec<DriverSpec>,
@@ -67,7 +64,7 @@ struct Summary {
 }
 
 /// Runs the command.
-pub fn run(args: Args) -> anyhow::Result<Exit> {
+pub fn run(suite: Suite, args: Args) -> anyhow::Result<Exit> {
     let options = EnvOptions::evaluation();
     let selection = Selection {
         agents: args.agents.clone(),
@@ -78,39 +75,30 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
         seeds: args.seeds.clone(),
         episodes: args.episodes,
     };
-    let plan = selection.plan(args.suite);
+    let plan = selection.plan(suite);
     let mut file = args.out.as_ref().map(|out| Folder::create(out, &selection, &options)).transpose()?;
-    static STOP: AtomicBool = AtomicBool::new(false);
-    stop_on_signal(&STOP)?;
-    let bar = progress(plan.len() as u64);
+    let stop = wad_cosim::interrupt::flag().context("cannot listen for Ctrl-C")?;
+    let bar = Bar::new(plan.len() as u64, "episodes");
     let mut shown = 0u64;
     let evaluation = Evaluation {
         options,
         jobs: args.jobs,
         make_agent: &|name| Err(DriverError::Unknown { found: name.to_string() }),
-        stop: &STOP,
+        stop: &stop,
     };
     let result = eval::run(&plan, &evaluation, |record| {
         shown += 1;
-        match &bar {
-            Some(bar) => bar.inc(1),
-            None if shown % 25 == 0 || shown == plan.len() as u64 => {
-                eprintln!("{shown} of {} episodes", plan.len());
-            }
-            None => {}
-        }
+        bar.show(shown, "");
         if !record.ending.success && record.case.agent == DriverSpec::Autopilot {
-            say(bar.as_ref(), &failure(record));
+            bar.say(&failure(record));
         }
         file.as_mut().map_or(Ok(()), |file| file.add(record))
     });
-    if let Some(bar) = &bar {
-        bar.finish_and_clear();
-    }
+    bar.clear();
     let records = result.map_err(with_exit)?;
-    let interrupted = STOP.load(Ordering::Relaxed) && records.len() < plan.len();
+    let interrupted = stop.load(Ordering::Relaxed) && records.len() < plan.len();
     let summary = Summary {
-        suite: args.suite,
+        suite,
         episodes: records.len() as u64,
         planned: plan.len() as u64,
         interrupted,
@@ -156,46 +144,6 @@ fn failure(record: &EpisodeRecord) -> String {
         record.placement.from.lane,
         record.placement.from.s,
     )
-}
-
-fn say(bar: Option<&ProgressBar>, text: &str) {
-    match bar {
-        Some(bar) => bar.suspend(|| eprintln!("{text}")),
-        None => eprintln!("{text}"),
-    }
-}
-
-fn progress(length: u64) -> Option<ProgressBar> {
-    std::io::stderr().is_terminal().then(|| {
-        let bar = ProgressBar::new(length);
-        let style = ProgressStyle::with_template("{bar:20} {pos}/{len} episodes  {per_sec}  {eta} left");
-        style.map_or(bar.clone(), |style| bar.with_style(style))
-    })
-}
-
-/// Ctrl-C and SIGTERM set `stop`; the episodes under way are still driven to their end.
-fn stop_on_signal(stop: &'static AtomicBool) -> anyhow::Result<()> {
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    std::thread::Builder::new()
-        .name("signals".into())
-        .spawn(move || {
-            runtime.block_on(async {
-                use tokio::signal::unix::{SignalKind, signal};
-                let (Ok(mut interrupt), Ok(mut terminate)) =
-                    (signal(SignalKind::interrupt()), signal(SignalKind::terminate()))
-                else {
-                    return;
-                };
-                tokio::select! {
-                    _ = interrupt.recv() => {}
-                    _ = terminate.recv() => {}
-                }
-                eprintln!("stopping after the episodes under way");
-                stop.store(true, Ordering::Relaxed);
-            });
-        })
-        .context("cannot listen for Ctrl-C")?;
-    Ok(())
 }
 
 /// The run folder.

@@ -1,0 +1,130 @@
+//! SAC in its first form (Haarnoja et al. 2018, "Off-Policy Maximum Entropy"), with a value network:
+//! WAD-S' learning step.
+
+use super::adam::Adam;
+use super::learner::{Batch, Metrics};
+use super::networks::{Critics, Dims, HIDDEN_S, PolicyS, Value};
+use rand::Rng;
+use serde::{Deserialize, Serialize};
+use tch::{Device, Kind, Tensor, no_grad};
+
+/// SAC's constants, under cleanrl's names.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SacParams {
+    /// Discount per tick.
+    pub gamma: f64,
+    /// Share of the value network that its target takes over per update.
+    pub tau: f64,
+    /// Adam's step for all networks (paper: 3e-4).
+    pub learning_rate: f64,
+    /// Temperature: what a nat of entropy is worth in scaled reward. With `autotune` where it begins.
+    pub alpha: f64,
+    /// Let the temperature keep the entropy at `target_entropy` (Haarnoja et al. 2019).
+    pub autotune: bool,
+    /// Nats, over actions in -1..1; None: minus the number of actions.
+    pub target_entropy: Option<f64>,
+}
+
+impl Default for SacParams {
+    fn default() -> Self {
+        Self {
+            gamma: 0.99,
+            tau: 0.005,
+            learning_rate: 3e-4,
+            alpha: 0.1,
+            autotune: false,
+            target_entropy: None,
+        }
+    }
+}
+
+/// Policy, critics, value network with its target, and optimisers.
+#[derive(Debug)]
+pub struct Sac {
+    pub params: SacParams,
+    pub policy: PolicyS,
+    pub critics: Critics,
+    pub value: Value,
+    pub value_target: Value,
+    pub policy_adam: Adam,
+    pub critics_adam: Adam,
+    pub value_adam: Adam,
+    /// Logarithm of the temperature, [1].
+    pub log_alpha: Tensor,
+    pub alpha_adam: Adam,
+    /// Updates so far.
+    pub updates: u64,
+    target_entropy: f64,
+}
+
+impl Sac {
+    /// New networks from `rng`.
+    pub fn new(params: SacParams, dims: Dims, rng: &mut impl Rng, device: Device) -> Self {
+        let policy = PolicyS::new(dims, rng, device);
+        let critics = Critics::new(dims, &HIDDEN_S, rng, device);
+        let value = Value::new(dims, rng, device);
+        let log_alpha = Tensor::from_slice(&[params.alpha.ln() as f32]).to_device(device);
+        let lr = params.learning_rate;
+        Self {
+            policy_adam: Adam::new(policy.params.flat(), lr),
+            critics_adam: Adam::new(critics.params.flat(), lr),
+            value_adam: Adam::new(value.params.flat(), lr),
+            alpha_adam: Adam::new(&log_alpha, lr),
+            value_target: value.copy(device),
+            policy,
+            critics,
+            value,
+            log_alpha,
+            updates: 0,
+            target_entropy: params.target_entropy.unwrap_or(-dims.actions as f64),
+            params,
+        }
+    }
+
+    /// One update of every network.
+    pub fn update(&mut self, batch: &Batch, metrics: Option<&mut Metrics>) {
+        self.updates += 1;
+        let mean = |x: &Tensor| x.mean(Kind::Float);
+        let alpha = no_grad(|| self.log_alpha.exp());
+
+        // Q: r + gamma (1 - terminated) V'(s')
+        let y =
+            no_grad(|| &batch.reward + &batch.discount * self.value_target.forward(&batch.next_observation));
+        let q = self.critics.forward(&batch.observation, &batch.action);
+        let q_error = (&q - &y).square().mean_dim([1i64].as_slice(), false, Kind::Float);
+        let q_gradient = self.critics.params.gradient(&(q_error.sum(Kind::Float) * 0.5));
+
+        // pi: alpha log pi(a|s) - min Q(s, a), with a drawn anew
+        let (action, log_prob) = self.policy.sample_with_log_prob(&batch.observation, &batch.noise);
+        let q_new = self.critics.forward(&batch.observation, &action).amin([0i64].as_slice(), false);
+        let policy_loss = mean(&(&log_prob * &alpha - &q_new));
+
+        // V: min Q(s, a) - alpha log pi(a|s)
+        let v_target = no_grad(|| q_new.detach() - log_prob.detach() * &alpha);
+        let v_error = (self.value.forward(&batch.observation) - v_target).square();
+        let v_loss = mean(&v_error) * 0.5;
+
+        let v_gradient = self.value.params.gradient(&v_loss);
+        let policy_gradient = self.policy.params.gradient(&policy_loss);
+        self.critics_adam.step(self.critics.params.flat_mut(), &q_gradient);
+        self.value_adam.step(self.value.params.flat_mut(), &v_gradient);
+        self.policy_adam.step(self.policy.params.flat_mut(), &policy_gradient);
+        if self.params.autotune {
+            // d/d(log alpha) of -log alpha (log pi + target entropy), as in Stable-Baselines and cleanrl
+            let gradient = no_grad(|| (mean(&log_prob.detach()) + self.target_entropy).neg().view([1]) * 1.0);
+            self.alpha_adam.step(&mut self.log_alpha, &gradient);
+        }
+        self.value_target.params.follow(&self.value.params, self.params.tau);
+
+        if let Some(metrics) = metrics {
+            metrics.add_pair(["losses/qf1_loss", "losses/qf2_loss"], &q_error);
+            let values = no_grad(|| q.mean_dim([1i64].as_slice(), false, Kind::Float));
+            metrics.add_pair(["losses/qf1_values", "losses/qf2_values"], &values);
+            metrics.add("losses/actor_loss", &policy_loss);
+            metrics.add("losses/vf_loss", &v_loss);
+            metrics.add("losses/alpha", &alpha.squeeze());
+            metrics.add("losses/entropy", &mean(&log_prob).neg());
+        }
+    }
+}

@@ -1,0 +1,178 @@
+//! TD3 (Fujimoto et al. 2018): WAD-T's learning step.
+
+use super::adam::Adam;
+use super::learner::{Batch, Metrics};
+use super::networks::{ActorT, CriticEnd, Critics, Dims};
+use rand::Rng;
+use serde::{Deserialize, Serialize};
+use tch::{Device, Kind, Tensor, no_grad};
+
+/// TD3's constants, under cleanrl's names.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Td3Params {
+    /// Discount per tick: 0.99 looks 100 ticks, 17 s, ahead.
+    pub gamma: f64,
+    /// Share of the networks that their targets take over per update.
+    pub tau: f64,
+    /// Adam's steps (paper: 3e-4 and 3e-3).
+    pub actor_learning_rate: f64,
+    pub critic_learning_rate: f64,
+    /// Noise on the target's action and its bound, in units of half an action's range.
+    pub policy_noise: f64,
+    pub noise_clip: f64,
+    /// Critic updates per actor update.
+    pub policy_frequency: u64,
+    /// Hidden layers of the critics.
+    pub critic_hidden: Vec<i64>,
+    pub critic_end: CriticEnd,
+    /// Weight of imitation on demonstrated transitions whose action Q1 prefers (0: none), and the
+    /// update at which it has faded to nothing (TD3+BC, Fujimoto and Gu 2021, with Nair's Q filter).
+    pub bc_weight: f64,
+    pub bc_updates: u64,
+}
+
+impl Default for Td3Params {
+    fn default() -> Self {
+        Self {
+            gamma: 0.99,
+            tau: 0.005,
+            actor_learning_rate: 3e-4,
+            critic_learning_rate: 3e-3,
+            policy_noise: 0.1,
+            noise_clip: 0.25,
+            policy_frequency: 2,
+            critic_hidden: vec![256, 128],
+            critic_end: CriticEnd::Sigmoid { low: -60.0, high: 100.0 },
+            bc_weight: 0.0,
+            bc_updates: 200_000,
+        }
+    }
+}
+
+/// Actor, critics, their targets and optimisers.
+#[derive(Debug)]
+pub struct Td3 {
+    pub params: Td3Params,
+    pub actor: ActorT,
+    pub actor_target: ActorT,
+    pub critics: Critics,
+    pub critics_target: Critics,
+    pub actor_adam: Adam,
+    pub critics_adam: Adam,
+    /// Updates so far.
+    pub updates: u64,
+    /// Range of each number of an action.
+    low: Tensor,
+    high: Tensor,
+    half: Tensor,
+}
+
+impl Td3 {
+    /// New networks from `rng`.
+    pub fn new(params: Td3Params, dims: Dims, rng: &mut impl Rng, device: Device) -> Self {
+        let actor = ActorT::new(dims, rng, device);
+        let critics = Critics::new(dims, &params.critic_hidden, rng, device);
+        let range = |steer: f32, pedal: f32| {
+            let values: Vec<f32> = (0..dims.actions).map(|i| if i == 0 { steer } else { pedal }).collect();
+            Tensor::from_slice(&values).to_device(device)
+        };
+        Self {
+            actor_target: actor.copy(device),
+            critics_target: critics.copy(device),
+            actor_adam: Adam::new(actor.params.flat(), params.actor_learning_rate),
+            critics_adam: Adam::new(critics.params.flat(), params.critic_learning_rate),
+            actor,
+            critics,
+            params,
+            updates: 0,
+            low: range(-1.0, 0.0),
+            high: range(1.0, 1.0),
+            half: range(1.0, 0.5),
+        }
+    }
+
+    /// One update; the critics always, the actor and the targets every `policy_frequency`-th time.
+    pub fn update(&mut self, batch: &Batch, metrics: Option<&mut Metrics>) {
+        self.updates += 1;
+        let y = self.target(batch);
+        let q = self.end(&self.critics.forward(&batch.observation, &batch.action));
+        // [2, B] - [B]: both critics against one target.
+        let error = (&q - &y).square().mean_dim([1i64].as_slice(), false, Kind::Float);
+        let gradient = self.critics.params.gradient(&error.sum(Kind::Float));
+        self.critics_adam.step(self.critics.params.flat_mut(), &gradient);
+        let mut actor_loss = None;
+        if self.updates.is_multiple_of(self.params.policy_frequency) {
+            let loss = self.actor_loss(batch);
+            let gradient = self.actor.params.gradient(&loss);
+            self.actor_adam.step(self.actor.params.flat_mut(), &gradient);
+            actor_loss = Some(loss);
+            self.actor_target.params.follow(&self.actor.params, self.params.tau);
+            self.critics_target.params.follow(&self.critics.params, self.params.tau);
+        }
+        if let Some(metrics) = metrics {
+            let values = no_grad(|| self.meaning(&q.mean_dim([1i64].as_slice(), false, Kind::Float)));
+            metrics.add_pair(["losses/qf1_loss", "losses/qf2_loss"], &error);
+            metrics.add_pair(["losses/qf1_values", "losses/qf2_values"], &values);
+            if let Some(loss) = actor_loss {
+                metrics.add("losses/actor_loss", &loss);
+            }
+        }
+    }
+
+    /// y = r + gamma (1 - terminated) min(Q1', Q2')(s', pi'(s') + clipped noise), in the end's units.
+    fn target(&self, batch: &Batch) -> Tensor {
+        no_grad(|| {
+            let p = &self.params;
+            let noise = (&batch.noise * p.policy_noise).clamp(-p.noise_clip, p.noise_clip) * &self.half;
+            let action = (self.actor_target.forward(&batch.next_observation) + noise)
+                .clamp_tensor(Some(&self.low), Some(&self.high));
+            let q = self.end(&self.critics_target.forward(&batch.next_observation, &action));
+            let q = q.amin([0i64].as_slice(), false);
+            match p.critic_end {
+                CriticEnd::Linear => &batch.reward + &batch.discount * q,
+                CriticEnd::Sigmoid { low, high } => {
+                    let y = &batch.reward + &batch.discount * (q * (high - low) + low);
+                    ((y - low) / (high - low)).clamp(0.0, 1.0)
+                }
+            }
+        })
+    }
+
+    /// -mean Q1(s, pi(s)), and imitation where it was asked for.
+    fn actor_loss(&self, batch: &Batch) -> Tensor {
+        let p = &self.params;
+        let action = self.actor.forward(&batch.observation);
+        let q = self.end(&self.critics.first(&batch.observation, &action));
+        if p.bc_weight == 0.0 || self.updates >= p.bc_updates {
+            return -q.mean(Kind::Float);
+        }
+        let weight = p.bc_weight * (1.0 - self.updates as f64 / p.bc_updates as f64);
+        let (scale, mask) = no_grad(|| {
+            let shown = self.end(&self.critics.first(&batch.observation, &batch.action));
+            let better = shown.ge_tensor(&q).to_kind(Kind::Float);
+            // Q's own size must not decide between climbing and imitating.
+            ((q.abs().mean(Kind::Float) + 1e-6).reciprocal(), better * &batch.demonstration)
+        });
+        let apart = ((&action - &batch.action) / &self.half).square();
+        let apart = apart.mean_dim([1i64].as_slice(), false, Kind::Float);
+        let imitation = (apart * &mask).sum(Kind::Float) / (mask.sum(Kind::Float) + 1.0);
+        imitation * weight - q.mean(Kind::Float) * scale
+    }
+
+    /// The critics' last activation.
+    fn end(&self, q: &Tensor) -> Tensor {
+        match self.params.critic_end {
+            CriticEnd::Linear => q.shallow_clone(),
+            CriticEnd::Sigmoid { .. } => q.sigmoid(),
+        }
+    }
+
+    /// What the critics' output means as a return.
+    fn meaning(&self, q: &Tensor) -> Tensor {
+        match self.params.critic_end {
+            CriticEnd::Linear => q.shallow_clone(),
+            CriticEnd::Sigmoid { low, high } => q * (high - low) + low,
+        }
+    }
+}

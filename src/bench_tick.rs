@@ -1,0 +1,196 @@
+//! What a tick of the whole loop costs, stage by stage.
+//!
+//! The loop is that of `run` with the front camera: the autopilot decides, the ego's physics moves it,
+//! SUMO steps, the reply is decoded, the camera renders what the ego sees.
+
+use crate::bench::median;
+use crate::camera::{Camera, CameraConfig, CameraError, Outputs, Town, Weather};
+use crate::cpu_time;
+use crate::drive::{Drive, DriveError, DriveOptions, Status};
+use crate::sight;
+use serde::Serialize;
+use serde::ser::{SerializeMap, Serializer};
+use std::time::Instant;
+
+/// Wall time of the parts of a tick, in the order in which they first came.
+///
+/// Serialises as an object: each stage's median (ms). A new part of the loop is a new name.
+#[derive(Clone, Debug, Default)]
+pub struct Stages(Vec<(&'static str, Vec<f64>)>);
+
+impl Stages {
+    /// What `stage` took in one tick (s).
+    pub fn record(&mut self, stage: &'static str, seconds: f64) {
+        let ms = seconds * 1000.0;
+        match self.0.iter_mut().find(|(name, _)| *name == stage) {
+            Some((_, times)) => times.push(ms),
+            None => self.0.push((stage, vec![ms])),
+        }
+    }
+
+    /// Each stage's name and its median (ms), in order.
+    pub fn medians(&self) -> impl Iterator<Item = (&'static str, f64)> + '_ {
+        self.0.iter().map(|(name, times)| (*name, median(times.clone())))
+    }
+}
+
+impl Serialize for Stages {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(Some(self.0.len()))?;
+        for (name, ms) in self.medians() {
+            map.serialize_entry(name, &ms)?;
+        }
+        map.end()
+    }
+}
+
+/// What to measure.
+#[derive(Clone, Debug)]
+pub struct TickBenchOptions {
+    pub drive: DriveOptions,
+    pub camera: CameraConfig,
+    pub weather: Weather,
+    pub outputs: Outputs,
+    /// Ticks that are driven first and not measured.
+    pub warm_up: u64,
+}
+
+/// Why a measurement failed.
+#[derive(Debug, thiserror::Error)]
+pub enum TickBenchError {
+    #[error(transparent)]
+    Drive(#[from] DriveError),
+    #[error(transparent)]
+    Camera(#[from] CameraError),
+}
+
+/// A measurement under way.
+pub struct TickBench {
+    drive: Drive,
+    town: Town,
+    camera: Camera,
+    weather: Weather,
+    outputs: Outputs,
+    warm_up: u64,
+    done: u64,
+    stages: Stages,
+    totals: Vec<f64>,
+    /// Processor time (s), SUMO's and ours, when the measured ticks began and after the last one.
+    cpu: Option<(f64, f64)>,
+}
+
+/// Medians over the measured ticks.
+#[derive(Clone, Debug, Serialize)]
+pub struct TickReport {
+    pub stages: Stages,
+    /// The whole tick (ms): the stages, and the judging and recording that belongs to none.
+    pub total_ms: f64,
+    /// Mean processor time of a tick, SUMO's and ours (ms); other load hardly touches it.
+    pub cpu_ms: Option<f64>,
+    pub ticks: u64,
+}
+
+impl TickBench {
+    /// Starts the drive and builds the town.
+    ///
+    /// # Errors
+    /// A camera that cannot be, bad input, SUMO fails.
+    pub async fn start(options: TickBenchOptions) -> Result<Self, TickBenchError> {
+        let camera = Camera::new(options.camera)?;
+        let seed = options.drive.bridge.seed;
+        let drive = Drive::start(options.drive).await?;
+        let town = sight::town(drive.bridge(), seed);
+        Ok(Self {
+            drive,
+            town,
+            camera,
+            weather: options.weather,
+            outputs: options.outputs,
+            warm_up: options.warm_up,
+            done: 0,
+            stages: Stages::default(),
+            totals: Vec::new(),
+            cpu: None,
+        })
+    }
+
+    /// Ticks done, those of the warm-up included.
+    pub fn ticks_done(&self) -> u64 {
+        self.done
+    }
+
+    /// One tick of the loop, measured after the warm-up.
+    ///
+    /// # Errors
+    /// SUMO fails.
+    pub async fn tick(&mut self) -> Result<Status, TickBenchError> {
+        let measured = self.done >= self.warm_up;
+        if measured && self.cpu.is_none() {
+            self.cpu = self.cpu_seconds().map(|now| (now, now));
+        }
+        let before = self.drive.timings();
+        let clock = Instant::now();
+        let status = self.drive.tick().await?;
+        let driven = clock.elapsed();
+        sight::follow(&mut self.town, self.drive.ego());
+        let pose = self.drive.ego().state().pose;
+        self.camera.render(self.town.scene(), self.town.actors(), &pose, &self.weather, self.outputs);
+        let total = clock.elapsed();
+        self.done += 1;
+        if measured {
+            let after = self.drive.timings();
+            let sumo = after.sumo - before.sumo;
+            self.stages.record("sumo", sumo);
+            self.stages.record("decode", after.bridge - before.bridge - sumo);
+            self.stages.record("physics", after.physics - before.physics);
+            self.stages.record("camera", (total - driven).as_secs_f64());
+            self.stages.record("act", after.agent - before.agent);
+            self.totals.push(total.as_secs_f64() * 1000.0);
+            let now = self.cpu_seconds();
+            self.cpu = self.cpu.zip(now).map(|((began, _), now)| (began, now));
+        }
+        Ok(status)
+    }
+
+    fn cpu_seconds(&self) -> Option<f64> {
+        let sumo = self.drive.bridge().sumo_pid().and_then(cpu_time::of_process);
+        sumo.zip(cpu_time::of_thread()).map(|(sumo, ours)| sumo + ours)
+    }
+
+    /// The figures so far; None before the first measured tick.
+    pub fn report(&self) -> Option<TickReport> {
+        let ticks = self.totals.len() as u64;
+        (ticks > 0).then(|| TickReport {
+            stages: self.stages.clone(),
+            total_ms: median(self.totals.clone()),
+            cpu_ms: self.cpu.map(|(began, now)| 1000.0 * (now - began) / ticks as f64),
+            ticks,
+        })
+    }
+
+    /// Ends SUMO.
+    ///
+    /// # Errors
+    /// The run folder cannot be written.
+    pub async fn finish(self) -> Result<(), TickBenchError> {
+        self.drive.finish("survived", false).await?;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stages_keep_their_order_and_give_medians_in_milliseconds() {
+        let mut stages = Stages::default();
+        for seconds in [0.003, 0.001, 0.002] {
+            stages.record("sumo", seconds);
+            stages.record("decode", 10.0 * seconds);
+        }
+        stages.record("camera", 0.5);
+        let text = serde_json::to_string(&stages).unwrap();
+        assert_eq!(text, r#"{"sumo":2.0,"decode":20.0,"camera":500.0}"#);
+    }
+}

@@ -1,0 +1,134 @@
+//! `wad-cosim bench tick`: what a tick costs, stage by stage.
+
+use super::{Exit, print, run};
+use anyhow::Context;
+use clap::ValueEnum;
+use indicatif::{ProgressBar, ProgressDrawTarget};
+use wad_cosim::bench_tick::{TickBench, TickBenchError, TickBenchOptions, TickReport};
+use wad_cosim::bridge::BridgeOptions;
+use wad_cosim::bundled;
+use wad_cosim::camera::{CameraConfig, Outputs, Preset, Weather};
+use wad_cosim::drive::DriveOptions;
+use wad_cosim::traffic::TrafficSpec;
+
+const EXAMPLES: &str = "\
+Examples:
+  wad-cosim bench tick
+  wad-cosim bench tick town3 --traffic 100,250 --weather HardRainNoon --json
+  wad-cosim bench tick my.sumocfg --traffic as-is --outputs all";
+
+/// A tick of the whole loop: autopilot, physics, SUMO, decoding, camera.
+#[derive(clap::Args, Debug)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// Config or bundled town.
+    #[arg(default_value = "town5")]
+    config: String,
+    /// Background traffic: as-is, empty, regular, dense, or VEHICLES,PEDESTRIANS.
+    #[arg(long, default_value = "70,100", value_name = "T")]
+    traffic: TrafficSpec,
+    /// The camera's weather.
+    #[arg(long, default_value = "ClearNoon", value_name = "NAME")]
+    weather: Preset,
+    /// The camera's size in pixels.
+    #[arg(long, default_value = "512x512", value_name = "WxH", value_parser = super::snapshot::size)]
+    size: (usize, usize),
+    /// What the camera makes.
+    #[arg(long, value_enum, default_value_t = Made::Rgb)]
+    outputs: Made,
+    /// Ticks that are measured.
+    #[arg(long, default_value_t = 600)]
+    ticks: u64,
+    /// Ticks that are driven first.
+    #[arg(long, default_value_t = 120)]
+    warm_up: u64,
+    /// Seed of the traffic.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Print one JSON object as the last line of stdout; everything else goes to stderr.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Made {
+    /// The picture.
+    Rgb,
+    /// The picture with depth, semantic labels, instances and boxes.
+    All,
+}
+
+/// Runs the command.
+pub async fn run(args: Args) -> anyhow::Result<Exit> {
+    let config = bundled::resolve(&args.config).map_err(|e| Exit::Input.because(e))?;
+    let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
+    let options = TickBenchOptions {
+        drive: DriveOptions {
+            bridge: BridgeOptions {
+                seed: args.seed,
+                traffic: args.traffic,
+                ..BridgeOptions::new(config, scratch.path().join("sumo"))
+            },
+            route: None,
+            ego: Default::default(),
+            autopilot: Default::default(),
+            criteria: Default::default(),
+            out: scratch.path().join("run"),
+        },
+        camera: CameraConfig::sized(args.size.0, args.size.1),
+        weather: Weather::from(args.weather),
+        outputs: match args.outputs {
+            Made::Rgb => Outputs::RGB,
+            Made::All => Outputs::ALL,
+        },
+        warm_up: args.warm_up,
+    };
+    let mut interrupt = run::Interrupt::listen()?;
+    let mut bench = TickBench::start(options).await.map_err(with_exit)?;
+    let ticks = args.warm_up + args.ticks.max(1);
+    // Hidden where stderr is no terminal.
+    let bar = ProgressBar::with_draw_target(Some(ticks), ProgressDrawTarget::stderr_with_hz(4));
+    let mut interrupted = false;
+    while bench.ticks_done() < ticks {
+        tokio::select! {
+            biased;
+            () = interrupt.wait() => { interrupted = true; break; }
+            ticked = bench.tick() => { ticked.map_err(with_exit)?; }
+        }
+        if bench.ticks_done() % 60 == 0 {
+            bar.set_position(bench.ticks_done());
+        }
+    }
+    bar.finish_and_clear();
+    let report = bench.report();
+    bench.finish().await.map_err(with_exit)?;
+    match &report {
+        Some(report) => show(report, args.json)?,
+        None => eprintln!("interrupted before the first measured tick"),
+    }
+    Ok(if interrupted { Exit::Interrupted } else { Exit::Done })
+}
+
+fn with_exit(error: TickBenchError) -> anyhow::Error {
+    match error {
+        TickBenchError::Drive(error) => run::with_exit(error),
+        TickBenchError::Camera(error) => Exit::Input.because(error),
+    }
+}
+
+fn show(report: &TickReport, json: bool) -> anyhow::Result<()> {
+    let mut text = String::new();
+    for (name, ms) in report.stages.medians() {
+        text += &format!("{name:>8} {ms:>8.3} ms\n");
+    }
+    text += &format!("{:>8} {:>8.3} ms, median of {} ticks", "total", report.total_ms, report.ticks);
+    if let Some(cpu) = report.cpu_ms {
+        text += &format!("; {cpu:.3} ms of processor time on average");
+    }
+    text.push('\n');
+    if !json {
+        return print(&text);
+    }
+    eprint!("{text}");
+    print(&format!("{}\n", serde_json::to_string(report).context("cannot write the figures as JSON")?))
+}

@@ -1,0 +1,213 @@
+//! `wad-cosim dataset`: training data from the autopilot's drives.
+
+use super::progress::Bar;
+use super::{Exit, print};
+use anyhow::Context;
+use clap::{Subcommand, ValueHint};
+use std::path::PathBuf;
+use std::time::Duration;
+use wad_cosim::bridge::BridgeError;
+use wad_cosim::camera::Preset;
+use wad_cosim::dataset::{
+    CollectOptions, Collected, Dataset, DatasetError, NoiseParams, Progress, Role, TRAINING_WEATHERS, collect,
+};
+
+/// Training data from the autopilot's drives.
+#[derive(clap::Args, Debug)]
+pub struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand, Debug)]
+enum Command {
+    /// Drive under the autopilot with disturbances, and keep what the camera sees.
+    Collect(CollectArgs),
+    /// Say what a dataset holds, and check that it can be read.
+    Info(InfoArgs),
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  wad-cosim dataset collect --town town3 --frames 150000 --out data/town3 --jobs 2   (the paper's 100k + 50k)
+  wad-cosim dataset collect --town town5 --frames 2000 --out data/town5              (for measuring only)
+  wad-cosim dataset collect --frames 20000 --camera --out data/detector              (pictures for a detector)
+
+Given again, the same command goes on where it stopped. Frames of town5 are test data: `train` refuses them.";
+
+#[derive(clap::Args, Debug)]
+#[command(after_help = EXAMPLES)]
+pub struct CollectArgs {
+    /// A bundled town, a .sumocfg or a .net.xml.
+    #[arg(long, default_value = "town3", value_hint = ValueHint::FilePath)]
+    town: String,
+    /// How many frames.
+    #[arg(long, value_name = "N", default_value_t = 150_000)]
+    frames: usize,
+    /// Folder for the dataset.
+    #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
+    out: PathBuf,
+    /// SUMOs at once; each takes one core.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    jobs: usize,
+    /// Everything random derives from it.
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    seed: u64,
+    /// Weathers, in turn [default: ClearNoon, CloudyNoon, SoftRainNoon].
+    #[arg(long, value_name = "NAME", value_delimiter = ',')]
+    weather: Vec<Preset>,
+    /// Keep the 512x512 pictures too, for training detectors.
+    #[arg(long)]
+    camera: bool,
+    /// Simulation seconds between frames.
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.5)]
+    every: f64,
+    /// Mean seconds between disturbances of the autopilot's hand; 0: none.
+    #[arg(long, value_name = "SECONDS", default_value_t = NoiseParams::default().pause)]
+    noise_pause: f64,
+    /// Frames per shard [default: a twentieth of all, at most 500].
+    #[arg(long, value_name = "N")]
+    per_shard: Option<usize>,
+    /// Stop after this wall time, and be content with what there is.
+    #[arg(long, value_name = "MINUTES")]
+    max_minutes: Option<f64>,
+    /// Print the result as one JSON line on stdout.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(clap::Args, Debug)]
+pub struct InfoArgs {
+    /// The dataset's folder.
+    #[arg(value_hint = ValueHint::DirPath)]
+    folder: PathBuf,
+}
+
+/// Runs the command.
+pub fn run(args: Args) -> anyhow::Result<Exit> {
+    match args.command {
+        Command::Collect(args) => run_collect(&args),
+        Command::Info(args) => info(&args),
+    }
+}
+
+/// The exit code that belongs to a dataset's error.
+pub fn with_exit(error: DatasetError) -> anyhow::Error {
+    let exit = match &error {
+        DatasetError::Bridge(bridge) if bridge.is_input() => Exit::Input,
+        DatasetError::Bridge(BridgeError::Folder { .. })
+        | DatasetError::Io { .. }
+        | DatasetError::DiskFull { .. }
+        | DatasetError::System { .. } => Exit::Other,
+        DatasetError::Bridge(_) => Exit::Sumo,
+        _ => Exit::Input,
+    };
+    exit.because(error)
+}
+
+/// `--max-minutes` as a time.
+pub fn minutes(minutes: Option<f64>) -> anyhow::Result<Option<Duration>> {
+    minutes
+        .map(|m| Duration::try_from_secs_f64(60.0 * m))
+        .transpose()
+        .map_err(|_| Exit::Input.because(anyhow::anyhow!("--max-minutes must be 0 or more")))
+}
+
+fn run_collect(args: &CollectArgs) -> anyhow::Result<Exit> {
+    let wrong = |text: &str| Err(Exit::Input.because(anyhow::anyhow!("{text}")));
+    if args.frames == 0 {
+        return wrong("--frames must be 1 or more");
+    }
+    if !(args.every > 0.0 && args.noise_pause >= 0.0) {
+        return wrong("--every must be more than 0 seconds, --noise-pause 0 or more");
+    }
+    let mut options = CollectOptions::new(&args.town, args.frames, &args.out);
+    options.seed = args.seed;
+    options.camera = args.camera;
+    options.every = args.every;
+    options.noise.pause = args.noise_pause;
+    options.jobs = args.jobs.max(1);
+    options.per_segment = args.per_shard.unwrap_or(options.per_segment).max(1);
+    options.time_limit = minutes(args.max_minutes)?;
+    if !args.weather.is_empty() {
+        options.weathers.clone_from(&args.weather);
+    }
+    if options.weathers.iter().any(|w| !TRAINING_WEATHERS.contains(w)) && !args.town.contains("town5") {
+        tracing::warn!("weathers beyond the three training ones: what is trained on this has seen them");
+    }
+    let interrupt = wad_cosim::interrupt::flag().context("cannot listen for Ctrl-C")?;
+    let bar = Bar::new(args.frames as u64, "frames");
+    let result = collect(&options, &interrupt, |Progress { frames, .. }| bar.show(frames as u64, ""));
+    bar.clear();
+    let collected = result.map_err(with_exit)?;
+    report(&collected, args.json)?;
+    Ok(if collected.interrupted { Exit::Interrupted } else { Exit::Done })
+}
+
+fn report(c: &Collected, json: bool) -> anyhow::Result<()> {
+    let text = format!(
+        "{}: {} frames in {} shards, {:.1} MB ({} frames in {:.0} s, {:.1} frames/s)\n{}",
+        c.out.display(),
+        c.frames,
+        c.shards,
+        c.bytes as f64 / 1e6,
+        c.frames - c.frames_before.min(c.frames),
+        c.wall_seconds,
+        c.frames_per_second,
+        match (c.interrupted, c.complete) {
+            (true, _) => "interrupted; the same command goes on from here\n",
+            (_, false) => "the time was over; the same command goes on from here\n",
+            _ => "",
+        }
+    );
+    if json {
+        eprint!("{text}");
+        print(&format!("{}\n", serde_json::to_string(c).context("cannot write the result as JSON")?))
+    } else {
+        print(&text)
+    }
+}
+
+fn info(args: &InfoArgs) -> anyhow::Result<Exit> {
+    let dataset = Dataset::open(&args.folder, true).map_err(with_exit)?;
+    let m = &dataset.manifest;
+    let (mut red, mut lead, mut pedestrian, mut disturbed, mut boxes, mut frames) = (0, 0, 0, 0, 0, 0);
+    for shard in 0..dataset.shards.len() {
+        let mut reader = dataset.reader(shard).map_err(with_exit)?;
+        while let Some(frame) = reader.next_frame().map_err(with_exit)? {
+            let r = &frame.record;
+            frames += 1;
+            red += usize::from(r.labels.red);
+            lead += usize::from(r.labels.lead.is_some_and(|gap| gap < 20.0));
+            pedestrian += usize::from(r.labels.pedestrian.is_some_and(|gap| gap < 15.0));
+            disturbed += usize::from(r.disturbed);
+            boxes += r.boxes.len();
+        }
+    }
+    let share = |n: usize| 100.0 * n as f64 / frames.max(1) as f64;
+    let role = match m.role {
+        Role::Training => "training data",
+        Role::Test => "test data",
+    };
+    print(&format!(
+        "{}: {role}, {frames} of {} frames in {} shards ({} torn), {:?}\n\
+         town {}, seed {}, weathers {}, camera pictures {}\n\
+         boxes {:.1} a frame; red light {:.1} %, lead within 20 m {:.1} %, pedestrian within 15 m {:.1} %, \
+         disturbed {:.1} %\n",
+        args.folder.display(),
+        m.frames_wanted,
+        dataset.shards.len(),
+        dataset.torn.len(),
+        m.state,
+        m.town,
+        m.seed,
+        m.weathers.iter().map(|w| w.name()).collect::<Vec<_>>().join(", "),
+        if m.keeps_camera { "kept" } else { "not kept" },
+        boxes as f64 / frames.max(1) as f64,
+        share(red),
+        share(lead),
+        share(pedestrian),
+        share(disturbed),
+    ))?;
+    Ok(Exit::Done)
+}

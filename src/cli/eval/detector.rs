@@ -1,0 +1,253 @@
+//! `wad-cosim eval detector`: recall, false alarms and average precision on frames of a town.
+
+use crate::cli::Exit;
+use crate::cli::{print, run};
+use anyhow::Context;
+use clap::ValueHint;
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
+use std::fmt::Write as _;
+use std::io::IsTerminal;
+use std::path::PathBuf;
+use std::time::Instant;
+use wad_cosim::bridge::BridgeOptions;
+use wad_cosim::bundled;
+use wad_cosim::camera::{Camera, CameraConfig, Outputs, Picture, Preset, Weather};
+use wad_cosim::drive::DriveOptions;
+use wad_cosim::perception::score::{
+    BELIEVED, FALSE_ALARM_GOAL, GROUPS, Precision, Realism, View, precision, realism,
+};
+use wad_cosim::perception::{DETECTORS, Detection, Detector, Tour, detector};
+use wad_cosim::traffic::TrafficSpec;
+
+const EXAMPLES: &str = "\
+Examples:
+  wad-cosim eval detector --detector onnx:$(scripts/fetch-detector)
+  wad-cosim eval detector --detector onnx --frames 500 --weather ClearNoon --json
+  wad-cosim eval detector --detector onnx --frames 28 --pictures boxes/";
+
+/// How well a detector finds what the camera shows.
+#[derive(clap::Args, Debug)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    #[arg(long, value_name = "NAME", help = format!("Which: {DETECTORS}"))]
+    detector: String,
+    /// Where: a .sumocfg, a .net.xml(.gz), a folder with one .sumocfg, or a bundled town.
+    #[arg(long, default_value = "town5", value_name = "CONFIG", value_hint = ValueHint::FilePath)]
+    town: String,
+    /// How many frames.
+    #[arg(long, value_name = "N", default_value_t = 200)]
+    frames: usize,
+    /// The weathers, frame by frame in turn [default: all 14].
+    #[arg(long, value_name = "NAME", value_delimiter = ',')]
+    weather: Vec<Preset>,
+    /// Background traffic: as-is, empty, regular, dense, or VEHICLES,PEDESTRIANS.
+    #[arg(long, default_value = "dense", value_name = "T")]
+    traffic: TrafficSpec,
+    /// Everything random derives from it.
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    seed: u64,
+    /// Lowest score that average precision looks at.
+    #[arg(long, value_name = "SCORE", default_value_t = 0.05)]
+    min_score: f32,
+    /// Write the frames here as PNG: truth in white, hits green, false alarms red.
+    #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
+    pictures: Option<PathBuf>,
+    /// Print one JSON object as the last line of stdout; everything else goes to stderr.
+    #[arg(long)]
+    json: bool,
+}
+
+/// The last line of `--json`.
+#[derive(Serialize)]
+struct Report {
+    detector: String,
+    town: String,
+    seed: u64,
+    frames: usize,
+    interrupted: bool,
+    /// Wall time of a detection (median, ms).
+    detect_ms: f64,
+    realism: Realism,
+    realism_by_weather: Vec<(Preset, Realism)>,
+    precision: Vec<Precision>,
+    precision_by_weather: Vec<(Preset, Vec<Precision>)>,
+}
+
+/// Runs the command.
+pub fn run(args: Args) -> anyhow::Result<Exit> {
+    let config = bundled::resolve(&args.town).map_err(|e| Exit::Input.because(e))?;
+    let mut detector = detector(&args.detector, args.min_score).map_err(|e| Exit::Input.because(e))?;
+    let weathers = if args.weather.is_empty() { Preset::ALL.to_vec() } else { args.weather.clone() };
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .context("cannot start the asynchronous runtime")?;
+    let mut times = Vec::new();
+    let (views, interrupted) =
+        runtime.block_on(look(&args, config, &weathers, detector.as_mut(), &mut times))?;
+    times.sort_by(f64::total_cmp);
+    let of = |weather: Preset| views.iter().filter(move |v| v.weather == weather);
+    let report = Report {
+        detector: detector.name().to_string(),
+        town: args.town.clone(),
+        seed: args.seed,
+        frames: views.len(),
+        interrupted,
+        detect_ms: times.get(times.len() / 2).copied().unwrap_or(f64::NAN),
+        realism: realism(&views),
+        realism_by_weather: weathers.iter().map(|&w| (w, realism(of(w)))).collect(),
+        precision: precision(&views.iter().collect::<Vec<_>>()),
+        precision_by_weather: weathers.iter().map(|&w| (w, precision(&of(w).collect::<Vec<_>>()))).collect(),
+    };
+    let text = text(&report);
+    if args.json {
+        eprint!("{text}");
+        print(&format!("{}\n", serde_json::to_string(&report).context("cannot write the report as JSON")?))?;
+    } else {
+        print(&text)?;
+    }
+    Ok(if interrupted { Exit::Interrupted } else { Exit::Done })
+}
+
+/// The frames, and whether someone stopped it.
+async fn look(
+    args: &Args,
+    config: PathBuf,
+    weathers: &[Preset],
+    detector: &mut dyn Detector,
+    times: &mut Vec<f64>,
+) -> anyhow::Result<(Vec<View>, bool)> {
+    let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
+    let mut interrupt = run::Interrupt::listen()?;
+    let options = DriveOptions {
+        bridge: BridgeOptions {
+            seed: args.seed,
+            traffic: args.traffic,
+            ..BridgeOptions::new(config, scratch.path().join("sumo"))
+        },
+        route: None,
+        ego: Default::default(),
+        autopilot: Default::default(),
+        criteria: Default::default(),
+        out: scratch.path().join("run"),
+    };
+    let mut tour = Tour::start(options, args.seed).await.map_err(run::with_exit)?;
+    let mut camera = Camera::new(CameraConfig::default()).map_err(|e| Exit::Input.because(e))?;
+    let outputs = Outputs { boxes: true, ..Outputs::RGB };
+    let bar = progress(args.frames as u64);
+    let (mut views, mut found, mut interrupted) = (Vec::new(), Vec::new(), false);
+    for (n, &preset) in weathers.iter().cycle().take(args.frames).enumerate() {
+        let pose = tokio::select! {
+            biased;
+            () = interrupt.wait() => { interrupted = true; break; }
+            pose = tour.next() => pose.map_err(run::with_exit)?,
+        };
+        let camera_config = *camera.config();
+        let frame =
+            camera.render(tour.town().scene(), tour.town().actors(), &pose, &Weather::from(preset), outputs);
+        let clock = Instant::now();
+        detector.detect(frame, &camera_config, &mut found)?;
+        times.push(clock.elapsed().as_secs_f64() * 1000.0);
+        let view = View::new(preset, frame, &found);
+        if let Some(folder) = &args.pictures {
+            let path = folder.join(format!("{n:04}-{preset}.png"));
+            picture(frame, &view, &found)
+                .save(&path)
+                .map_err(|e| Exit::Input.because(e))
+                .with_context(|| format!("cannot write the picture {}", path.display()))?;
+        }
+        views.push(view);
+        match &bar {
+            Some(bar) => bar.inc(1),
+            None if (n + 1) % 50 == 0 => eprintln!("{} of {} frames", n + 1, args.frames),
+            None => {}
+        }
+    }
+    if let Some(bar) = bar {
+        bar.finish_and_clear();
+    }
+    tour.finish().await.map_err(run::with_exit)?;
+    Ok((views, interrupted))
+}
+
+fn progress(length: u64) -> Option<ProgressBar> {
+    std::io::stderr().is_terminal().then(|| {
+        let style = ProgressStyle::with_template("{bar:30} {pos}/{len} frames, {per_sec}, {eta} left");
+        ProgressBar::new(length).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
+    })
+}
+
+/// The frame with boxes: judged truths white, others grey, believed detections green or red.
+fn picture(frame: &wad_cosim::camera::Frame, view: &View, found: &[Detection]) -> Picture {
+    use wad_cosim::perception::metrics::{Fate, fates};
+    let mut picture = Picture::rgb(frame);
+    let scored = view.by_group();
+    for truth in &scored.truths {
+        let colour = if truth.ignored { [120; 3] } else { [255; 3] };
+        picture.frame(truth.bounds, colour);
+    }
+    let believed: Vec<&Detection> = found.iter().filter(|d| d.score >= BELIEVED).collect();
+    for (detection, fate) in believed.into_iter().zip(fates(&scored, 0.5, |_| true)) {
+        let colour = match fate {
+            Fate::Hit(_) => [40, 230, 60],
+            Fate::Ignored => [60, 140, 255],
+            Fate::False => [255, 50, 40],
+        };
+        picture.frame(detection.bounds, colour);
+    }
+    picture
+}
+
+fn text(report: &Report) -> String {
+    let mut out = format!(
+        "{} on {} frames of {}, {:.1} ms a frame\n\nRecall at a score of {BELIEVED} (hits / truths), and false alarms per frame\n",
+        report.detector, report.frames, report.town, report.detect_ms
+    );
+    let header: Vec<String> =
+        GROUPS.iter().map(|g| format!("{} >= {} px", g.name, g.height)).chain(["false".into()]).collect();
+    let _ = writeln!(out, "| weather | {} |\n|---{}|", header.join(" | "), "|---".repeat(header.len()));
+    let all = ("all".to_string(), &report.realism);
+    for (name, score) in report.realism_by_weather.iter().map(|(w, s)| (w.to_string(), s)).chain([all]) {
+        let cells = GROUPS.iter().map(|g| {
+            score.groups.get(g.name).map_or_else(String::new, |s| match s.recall {
+                Some(recall) => format!("{recall:.2} ({}/{})", s.hits, s.truths),
+                None => "-".to_string(),
+            })
+        });
+        let cells: Vec<String> = cells.chain([format!("{:.2}", score.false_alarms_per_frame)]).collect();
+        let _ = writeln!(out, "| {name} | {} |", cells.join(" | "));
+    }
+    let goals = GROUPS.iter().map(|g| g.goal.map_or("-".to_string(), |goal| format!("{goal:.2}")));
+    let goals: Vec<String> = goals.chain([format!("< {FALSE_ALARM_GOAL:.0}")]).collect();
+    let _ = writeln!(out, "| goal | {} |\n", goals.join(" | "));
+
+    let cell = |v: Option<f64>| v.map_or("-".to_string(), |v| format!("{v:.3}"));
+    out += "Average precision of boxes 24 px high or more, and of 12 to 24 px\n";
+    out += "| class | truths | AP@0.5 | AP@[.5:.95] | truths 12-24 | AP@0.5 12-24 |\n|---|---|---|---|---|---|\n";
+    for row in &report.precision {
+        let _ = writeln!(
+            out,
+            "| {} | {} | {} | {} | {} | {} |",
+            row.class,
+            row.truths,
+            cell(row.ap50),
+            cell(row.ap),
+            row.truths_small,
+            cell(row.ap50_small)
+        );
+    }
+    out += "\nmAP by weather\n| weather | mAP@0.5 | mAP@[.5:.95] | mAP@0.5 12-24 |\n|---|---|---|---|\n";
+    for (weather, rows) in &report.precision_by_weather {
+        if let Some(all) = rows.last() {
+            let _ = writeln!(
+                out,
+                "| {weather} | {} | {} | {} |",
+                cell(all.ap50),
+                cell(all.ap),
+                cell(all.ap50_small)
+            );
+        }
+    }
+    out
+}

@@ -1,0 +1,219 @@
+//! `wad-cosim train encoder`.
+
+use crate::cli::progress::Bar;
+use crate::cli::{Exit, dataset, print};
+use anyhow::Context;
+use clap::{ValueEnum, ValueHint};
+use std::path::PathBuf;
+use wad_cosim::latent::weights::WeightsError;
+use wad_cosim::train::encoder::{Progress, TrainError, TrainOptions, Trained, train};
+use wad_cosim::train::images::ImagesError;
+
+const EXAMPLES: &str = "\
+Examples:
+  wad-cosim dataset collect --frames 20000 --out data/town3 --jobs 2
+  wad-cosim train encoder --data data/town3 --out runs/encoder --epochs 30
+  wad-cosim train encoder --data data/town3 --out runs/encoder --epochs 60 --resume
+  wad-cosim train encoder --data data/town3 --out runs/gpu --device cuda --batch 256 --max-minutes 8
+
+The best network by validation is DIR/encoder.safetensors; losses are in DIR/metrics.jsonl and for TensorBoard.";
+
+/// Train the encoder-decoder on the transformed images of a dataset.
+#[derive(clap::Args, Debug)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// The dataset's folder (`wad-cosim dataset collect`).
+    #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
+    data: PathBuf,
+    /// Folder for weights, checkpoint and losses.
+    #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
+    out: PathBuf,
+    /// Walks through the data.
+    #[arg(long, value_name = "N", default_value_t = 50)]
+    epochs: u64,
+    /// Images to a step.
+    #[arg(long, value_name = "N", default_value_t = 128)]
+    batch: usize,
+    /// Most steps to an epoch; validation comes after each.
+    #[arg(long, value_name = "N", default_value_t = 600)]
+    epoch_steps: usize,
+    /// Where to compute.
+    #[arg(long, value_enum, default_value_t = Device::Cpu)]
+    device: Device,
+    /// Adam's learning rate; the paper's is 1e-4.
+    #[arg(long, value_name = "X", default_value_t = 1e-4)]
+    learning_rate: f64,
+    /// Over this last share of the training the learning rate falls to 0.
+    #[arg(long, value_name = "SHARE", default_value_t = 0.3)]
+    decay: f64,
+    /// L2 regularization.
+    #[arg(long, value_name = "X", default_value_t = 1e-5)]
+    weight_decay: f64,
+    /// Share of channels left out after the second and the fifth layer.
+    #[arg(long, value_name = "SHARE", default_value_t = 0.1)]
+    dropout: f64,
+    /// Weight of a variational encoder's divergence; 0: not variational.
+    #[arg(long, value_name = "B", default_value_t = 0.0)]
+    beta: f64,
+    /// How much more painted pixels (blue, green, red) count.
+    #[arg(long, value_name = "W", default_value_t = 4.0)]
+    paint_weight: f64,
+    /// How much more of that small painted objects count.
+    #[arg(long, value_name = "W", default_value_t = 4.0)]
+    small_weight: f64,
+    /// Leave the light of the training images as it is.
+    #[arg(long)]
+    no_augment: bool,
+    /// Everything random derives from it.
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    seed: u64,
+    /// Threads of libtorch on the processor.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    threads: i32,
+    /// Images kept in memory (GB); more take turns [default: 6 on the processor, 40 on a GPU].
+    #[arg(long, value_name = "GB")]
+    resident_gb: Option<f64>,
+    /// Go on with the training in --out.
+    #[arg(long)]
+    resume: bool,
+    /// Use a dataset that was not collected to its end.
+    #[arg(long)]
+    partial: bool,
+    /// End after this wall time.
+    #[arg(long, value_name = "MINUTES")]
+    max_minutes: Option<f64>,
+    /// Print the result as one JSON line on stdout.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
+pub enum Device {
+    Cpu,
+    Cuda,
+}
+
+impl Device {
+    /// As libtorch has it.
+    ///
+    /// # Errors
+    /// This machine or this libtorch has no GPU.
+    pub fn open(self) -> anyhow::Result<tch::Device> {
+        match self {
+            Self::Cpu => Ok(tch::Device::Cpu),
+            Self::Cuda if tch::Cuda::is_available() => {
+                tch::Cuda::cudnn_set_benchmark(true);
+                Ok(tch::Device::Cuda(0))
+            }
+            Self::Cuda => Err(Exit::Input.because(anyhow::anyhow!(
+                "--device cuda: libtorch finds no GPU here; use --device cpu, or a libtorch built for CUDA on a \
+                 machine with one"
+            ))),
+        }
+    }
+}
+
+/// Runs the command.
+pub fn run(args: Args) -> anyhow::Result<Exit> {
+    tch::set_num_threads(args.threads.max(1));
+    let device = args.device.open()?;
+    let options = options(&args)?;
+    let interrupt = wad_cosim::interrupt::flag().context("cannot listen for Ctrl-C")?;
+    let bar = Bar::new(0, "steps");
+    let result = train(&options, device, args.resume, &interrupt, |progress| show(&bar, progress));
+    bar.clear();
+    let trained = result.map_err(with_exit)?;
+    report(&trained, args.json)?;
+    Ok(if trained.interrupted { Exit::Interrupted } else { Exit::Done })
+}
+
+fn options(args: &Args) -> anyhow::Result<TrainOptions> {
+    let sane = args.epochs > 0
+        && args.batch > 0
+        && args.learning_rate > 0.0
+        && (0.0..1.0).contains(&args.dropout)
+        && [args.beta, args.paint_weight, args.small_weight, args.weight_decay, args.decay]
+            .iter()
+            .all(|x| x.is_finite() && *x >= 0.0);
+    if !sane {
+        return Err(Exit::Input.because(anyhow::anyhow!(
+            "--epochs, --batch and --learning-rate must be more than 0, --dropout below 1, the other numbers \
+             0 or more"
+        )));
+    }
+    Ok(TrainOptions {
+        epochs: args.epochs,
+        batch: args.batch,
+        epoch_steps: args.epoch_steps.max(1),
+        learning_rate: args.learning_rate,
+        decay: args.decay,
+        weight_decay: args.weight_decay,
+        dropout: args.dropout,
+        beta: args.beta,
+        paint_weight: args.paint_weight,
+        small_weight: args.small_weight,
+        augment: !args.no_augment,
+        seed: args.seed,
+        partial: args.partial,
+        resident_gb: args.resident_gb.unwrap_or(if args.device == Device::Cuda { 40.0 } else { 6.0 }),
+        time_limit: dataset::minutes(args.max_minutes)?.map(|limit| limit.as_secs_f64()),
+        ..TrainOptions::new(&args.data, &args.out)
+    })
+}
+
+fn show(bar: &Bar, progress: Progress) {
+    bar.set_total(progress.steps);
+    let message = match progress.validation {
+        Some(v) => format!(
+            "epoch {}: validation loss {:.5}, PSNR {:.2} dB, painted IoU {:.3}",
+            progress.epoch + 1,
+            v.loss,
+            v.psnr,
+            v.painted_iou
+        ),
+        None => format!("epoch {}: loss {:.5}", progress.epoch + 1, progress.loss),
+    };
+    if progress.validation.is_some() {
+        bar.say(&message);
+    }
+    bar.show(progress.step, &message);
+}
+
+/// The exit code that belongs to a training's error.
+pub fn with_exit(error: TrainError) -> anyhow::Error {
+    let exit = match &error {
+        TrainError::Dataset(_) | TrainError::Images(ImagesError::Dataset(_)) => Exit::Input,
+        TrainError::Weights(WeightsError::Io { .. } | WeightsError::Torch(_)) => Exit::Other,
+        TrainError::Weights(_)
+        | TrainError::Taken { .. }
+        | TrainError::NothingToResume { .. }
+        | TrainError::Differs { .. } => Exit::Input,
+        _ => Exit::Other,
+    };
+    exit.because(error)
+}
+
+fn report(t: &Trained, json: bool) -> anyhow::Result<()> {
+    let text = format!(
+        "{}: {} epochs, {} steps on {} images in {:.0} s ({:.0} images/s)\n\
+         best after epoch {}: validation loss {:.5}, PSNR {:.2} dB, painted IoU {:.3} on {} images\n{}",
+        t.encoder.display(),
+        t.epochs,
+        t.steps,
+        t.images,
+        t.wall_seconds,
+        t.images_per_second,
+        t.best_epoch,
+        t.best.loss,
+        t.best.psnr,
+        t.best.painted_iou,
+        t.validation_images,
+        if t.interrupted { "interrupted; --resume goes on from the last epoch\n" } else { "" },
+    );
+    if json {
+        eprint!("{text}");
+        print(&format!("{}\n", serde_json::to_string(t).context("cannot write the result as JSON")?))
+    } else {
+        print(&text)
+    }
+}

@@ -1,0 +1,370 @@
+//! The encoder-decoder (paper, section "Latent State Extraction", figure 4).
+//!
+//! Encoder: six convolutions 3x3, stride 2, channels 32 to 512, batch norm and dropout after the second
+//! and the fifth, ReLU; 128x128 becomes 2x2, and one linear layer makes the latent of 200. Decoder: the
+//! latent as a 1x1 picture of 200 channels, seven transposed convolutions 3x3, stride 2, batch norm after
+//! the second and the fifth, ReLU, a sigmoid at the end. L2 regularization is Adam's weight decay.
+//!
+//! The paper gives the ends of the channels, 32 and 512; those between are [`Architecture::default`]'s.
+//!
+//! All parameters lie in one flat tensor, cut into views: one Adam step is a handful of operations over
+//! it, and a checkpoint is three tensors.
+
+use crate::observation::LATENT_SIZE;
+use crate::perception::TRANSFORMED_SIZE;
+use serde::{Deserialize, Serialize};
+use tch::{Device, Kind, TchError, Tensor};
+
+/// What a network is made of.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Architecture {
+    /// Channels after each of the encoder's convolutions.
+    pub encoder: Vec<i64>,
+    /// Channels after each of the decoder's convolutions but the last, which makes 3.
+    pub decoder: Vec<i64>,
+    pub latent: i64,
+    /// The encoder makes a mean and a log variance of each number; the latent is the mean.
+    pub variational: bool,
+    /// Share of channels that dropout leaves out in training.
+    pub dropout: f64,
+}
+
+impl Default for Architecture {
+    fn default() -> Self {
+        Self {
+            encoder: vec![32, 64, 128, 256, 256, 512],
+            decoder: vec![512, 256, 256, 128, 64, 32],
+            latent: LATENT_SIZE as i64,
+            variational: false,
+            dropout: 0.1,
+        }
+    }
+}
+
+/// Batch norm (and, in the encoder, dropout) comes after these layers, counted from 0.
+const NORMED: [usize; 2] = [1, 4];
+/// Batch norm's share of the new batch in the running statistics, and what keeps its root from 0.
+const MOMENTUM: f64 = 0.1;
+const EPSILON: f64 = 1e-5;
+
+/// A named tensor's place among the parameters.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Slot {
+    pub name: String,
+    pub shape: Vec<i64>,
+}
+
+impl Slot {
+    fn new(name: impl Into<String>, shape: &[i64]) -> Self {
+        Self { name: name.into(), shape: shape.to_vec() }
+    }
+
+    /// Numbers in it.
+    pub fn count(&self) -> i64 {
+        self.shape.iter().product()
+    }
+}
+
+impl Architecture {
+    /// Whether the layers bring 128 pixels down to some and a latent back up to 128.
+    pub fn is_possible(&self) -> bool {
+        let side = TRANSFORMED_SIZE;
+        (1..=7).contains(&self.encoder.len())
+            && side >> (self.decoder.len() + 1) == 1
+            && self.latent > 0
+            && self.encoder.iter().chain(&self.decoder).all(|channels| *channels > 0)
+    }
+
+    /// Side of the encoder's last picture.
+    fn last_side(&self) -> i64 {
+        TRANSFORMED_SIZE as i64 >> self.encoder.len()
+    }
+
+    /// All trained tensors in order: weights, which decay, then `decayed` says how many, then the rest.
+    pub fn slots(&self) -> (Vec<Slot>, usize) {
+        let (mut weights, mut rest) = (Vec::new(), Vec::new());
+        let mut channels = 3;
+        for (i, &next) in self.encoder.iter().enumerate() {
+            weights.push(Slot::new(format!("encoder.conv{}.weight", i + 1), &[next, channels, 3, 3]));
+            norm_or_bias(&mut rest, "encoder", i, next);
+            channels = next;
+        }
+        let features = channels * self.last_side() * self.last_side();
+        let outputs = if self.variational { 2 * self.latent } else { self.latent };
+        weights.push(Slot::new("encoder.latent.weight", &[outputs, features]));
+        rest.push(Slot::new("encoder.latent.bias", &[outputs]));
+        let mut channels = self.latent;
+        for (i, &next) in self.decoder.iter().chain(&[3]).enumerate() {
+            weights.push(Slot::new(format!("decoder.conv{}.weight", i + 1), &[channels, next, 3, 3]));
+            norm_or_bias(&mut rest, "decoder", i, next);
+            channels = next;
+        }
+        let decayed = weights.len();
+        weights.extend(rest);
+        (weights, decayed)
+    }
+
+    /// Batch norm's running statistics.
+    pub fn statistics(&self) -> Vec<Slot> {
+        let mut slots = Vec::new();
+        for (part, layers) in [("encoder", &self.encoder), ("decoder", &self.decoder)] {
+            for i in NORMED {
+                if let Some(&channels) = layers.get(i) {
+                    slots.push(Slot::new(format!("{part}.norm{}.mean", i + 1), &[channels]));
+                    slots.push(Slot::new(format!("{part}.norm{}.variance", i + 1), &[channels]));
+                }
+            }
+        }
+        slots
+    }
+}
+
+/// A normed layer's scale and shift, or another's bias.
+fn norm_or_bias(rest: &mut Vec<Slot>, part: &str, layer: usize, channels: i64) {
+    if NORMED.contains(&layer) {
+        rest.push(Slot::new(format!("{part}.norm{}.scale", layer + 1), &[channels]));
+        rest.push(Slot::new(format!("{part}.norm{}.shift", layer + 1), &[channels]));
+    } else {
+        rest.push(Slot::new(format!("{part}.conv{}.bias", layer + 1), &[channels]));
+    }
+}
+
+/// The parameters cut out of the flat tensor, by name.
+pub struct Views {
+    slots: Vec<Slot>,
+    tensors: Vec<Tensor>,
+}
+
+impl Views {
+    fn get(&self, name: &str) -> Result<&Tensor, TchError> {
+        let missing = || TchError::Convert(format!("no tensor `{name}`"));
+        let index = self.slots.iter().position(|slot| slot.name == name).ok_or_else(missing)?;
+        self.tensors.get(index).ok_or_else(missing)
+    }
+}
+
+/// The encoder-decoder with its parameters.
+pub struct Autoencoder {
+    pub architecture: Architecture,
+    /// All parameters, flat, float32.
+    pub theta: Tensor,
+    /// Batch norm's running statistics.
+    pub statistics: Vec<(String, Tensor)>,
+    slots: Vec<Slot>,
+    decayed: i64,
+}
+
+impl Autoencoder {
+    /// With weights drawn from torch's generator (He's normal; biases 0, scales 1).
+    ///
+    /// # Errors
+    /// torch fails, e.g. out of memory.
+    pub fn new(architecture: Architecture, device: Device) -> Result<Self, TchError> {
+        let options = (Kind::Float, device);
+        let (slots, decayed) = architecture.slots();
+        let mut parts = Vec::new();
+        for slot in &slots {
+            let tensor = if slot.name.ends_with(".weight") {
+                // What one output sees: for a transposed convolution of stride 2 a quarter of the kernel.
+                let seen: i64 = match slot.name.starts_with("decoder") {
+                    true => slot.shape[0] * 9 / 4,
+                    false => slot.shape[1..].iter().product(),
+                };
+                let last = slot.name.starts_with("encoder.latent");
+                let gain = if last { 1.0 } else { 2.0 };
+                let deviation = (gain / seen as f64).sqrt();
+                // Drawn on the processor, so that all devices begin alike.
+                let drawn = Tensor::f_randn(slot.shape.as_slice(), (Kind::Float, Device::Cpu))?;
+                drawn.f_mul_scalar(deviation)?.f_to_device(device)?
+            } else if slot.name.ends_with(".scale") {
+                Tensor::f_ones(slot.shape.as_slice(), options)?
+            } else {
+                Tensor::f_zeros(slot.shape.as_slice(), options)?
+            };
+            parts.push(tensor.f_reshape([-1])?);
+        }
+        let theta = Tensor::f_cat(&parts, 0)?;
+        let mut statistics = Vec::new();
+        for slot in architecture.statistics() {
+            let shape = slot.shape.as_slice();
+            let tensor = match slot.name.ends_with(".variance") {
+                true => Tensor::f_ones(shape, options)?,
+                false => Tensor::f_zeros(shape, options)?,
+            };
+            statistics.push((slot.name, tensor));
+        }
+        let decayed = slots[..decayed].iter().map(Slot::count).sum();
+        Ok(Self { architecture, theta, statistics, slots, decayed })
+    }
+
+    /// The first so many numbers of [`Self::theta`] are weights, which decay.
+    pub fn decayed(&self) -> i64 {
+        self.decayed
+    }
+
+    /// Numbers trained.
+    pub fn parameters(&self) -> i64 {
+        self.slots.iter().map(Slot::count).sum()
+    }
+
+    /// The parameters as views into `flat`, which has [`Self::theta`]'s layout; gradients flow through.
+    ///
+    /// # Errors
+    /// `flat` has another length.
+    pub fn views(&self, flat: &Tensor) -> Result<Views, TchError> {
+        let counts: Vec<i64> = self.slots.iter().map(Slot::count).collect();
+        let parts = flat.f_split_with_sizes(counts, 0)?;
+        let tensors = parts
+            .iter()
+            .zip(&self.slots)
+            .map(|(part, slot)| part.f_view(slot.shape.as_slice()))
+            .collect::<Result<_, _>>()?;
+        Ok(Views { slots: self.slots.clone(), tensors })
+    }
+
+    fn statistic(&self, name: &str) -> Result<&Tensor, TchError> {
+        let found = self.statistics.iter().find(|(n, _)| n == name);
+        found.map(|(_, t)| t).ok_or_else(|| TchError::Convert(format!("no tensor `{name}`")))
+    }
+
+    fn normed(
+        &self,
+        views: &Views,
+        part: &str,
+        i: usize,
+        x: &Tensor,
+        train: bool,
+    ) -> Result<Tensor, TchError> {
+        let name = |what: &str| format!("{part}.norm{}.{what}", i + 1);
+        x.f_batch_norm(
+            Some(views.get(&name("scale"))?),
+            Some(views.get(&name("shift"))?),
+            Some(self.statistic(&name("mean"))?),
+            Some(self.statistic(&name("variance"))?),
+            train,
+            MOMENTUM,
+            EPSILON,
+            true,
+        )
+    }
+
+    /// Pictures (n, 3, 128, 128), 0..1, to (n, 200), or (n, 400) of a variational one: means, then log
+    /// variances. Raw: not yet standardised.
+    ///
+    /// # Errors
+    /// torch fails.
+    pub fn encode(&self, views: &Views, pictures: &Tensor, train: bool) -> Result<Tensor, TchError> {
+        let mut x = pictures.shallow_clone();
+        for i in 0..self.architecture.encoder.len() {
+            let normed = NORMED.contains(&i);
+            let bias = match normed {
+                true => None,
+                false => Some(views.get(&format!("encoder.conv{}.bias", i + 1))?),
+            };
+            let weight = views.get(&format!("encoder.conv{}.weight", i + 1))?;
+            x = x.f_conv2d(weight, bias, [2, 2], [1, 1], [1, 1], 1)?;
+            if normed {
+                x = self.normed(views, "encoder", i, &x, train)?;
+            }
+            x = x.f_relu()?;
+            if normed && train && self.architecture.dropout > 0.0 {
+                x = x.f_dropout(self.architecture.dropout, true)?;
+            }
+        }
+        let weight = views.get("encoder.latent.weight")?;
+        x.f_flatten(1, -1)?.f_linear(weight, Some(views.get("encoder.latent.bias")?))
+    }
+
+    /// Raw latents (n, 200) to pictures (n, 3, 128, 128), 0..1, before the sigmoid.
+    ///
+    /// # Errors
+    /// torch fails.
+    pub fn decode_logits(&self, views: &Views, latents: &Tensor, train: bool) -> Result<Tensor, TchError> {
+        let last = self.architecture.decoder.len();
+        let mut x = latents.f_view([-1, self.architecture.latent, 1, 1])?;
+        for i in 0..=last {
+            let normed = NORMED.contains(&i) && i < last;
+            let bias = match normed {
+                true => None,
+                false => Some(views.get(&format!("decoder.conv{}.bias", i + 1))?),
+            };
+            let weight = views.get(&format!("decoder.conv{}.weight", i + 1))?;
+            x = x.f_conv_transpose2d(weight, bias, [2, 2], [1, 1], [1, 1], 1, [1, 1])?;
+            if normed {
+                x = self.normed(views, "decoder", i, &x, train)?;
+            }
+            if i < last {
+                x = x.f_relu()?;
+            }
+        }
+        Ok(x)
+    }
+
+    /// Every tensor by name: parameters and running statistics.
+    ///
+    /// # Errors
+    /// torch fails.
+    pub fn named(&self) -> Result<Vec<(String, Tensor)>, TchError> {
+        let views = self.views(&self.theta.f_detach()?)?;
+        let mut named: Vec<(String, Tensor)> =
+            views.slots.into_iter().map(|slot| slot.name).zip(views.tensors).collect();
+        named.extend(self.statistics.iter().map(|(name, t)| (name.clone(), t.shallow_clone())));
+        Ok(named)
+    }
+
+    /// A network from tensors by name; `find` gives each in the shape asked for.
+    ///
+    /// # Errors
+    /// What `find` says, or torch fails.
+    pub fn from_named<E: From<TchError>>(
+        architecture: Architecture,
+        device: Device,
+        find: impl Fn(&Slot) -> Result<Tensor, E>,
+    ) -> Result<Self, E> {
+        let (slots, decayed) = architecture.slots();
+        let take = |slot: &Slot| -> Result<Tensor, E> {
+            Ok(find(slot)?.f_to_kind(Kind::Float)?.f_to_device(device)?)
+        };
+        let mut parts = Vec::new();
+        for slot in &slots {
+            parts.push(take(slot)?.f_reshape([-1])?);
+        }
+        let theta = Tensor::f_cat(&parts, 0)?;
+        let mut statistics = Vec::new();
+        for slot in architecture.statistics() {
+            let tensor = take(&slot)?;
+            statistics.push((slot.name, tensor));
+        }
+        let decayed = slots[..decayed].iter().map(Slot::count).sum();
+        Ok(Self { architecture, theta, statistics, slots, decayed })
+    }
+
+    /// The encoder's weights with batch norm folded into the convolutions: weight and bias of each layer,
+    /// then of the linear one (means alone).
+    ///
+    /// # Errors
+    /// torch fails.
+    pub fn folded_encoder(&self) -> Result<Vec<(Tensor, Tensor)>, TchError> {
+        let views = self.views(&self.theta.f_detach()?)?;
+        let mut layers = Vec::new();
+        for i in 0..self.architecture.encoder.len() {
+            let weight = views.get(&format!("encoder.conv{}.weight", i + 1))?;
+            if NORMED.contains(&i) {
+                let name = |what: &str| format!("encoder.norm{}.{what}", i + 1);
+                let variance = self.statistic(&name("variance"))?;
+                let factor = views.get(&name("scale"))?.f_div(&variance.f_add_scalar(EPSILON)?.f_sqrt()?)?;
+                let mean = self.statistic(&name("mean"))?;
+                let bias = views.get(&name("shift"))?.f_sub(&mean.f_mul(&factor)?)?;
+                layers.push((weight.f_mul(&factor.f_view([-1, 1, 1, 1])?)?, bias));
+            } else {
+                let bias = views.get(&format!("encoder.conv{}.bias", i + 1))?;
+                layers.push((weight.shallow_clone(), bias.shallow_clone()));
+            }
+        }
+        let latent = self.architecture.latent;
+        let weight = views.get("encoder.latent.weight")?.f_narrow(0, 0, latent)?;
+        let bias = views.get("encoder.latent.bias")?.f_narrow(0, 0, latent)?;
+        layers.push((weight, bias));
+        Ok(layers)
+    }
+}

@@ -1,0 +1,147 @@
+//! Weights files: safetensors, half precision, with what made them as metadata.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use tch::{Kind, TchError, Tensor};
+
+/// Why weights cannot be read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum WeightsError {
+    #[error("could not {what} `{}`: {source}", path.display())]
+    Io { what: &'static str, path: PathBuf, source: std::io::Error },
+    #[error("`{}` is no weights file: {why}; expected safetensors as `wad-cosim train` writes them", path.display())]
+    Format { path: PathBuf, why: String },
+    #[error("`{}`: no tensor `{name}`, expected one of shape {expected:?}; the weights are of another network", path.display())]
+    Missing { path: PathBuf, name: String, expected: Vec<i64> },
+    #[error(
+        "`{}`: tensor `{name}` has shape {found:?}, expected {expected:?}; the weights are of another network",
+        path.display()
+    )]
+    Shape { path: PathBuf, name: String, expected: Vec<i64>, found: Vec<i64> },
+    #[error(
+        "`{}` is of {found}, expected {expected}; train again, or name weights that fit",
+        path.display()
+    )]
+    Mismatch { path: PathBuf, found: String, expected: String },
+    #[error("libtorch: {0}")]
+    Torch(#[from] TchError),
+}
+
+/// Named tensors and metadata.
+#[derive(Debug)]
+pub struct Weights {
+    /// Where they came from, for messages.
+    pub path: PathBuf,
+    pub tensors: Vec<(String, Tensor)>,
+    pub metadata: HashMap<String, String>,
+}
+
+impl Weights {
+    /// From a file's bytes; `path` is for messages.
+    ///
+    /// # Errors
+    /// They are no safetensors.
+    pub fn parse(path: &Path, bytes: &[u8]) -> Result<Self, WeightsError> {
+        let format =
+            |e: &dyn std::fmt::Display| WeightsError::Format { path: path.to_path_buf(), why: e.to_string() };
+        let file = safetensors::SafeTensors::deserialize(bytes).map_err(|e| format(&format!("{e:?}")))?;
+        let (_, header) =
+            safetensors::SafeTensors::read_metadata(bytes).map_err(|e| format(&format!("{e:?}")))?;
+        let mut tensors = Vec::new();
+        for (name, view) in file.tensors() {
+            tensors.push((name, Tensor::try_from(view)?));
+        }
+        let metadata = header.metadata().clone().unwrap_or_default();
+        Ok(Self { path: path.to_path_buf(), tensors, metadata })
+    }
+
+    /// From a file.
+    ///
+    /// # Errors
+    /// The file cannot be read, or is no safetensors.
+    pub fn load(path: &Path) -> Result<Self, WeightsError> {
+        let io = |source| WeightsError::Io { what: "read", path: path.to_path_buf(), source };
+        Self::parse(path, &std::fs::read(path).map_err(io)?)
+    }
+
+    /// Writes the file beside its place and moves it there.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn save(&self, path: &Path) -> Result<(), WeightsError> {
+        let mut bytes = Vec::new();
+        for (name, tensor) in &self.tensors {
+            bytes.push((name.as_str(), tensor.kind(), tensor.size(), raw(tensor)?));
+        }
+        let mut views = Vec::new();
+        for (name, kind, size, data) in &bytes {
+            let shape = size.iter().map(|&n| n as usize).collect();
+            let view = safetensors::tensor::TensorView::new((*kind).try_into()?, shape, data)
+                .map_err(|e| WeightsError::Format { path: path.to_path_buf(), why: format!("{e:?}") })?;
+            views.push((*name, view));
+        }
+        let file = safetensors::serialize(views, &Some(self.metadata.clone()))
+            .map_err(|e| WeightsError::Format { path: path.to_path_buf(), why: format!("{e:?}") })?;
+        let staging = path.with_extension("safetensors.tmp");
+        let io = |source| WeightsError::Io { what: "write", path: path.to_path_buf(), source };
+        std::fs::write(&staging, file).and_then(|()| std::fs::rename(&staging, path)).map_err(io)
+    }
+
+    /// The tensor of a name and shape.
+    ///
+    /// # Errors
+    /// There is none, or it has another shape.
+    pub fn get(&self, name: &str, shape: &[i64]) -> Result<Tensor, WeightsError> {
+        let path = || self.path.clone();
+        let Some((_, tensor)) = self.tensors.iter().find(|(n, _)| n == name) else {
+            let (name, expected) = (name.to_string(), shape.to_vec());
+            return Err(WeightsError::Missing { path: path(), name, expected });
+        };
+        let found = tensor.size();
+        if found != shape {
+            let (name, expected) = (name.to_string(), shape.to_vec());
+            return Err(WeightsError::Shape { path: path(), name, expected, found });
+        }
+        Ok(tensor.shallow_clone())
+    }
+
+    /// Identifies the tensors: names, kinds, shapes and contents, in the order of the names.
+    ///
+    /// # Errors
+    /// torch fails.
+    pub fn hash(&self) -> Result<String, WeightsError> {
+        let mut sorted: Vec<&(String, Tensor)> = self.tensors.iter().collect();
+        sorted.sort_by(|a, b| a.0.cmp(&b.0));
+        // FNV-1a over 8 bytes at a time: stable over releases, fast enough for 20 MB.
+        let mut hash = 0xcbf2_9ce4_8422_2325_u64;
+        let mut add = |bytes: &[u8]| {
+            for chunk in bytes.chunks(8) {
+                let mut word = [0; 8];
+                word[..chunk.len()].copy_from_slice(chunk);
+                hash = (hash ^ u64::from_le_bytes(word)).wrapping_mul(0x0100_0000_01b3).rotate_left(29);
+            }
+        };
+        for (name, tensor) in sorted {
+            add(format!("{name} {:?} {:?}", tensor.kind(), tensor.size()).as_bytes());
+            add(&raw(tensor)?);
+        }
+        Ok(format!("{hash:016x}"))
+    }
+}
+
+/// A tensor's bytes.
+fn raw(tensor: &Tensor) -> Result<Vec<u8>, TchError> {
+    let tensor = tensor.f_to_device(tch::Device::Cpu)?.f_contiguous()?;
+    let count = tensor.numel();
+    let mut bytes = vec![0; count * tensor.kind().elt_size_in_bytes()];
+    tensor.f_copy_data_u8(&mut bytes, count)?;
+    Ok(bytes)
+}
+
+/// Half precision on the processor.
+///
+/// # Errors
+/// torch fails.
+pub fn half(tensor: &Tensor) -> Result<Tensor, TchError> {
+    tensor.f_detach()?.f_to_device(tch::Device::Cpu)?.f_to_kind(Kind::Half)
+}

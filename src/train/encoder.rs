@@ -1,0 +1,647 @@
+//! Trains the encoder-decoder (paper, section "Latent State Extraction").
+//!
+//! An epoch is one walk through the training images, or `epoch_steps` batches of it where that is less;
+//! then comes validation, the best so far is exported, and a checkpoint written. A run that was broken off
+//! goes on from its last checkpoint; on the processor with one thread it then ends with the very bits of
+//! one that was not (cuDNN's sums differ from run to run).
+
+use super::images::{self, ImagesError};
+use super::loss;
+use super::tensorboard::EventWriter;
+use crate::dataset::{Dataset, DatasetError};
+use crate::latent::encoder::{keys, to_pictures, weights_of};
+use crate::latent::network::{Architecture, Autoencoder, Slot};
+use crate::latent::weights::{Weights, WeightsError};
+use crate::perception::TransformedImage;
+use crate::{seeds, telemetry};
+use rand::seq::SliceRandom;
+use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+use tch::{Device, Kind, TchError, Tensor};
+
+/// How to train.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TrainOptions {
+    pub data: PathBuf,
+    pub out: PathBuf,
+    pub epochs: u64,
+    pub batch: usize,
+    /// Most batches to an epoch.
+    pub epoch_steps: usize,
+    /// Adam's; the paper's is 1e-4.
+    pub learning_rate: f64,
+    /// Over this last share of the training the learning rate falls to 0.
+    pub decay: f64,
+    /// L2 regularization: Adam's weight decay.
+    pub weight_decay: f64,
+    pub dropout: f64,
+    /// Weight of the divergence of a variational encoder, per pixel's square error; 0: not variational.
+    pub beta: f64,
+    /// How much more painted pixels count, and how much more of that small objects.
+    pub paint_weight: f64,
+    pub small_weight: f64,
+    /// Vary the light of the training images.
+    pub augment: bool,
+    pub seed: u64,
+    /// Use a dataset that was not collected to its end.
+    pub partial: bool,
+    /// Images that may be resident (GB); more take turns, epoch by epoch.
+    pub resident_gb: f64,
+    /// Ends the training, with its last epoch cut short (s).
+    pub time_limit: Option<f64>,
+}
+
+impl TrainOptions {
+    /// The defaults of `wad-cosim train encoder`.
+    pub fn new(data: &Path, out: &Path) -> Self {
+        Self {
+            data: data.to_path_buf(),
+            out: out.to_path_buf(),
+            epochs: 50,
+            batch: 128,
+            epoch_steps: 600,
+            learning_rate: 1e-4,
+            decay: 0.3,
+            weight_decay: 1e-5,
+            dropout: 0.1,
+            beta: 0.0,
+            paint_weight: 4.0,
+            small_weight: 4.0,
+            augment: true,
+            seed: 0,
+            partial: false,
+            resident_gb: 6.0,
+            time_limit: None,
+        }
+    }
+}
+
+/// Why training ended without its end.
+#[derive(Debug, thiserror::Error)]
+pub enum TrainError {
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+    #[error(transparent)]
+    Images(#[from] ImagesError),
+    #[error(transparent)]
+    Weights(#[from] WeightsError),
+    #[error("libtorch: {0}")]
+    Torch(#[from] TchError),
+    #[error("could not write `{}`: {source}; the last checkpoint is kept", path.display())]
+    Write { path: PathBuf, source: std::io::Error },
+    #[error("`{}` holds a training already; go on with it by --resume, or name another folder with --out", path.display())]
+    Taken { path: PathBuf },
+    #[error("`{}` holds no training to resume: expected checkpoint.safetensors in it", path.display())]
+    NothingToResume { path: PathBuf },
+    #[error("the training in `{}` differs in {what}: it has {found}, asked for was {asked}", path.display())]
+    Differs { path: PathBuf, what: &'static str, found: String, asked: String },
+    #[error(
+        "the loss became {loss} at step {step}: training stopped, `{}` is the last good one; a smaller \
+         --learning-rate may help",
+        checkpoint.display()
+    )]
+    NotFinite { loss: f64, step: u64, checkpoint: PathBuf },
+}
+
+/// What validation says.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Validation {
+    /// The training's loss.
+    pub loss: f64,
+    /// Mean over images (dB).
+    pub psnr: f64,
+    /// Of painted pixels: intersection over union of wanted and made, over all images.
+    pub painted_iou: f64,
+    pub divergence: f64,
+}
+
+/// A line of `metrics.jsonl`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EpochRecord {
+    pub epoch: u64,
+    pub step: u64,
+    pub images: u64,
+    pub train_loss: f64,
+    pub validation: Validation,
+    pub learning_rate: f64,
+    pub best: bool,
+    pub wall_seconds: f64,
+    pub images_per_second: f64,
+}
+
+/// What a training came to; `summary.json`.
+#[derive(Clone, Debug, Serialize)]
+pub struct Trained {
+    pub out: PathBuf,
+    /// The best network's file.
+    pub encoder: PathBuf,
+    pub epochs: u64,
+    pub steps: u64,
+    pub best_epoch: u64,
+    pub best: Validation,
+    pub images: usize,
+    pub validation_images: usize,
+    pub wall_seconds: f64,
+    pub images_per_second: f64,
+    pub interrupted: bool,
+}
+
+/// How far it is.
+#[derive(Clone, Copy, Debug)]
+pub struct Progress {
+    pub epoch: u64,
+    /// Steps in all so far and at the end.
+    pub step: u64,
+    pub steps: u64,
+    pub loss: f64,
+    pub validation: Option<Validation>,
+}
+
+/// Images that validation looks at, at most, and that the latent is standardised by.
+const VALIDATION_IMAGES: usize = 2000;
+const STANDARD_IMAGES: i64 = 4096;
+/// Steps between looks at the loss: each look waits for the device.
+const LOOK_EVERY: u64 = 20;
+/// Adam's.
+const BETA1: f64 = 0.9;
+const BETA2: f64 = 0.999;
+const ADAM_EPSILON: f64 = 1e-8;
+
+/// What a checkpoint knows beside its tensors.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+struct Reached {
+    epoch: u64,
+    step: u64,
+    images: u64,
+    best_epoch: u64,
+    best: Option<Validation>,
+    seconds: f64,
+}
+
+struct Trainer<'a> {
+    options: &'a TrainOptions,
+    device: Device,
+    dataset: Dataset,
+    network: Autoencoder,
+    /// Adam's first and second moments, in theta's layout.
+    first: Tensor,
+    second: Tensor,
+    reached: Reached,
+    /// Shards that are resident, and their images.
+    resident: (Vec<usize>, Tensor),
+    validation: Tensor,
+    began: Instant,
+}
+
+/// Trains, or goes on training with `resume`. Ends early when `interrupt` becomes true: the epoch begun
+/// is then lost. `report` is called every few steps.
+///
+/// # Errors
+/// Bad data, no memory, a full disk, or a loss that is no number. The last checkpoint is kept.
+pub fn train(
+    options: &TrainOptions,
+    device: Device,
+    resume: bool,
+    interrupt: &AtomicBool,
+    mut report: impl FnMut(Progress),
+) -> Result<Trained, TrainError> {
+    let mut trainer = Trainer::start(options, device, resume)?;
+    let write = |path: PathBuf| move |source| TrainError::Write { path, source };
+    let log_path = options.out.join("metrics.jsonl");
+    let mut log = std::fs::OpenOptions::new()
+        .create(true)
+        .append(true)
+        .open(&log_path)
+        .map_err(write(log_path.clone()))?;
+    let mut events = EventWriter::create(&options.out).map_err(write(options.out.clone()))?;
+    let mut interrupted = false;
+    while trainer.reached.epoch < options.epochs && !trainer.is_late() {
+        let record = match trainer.epoch(interrupt, &mut report)? {
+            Some(record) => record,
+            None => {
+                interrupted = true;
+                break;
+            }
+        };
+        let mut line = serde_json::to_vec(&record).unwrap_or_default();
+        line.push(b'\n');
+        log.write_all(&line).map_err(write(log_path.clone()))?;
+        let v = record.validation;
+        for (tag, value) in [
+            ("losses/train", record.train_loss),
+            ("losses/validation", v.loss),
+            ("losses/divergence", v.divergence),
+            ("charts/psnr", v.psnr),
+            ("charts/painted_iou", v.painted_iou),
+            ("charts/learning_rate", record.learning_rate),
+            ("charts/images_per_second", record.images_per_second),
+        ] {
+            events.scalar(tag, record.step, value).map_err(write(events.path().to_path_buf()))?;
+        }
+        events.flush().map_err(write(events.path().to_path_buf()))?;
+    }
+    let trained = trainer.summary(interrupted);
+    let path = options.out.join("summary.json");
+    telemetry::write_json(&path, &trained).map_err(|e| TrainError::Write { path, source: e.source })?;
+    Ok(trained)
+}
+
+impl<'a> Trainer<'a> {
+    fn start(options: &'a TrainOptions, device: Device, resume: bool) -> Result<Self, TrainError> {
+        let checkpoint = options.out.join("checkpoint.safetensors");
+        if resume && !checkpoint.is_file() {
+            return Err(TrainError::NothingToResume { path: options.out.clone() });
+        }
+        if !resume && checkpoint.exists() {
+            return Err(TrainError::Taken { path: options.out.clone() });
+        }
+        let dataset = Dataset::open(&options.data, options.partial)?;
+        dataset.require_training()?;
+        let failed = |path: &Path, source| TrainError::Write { path: path.to_path_buf(), source };
+        std::fs::create_dir_all(&options.out).map_err(|e| failed(&options.out, e))?;
+        let config = options.out.join("config.json");
+        if !resume {
+            telemetry::write_json(&config, options).map_err(|e| failed(&config, e.source))?;
+        }
+        let architecture = Architecture {
+            variational: options.beta > 0.0,
+            dropout: options.dropout,
+            ..Architecture::default()
+        };
+        tch::manual_seed(seeds::derive(options.seed, "weights") as i64);
+        let (network, moments, reached) = if resume {
+            let weights = Weights::load(&checkpoint)?;
+            let find = |slot: &Slot| weights.get(&slot.name, &slot.shape);
+            let network = Autoencoder::from_named(architecture, device, find)?;
+            let size = [network.parameters()];
+            let moment = |name: &str| -> Result<Tensor, WeightsError> {
+                Ok(weights.get(name, &size)?.f_to_device(device)?)
+            };
+            let moments = (moment("adam.first")?, moment("adam.second")?);
+            let text = weights.metadata.get("reached").map_or("", String::as_str);
+            let reached: Reached = serde_json::from_str(text).map_err(|e| WeightsError::Format {
+                path: checkpoint.clone(),
+                why: format!("it does not say how far the training came ({e})"),
+            })?;
+            check_same(options, &config)?;
+            (network, moments, reached)
+        } else {
+            let network = Autoencoder::new(architecture, device)?;
+            let zeros = || Tensor::f_zeros([network.parameters()], (Kind::Float, device));
+            let moments = (zeros()?, zeros()?);
+            (network, moments, Reached::default())
+        };
+        let (_, validation) = dataset.split();
+        let frames: usize = validation.iter().map(|&s| dataset.shards[s].2).sum();
+        let every = frames.div_ceil(VALIDATION_IMAGES);
+        let validation = images::load(&dataset, &validation, every, device)?;
+        let none = Tensor::f_empty([0], (Kind::Uint8, device))?;
+        Ok(Self {
+            options,
+            device,
+            dataset,
+            network,
+            first: moments.0,
+            second: moments.1,
+            reached,
+            resident: (Vec::new(), none),
+            validation,
+            began: Instant::now(),
+        })
+    }
+
+    fn is_late(&self) -> bool {
+        self.options.time_limit.is_some_and(|limit| self.began.elapsed().as_secs_f64() >= limit)
+    }
+
+    /// Loads the images of this epoch's shards: all that fit, chosen anew where not all do.
+    fn load(&mut self) -> Result<(), TrainError> {
+        let (mut shards, _) = self.dataset.split();
+        let room = (self.options.resident_gb * 1e9 / TransformedImage::BYTES as f64) as usize;
+        let all: usize = shards.iter().map(|&s| self.dataset.shards[s].2).sum();
+        if all > room {
+            let mut rng = seeds::rng(self.options.seed, &format!("shards {}", self.reached.epoch));
+            shards.shuffle(&mut rng);
+            let mut frames = 0;
+            let fits = |&s: &usize| {
+                frames += self.dataset.shards[s].2;
+                frames <= room
+            };
+            shards = shards.iter().copied().take_while(fits).collect();
+            shards.sort_unstable();
+        }
+        if self.resident.0 != shards {
+            // The old ones go first: both together may be too many.
+            self.resident = (Vec::new(), Tensor::f_empty([0], (Kind::Uint8, self.device))?);
+            self.resident = (shards.clone(), images::load(&self.dataset, &shards, 1, self.device)?);
+        }
+        Ok(())
+    }
+
+    /// Batches to an epoch.
+    fn steps(&self) -> u64 {
+        let images = self.resident.1.size()[0] as usize;
+        images.div_ceil(self.options.batch.max(1)).clamp(1, self.options.epoch_steps.max(1)) as u64
+    }
+
+    /// How much of the training is done (0..1): by steps or by time, whichever is nearer to the end.
+    fn done(&self, step_in_epoch: u64, steps: u64) -> f64 {
+        let epochs = self.reached.epoch as f64 + step_in_epoch as f64 / steps as f64;
+        let by_steps = epochs / self.options.epochs.max(1) as f64;
+        let seconds = self.began.elapsed().as_secs_f64();
+        let by_time = self.options.time_limit.map_or(0.0, |limit| seconds / limit.max(1e-9));
+        by_steps.max(by_time).min(1.0)
+    }
+
+    fn learning_rate(&self, done: f64) -> f64 {
+        let decay = self.options.decay.clamp(0.0, 1.0);
+        let left = if decay > 0.0 { ((1.0 - done) / decay).min(1.0) } else { 1.0 };
+        self.options.learning_rate * left.max(0.01)
+    }
+
+    /// One epoch with validation, export and checkpoint; None where it was interrupted.
+    fn epoch(
+        &mut self,
+        interrupt: &AtomicBool,
+        report: &mut impl FnMut(Progress),
+    ) -> Result<Option<EpochRecord>, TrainError> {
+        self.load()?;
+        let began = Instant::now();
+        let epoch = self.reached.epoch;
+        // Dropout and augmentation of an epoch depend on its number alone.
+        tch::manual_seed((seeds::derive(self.options.seed, &format!("epoch {epoch}")) >> 1) as i64);
+        let images = self.resident.1.size()[0];
+        let mut order: Vec<i64> = (0..images).collect();
+        order.shuffle(&mut seeds::rng(self.options.seed, &format!("order {epoch}")));
+        let order = Tensor::f_from_slice(&order)?.f_to_device(self.device)?;
+        let steps = self.steps();
+        let batch = (self.options.batch as i64).clamp(1, images.max(1));
+        let mut sum = Tensor::f_zeros([1], (Kind::Double, self.device))?;
+        let (mut rate, mut seen, mut taken) = (0.0, 0, 0);
+        for step in 0..steps {
+            if interrupt.load(Ordering::Relaxed) {
+                return Ok(None);
+            }
+            // At least one step, so that every epoch moves.
+            if step > 0 && self.is_late() {
+                break;
+            }
+            let from = (step as i64 * batch).min(images - batch);
+            let picked = self.resident.1.f_index_select(0, &order.f_narrow(0, from, batch)?)?;
+            rate = self.learning_rate(self.done(step, steps));
+            let loss = self.step(&picked, rate)?;
+            sum = sum.f_add(&loss.f_to_kind(Kind::Double)?)?;
+            seen += batch as u64;
+            taken += 1;
+            if (step + 1) % LOOK_EVERY == 0 || step + 1 == steps {
+                let loss = loss.f_double_value(&[])?;
+                self.require_finite(loss)?;
+                report(Progress {
+                    epoch,
+                    step: self.reached.step,
+                    steps: self.reached.step + steps - step - 1
+                        + (self.options.epochs - epoch).saturating_sub(1) * steps,
+                    loss,
+                    validation: None,
+                });
+            }
+        }
+        let train_loss = sum.f_double_value(&[0])? / f64::from(taken.max(1));
+        self.require_finite(train_loss)?;
+        let validation = self.validate()?;
+        self.require_finite(validation.loss)?;
+        self.reached.epoch += 1;
+        self.reached.images += seen;
+        let seconds = began.elapsed().as_secs_f64();
+        self.reached.seconds += seconds;
+        let best = self.reached.best.is_none_or(|best| validation.loss < best.loss);
+        if best {
+            (self.reached.best, self.reached.best_epoch) = (Some(validation), self.reached.epoch);
+            self.export(&validation)?;
+        }
+        self.save()?;
+        let left = (self.options.epochs - self.reached.epoch) * steps;
+        report(Progress {
+            epoch,
+            step: self.reached.step,
+            steps: self.reached.step + left,
+            loss: train_loss,
+            validation: Some(validation),
+        });
+        Ok(Some(EpochRecord {
+            epoch: self.reached.epoch,
+            step: self.reached.step,
+            images: self.reached.images,
+            train_loss,
+            validation,
+            learning_rate: rate,
+            best,
+            wall_seconds: self.reached.seconds,
+            images_per_second: seen as f64 / seconds.max(1e-9),
+        }))
+    }
+
+    fn require_finite(&self, loss: f64) -> Result<(), TrainError> {
+        if loss.is_finite() {
+            return Ok(());
+        }
+        let checkpoint = self.options.out.join("checkpoint.safetensors");
+        Err(TrainError::NotFinite { loss, step: self.reached.step, checkpoint })
+    }
+
+    /// One Adam step on a batch of bytes; the loss, still on the device.
+    fn step(&mut self, bytes: &Tensor, rate: f64) -> Result<Tensor, TrainError> {
+        let pictures = to_pictures(bytes)?;
+        let painted = loss::painted(&pictures)?;
+        let pictures = if self.options.augment { loss::relight(&pictures, &painted)? } else { pictures };
+        let theta = self.network.theta.f_detach()?.f_set_requires_grad(true)?;
+        let (loss, _, _) = self.loss(&theta, &pictures, &painted, true)?;
+        let gradient = Tensor::f_run_backward(&[&loss], &[&theta], false, false)?;
+        let Some(gradient) = gradient.into_iter().next() else {
+            return Err(TchError::Convert("no gradient".to_string()).into());
+        };
+        tch::no_grad(|| self.adam(&gradient, rate))?;
+        self.reached.step += 1;
+        Ok(loss.f_detach()?)
+    }
+
+    /// Adam with L2 regularization of the weights (not of biases and norms).
+    fn adam(&mut self, gradient: &Tensor, rate: f64) -> Result<(), TchError> {
+        let decayed = self.network.decayed();
+        let weights = self.network.theta.f_narrow(0, 0, decayed)?;
+        let mut part = gradient.f_narrow(0, 0, decayed)?;
+        let _ = part.f_add_(&weights.f_mul_scalar(self.options.weight_decay)?)?;
+        let _ = self.first.f_mul_scalar_(BETA1)?.f_add_(&gradient.f_mul_scalar(1.0 - BETA1)?)?;
+        let squared = gradient.f_square()?.f_mul_scalar_(1.0 - BETA2)?;
+        let _ = self.second.f_mul_scalar_(BETA2)?.f_add_(&squared)?;
+        let t = self.reached.step as i32 + 1;
+        let (unbias1, unbias2) = (1.0 - BETA1.powi(t), 1.0 - BETA2.powi(t));
+        let root = self.second.f_sqrt()?.f_mul_scalar_(1.0 / unbias2.sqrt())?.f_add_scalar_(ADAM_EPSILON)?;
+        let change = self.first.f_div(&root)?.f_mul_scalar_(-rate / unbias1)?;
+        let _ = self.network.theta.f_add_(&change)?;
+        Ok(())
+    }
+
+    /// The loss, its divergence, and the pictures made.
+    fn loss(
+        &self,
+        theta: &Tensor,
+        pictures: &Tensor,
+        painted: &Tensor,
+        train: bool,
+    ) -> Result<(Tensor, Option<Tensor>, Tensor), TchError> {
+        let views = self.network.views(theta)?;
+        let code = self.network.encode(&views, pictures, train)?;
+        let size = self.network.architecture.latent;
+        let (latent, divergence) = if self.network.architecture.variational {
+            let (mean, log_variance) = (code.f_narrow(1, 0, size)?, code.f_narrow(1, size, size)?);
+            let log_variance = log_variance.f_clamp(-12.0, 6.0)?;
+            let divergence = loss::divergence(&mean, &log_variance)?;
+            let latent = if train {
+                let noise = mean.f_randn_like()?;
+                mean.f_add(&log_variance.f_mul_scalar(0.5)?.f_exp()?.f_mul(&noise)?)?
+            } else {
+                mean
+            };
+            (latent, Some(divergence))
+        } else {
+            (code, None)
+        };
+        let made = self.network.decode_logits(&views, &latent, train)?.f_sigmoid()?;
+        let weights = loss::pixel_weights(painted, self.options.paint_weight, self.options.small_weight)?;
+        let mut loss = loss::reconstruction(&made, pictures, &weights)?;
+        if let Some(divergence) = &divergence {
+            let per_pixel = self.options.beta / (3 * 128 * 128) as f64;
+            loss = loss.f_add(&divergence.f_mul_scalar(per_pixel)?)?;
+        }
+        Ok((loss, divergence, made))
+    }
+
+    fn validate(&self) -> Result<Validation, TrainError> {
+        let mut total = Validation::default();
+        let (mut count, mut both, mut any) = (0.0, 0.0, 0.0);
+        tch::no_grad(|| -> Result<(), TchError> {
+            for bytes in self.validation.f_split(self.options.batch.max(1) as i64, 0)? {
+                let n = bytes.size()[0] as f64;
+                if n == 0.0 {
+                    continue;
+                }
+                let pictures = to_pictures(&bytes)?;
+                let painted = loss::painted(&pictures)?;
+                let (loss, divergence, made) = self.loss(&self.network.theta, &pictures, &painted, false)?;
+                let error = made.f_sub(&pictures)?.f_square()?;
+                let error = error.f_mean_dim([1, 2, 3].as_slice(), false, Kind::Float)?;
+                let psnr = error.f_clamp_min(1e-10)?.f_log10()?.f_mul_scalar(-10.0)?;
+                let again = loss::painted(&made)?;
+                both += again.f_mul(&painted)?.f_sum(Kind::Double)?.f_double_value(&[])?;
+                any += again.f_maximum(&painted)?.f_sum(Kind::Double)?.f_double_value(&[])?;
+                total.loss += n * loss.f_double_value(&[])?;
+                total.psnr += psnr.f_sum(Kind::Double)?.f_double_value(&[])?;
+                total.divergence += n * divergence.map_or(Ok(0.0), |d| d.f_double_value(&[]))?;
+                count += n;
+            }
+            Ok(())
+        })?;
+        let count = f64::max(count, 1.0);
+        Ok(Validation {
+            loss: total.loss / count,
+            psnr: total.psnr / count,
+            painted_iou: both / f64::max(any, 1.0),
+            divergence: total.divergence / count,
+        })
+    }
+
+    /// Writes `encoder.safetensors`.
+    fn export(&self, validation: &Validation) -> Result<(), TrainError> {
+        let (mean, deviation) = tch::no_grad(|| self.latent_statistics())?;
+        let scores = serde_json::json!({ "validation": validation });
+        let metadata = HashMap::from([
+            (keys::CONFIG.to_string(), json(self.options)),
+            (keys::DATASET.to_string(), json(&self.dataset.manifest)),
+            (keys::SCORES.to_string(), json(&scores)),
+        ]);
+        let weights = weights_of(&self.network, &mean, &deviation, metadata)?;
+        Ok(weights.save(&self.options.out.join("encoder.safetensors"))?)
+    }
+
+    /// Mean and deviation of the latent over training images.
+    fn latent_statistics(&self) -> Result<(Tensor, Tensor), TchError> {
+        let images = &self.resident.1;
+        let every = (images.size()[0] / STANDARD_IMAGES).max(1);
+        let views = self.network.views(&self.network.theta)?;
+        let mut codes = Vec::new();
+        let chosen = images.f_slice(0, 0, images.size()[0], every)?;
+        for bytes in chosen.f_split(self.options.batch.max(1) as i64, 0)? {
+            let code = self.network.encode(&views, &to_pictures(&bytes)?, false)?;
+            codes.push(code.f_narrow(1, 0, self.network.architecture.latent)?);
+        }
+        let codes = Tensor::f_cat(&codes, 0)?;
+        let mean = codes.f_mean_dim([0].as_slice(), false, Kind::Float)?;
+        let deviation = codes.f_std_dim([0].as_slice(), false, false)?;
+        // A number that hardly moves must not be blown up to the others' size.
+        let least = 0.05 * deviation.f_mean(Kind::Float)?.f_double_value(&[])?;
+        Ok((mean, deviation.f_clamp_min(least.max(1e-4))?))
+    }
+
+    /// Writes `checkpoint.safetensors`, in full precision.
+    fn save(&self) -> Result<(), TrainError> {
+        let mut tensors = self.network.named()?;
+        tensors.push(("adam.first".to_string(), self.first.shallow_clone()));
+        tensors.push(("adam.second".to_string(), self.second.shallow_clone()));
+        let reached = serde_json::to_string(&self.reached).unwrap_or_default();
+        let metadata = HashMap::from([("reached".to_string(), reached)]);
+        let path = self.options.out.join("checkpoint.safetensors");
+        Ok(Weights { path: path.clone(), tensors, metadata }.save(&path)?)
+    }
+
+    fn summary(&self, interrupted: bool) -> Trained {
+        let (train, _) = self.dataset.split();
+        Trained {
+            out: self.options.out.clone(),
+            encoder: self.options.out.join("encoder.safetensors"),
+            epochs: self.reached.epoch,
+            steps: self.reached.step,
+            best_epoch: self.reached.best_epoch,
+            best: self.reached.best.unwrap_or_default(),
+            images: train.iter().map(|&s| self.dataset.shards[s].2).sum(),
+            validation_images: self.validation.size()[0] as usize,
+            wall_seconds: self.reached.seconds,
+            images_per_second: self.reached.images as f64 / self.reached.seconds.max(1e-9),
+            interrupted,
+        }
+    }
+}
+
+/// Refuses to go on with another seed, batch or loss than the training began with.
+fn check_same(options: &TrainOptions, config: &Path) -> Result<(), TrainError> {
+    let text = std::fs::read(config).map_err(|source| WeightsError::Io {
+        what: "read",
+        path: config.to_path_buf(),
+        source,
+    })?;
+    let before: TrainOptions = serde_json::from_slice(&text)
+        .map_err(|e| WeightsError::Format { path: config.to_path_buf(), why: e.to_string() })?;
+    let fields = |o: &TrainOptions| {
+        [
+            ("--seed", o.seed.to_string()),
+            ("--batch", o.batch.to_string()),
+            ("--beta", o.beta.to_string()),
+            ("--paint-weight", o.paint_weight.to_string()),
+            ("--small-weight", o.small_weight.to_string()),
+        ]
+    };
+    for ((what, found), (_, asked)) in fields(&before).into_iter().zip(fields(options)) {
+        if found != asked {
+            return Err(TrainError::Differs { path: options.out.clone(), what, found, asked });
+        }
+    }
+    Ok(())
+}
+
+fn json(value: &impl Serialize) -> String {
+    serde_json::to_string(value).unwrap_or_default()
+}

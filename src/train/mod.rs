@@ -1,0 +1,9 @@
+//! Training: the encoder-decoder here; detectors and agents beside it.
+
+#[cfg(feature = "learn")]
+pub mod encoder;
+#[cfg(feature = "learn")]
+pub mod images;
+#[cfg(feature = "learn")]
+mod loss;
+pub mod tensorboard;
