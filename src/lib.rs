@@ -27,6 +27,7 @@
 //! | [`tasks`] | what is to be driven, and where on a net that can be done |
 //! | [`reward`] | the paper's six reward terms |
 //! | [`env`] | all of that as `reset` and `step` |
+//! | [`eval`] | suites of episodes, driven in parallel |
 //! | [`autopilot`] | the rule-based expert |
 //! | [`criteria`] | collisions, red lights, lane, blocking, arrival |
 //! | [`drive`] | `run`: from destination to destination, with telemetry |
@@ -50,6 +51,7 @@ pub mod dataset;
 pub mod destination;
 pub mod drive;
 pub mod env;
+pub mod eval;
 pub mod geometry;
 pub mod interrupt;
 pub mod latent;

@@ -1,7 +1,7 @@
 //! The ego vehicle: its physics, its route, what it sees, and its shadow in SUMO.
 
 use crate::criteria::EgoOnRoute;
-use crate::geometry::Pose;
+use crate::geometry::{Pose, Vector};
 use crate::network::{EdgeKind, LaneId, Network, Route};
 use crate::traci::{Batch, Color, CommandError, Replies, Ticket, route, vehicle, vehicle_type};
 use crate::vehicle::{Contact, Control, EgoParams, EgoState, EgoVehicle, MovingBody, PartnerKind};
@@ -88,19 +88,23 @@ impl Ego {
 
     /// Puts it down elsewhere, standing, on another route.
     pub fn respawn(&mut self, route: Route, start: f64) {
+        self.respawn_beside(route, start, 0.0, 0.0);
+    }
+
+    /// The same, `left` (m) of the route's line and turned by `turn` (rad, to the left).
+    pub fn respawn_beside(&mut self, route: Route, start: f64, left: f64, turn: f64) {
         let pose = route.at(start).pose;
-        self.vehicle.respawn(Pose::new(pose.position.x, pose.position.y, 0.0, pose.heading), 0.0);
+        let place = pose.to_world(Vector::new(0.0, left));
+        self.vehicle.respawn(Pose::new(place.x, place.y, 0.0, pose.heading + turn), 0.0);
         self.set_route(route, start);
     }
 
-    /// As a new ego at `start` (m) on `route`, for another SUMO: nothing is remembered but what it is
-    /// made of.
-    pub fn renew(&mut self, route: Route, start: f64) {
+    /// Forgets all but what it is made of: for another SUMO. To be followed by a respawn.
+    pub fn forget(&mut self) {
         (self.world, self.previous) = Default::default();
         self.extras.clear();
         self.lamps = Lamps::default();
         self.told_edges = 0;
-        self.respawn(route, start);
     }
 
     /// Road users that stand in its world from the next step on, and that SUMO knows nothing of: it has

@@ -49,7 +49,7 @@ enum Command {
     Train(train::Args),
     /// Measure speed, as a ratio to SUMO alone in the same run.
     Bench(bench::Args),
-    /// Judge a part of the system by the ground truth.
+    /// Drive the episodes of a suite, or judge a part of the system by the ground truth.
     Eval(eval::Args),
     /// Make pictures and tables of what was trained and measured.
     Report(report::Args),

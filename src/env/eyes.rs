@@ -2,28 +2,12 @@
 
 use super::{Assets, EnvError, EnvOptions, ObservationMode, Stages};
 use crate::bridge::Ego;
-use crate::camera::{Camera, CameraConfig, Frame, Preset, Town, Weather};
+use crate::camera::{Camera, Frame, Preset, Town, Weather};
 use crate::latent::Encoder;
 use crate::network::Network;
 use crate::observation::{LATENT_SIZE, Observation, RAW_SIZE, RawState};
-use crate::perception::{
-    Detector, EgoFacts, LightAhead, Perception, PerceptionError, TransformedImage, TruthDetector,
-};
+use crate::perception::{self, EgoFacts, LightAhead, Perception, TransformedImage};
 use std::time::Instant;
-
-/// The detector called `name`, for pictures of `camera`.
-///
-/// # Errors
-/// There is none of that name.
-pub fn detector(name: &str, _camera: &CameraConfig) -> Result<Box<dyn Detector>, PerceptionError> {
-    match name {
-        "truth" => Ok(Box::<TruthDetector>::default()),
-        _ => Err(PerceptionError::Detector {
-            name: name.to_string(),
-            why: "there is no such detector: expected truth".to_string(),
-        }),
-    }
-}
 
 /// Looks at the world after each tick.
 pub struct Eyes {
@@ -48,7 +32,10 @@ impl Eyes {
         let sight = if options.observation.looks() {
             Some(Sight {
                 camera: Camera::new(options.camera)?,
-                perception: Perception::new(detector(&options.detector, &options.camera)?, options.camera)?,
+                perception: Perception::new(
+                    perception::detector(&options.detector, perception::MIN_SCORE)?,
+                    options.camera,
+                )?,
                 town: assets.town(),
             })
         } else {

@@ -40,6 +40,7 @@ mod end;
 mod episode;
 mod error;
 mod eyes;
+mod green;
 mod obstacle;
 mod options;
 mod world;
@@ -47,8 +48,7 @@ mod world;
 pub use assets::Assets;
 pub use end::{End, Ending, Termination};
 pub use error::EnvError;
-pub use eyes::detector;
-pub use options::{EnvOptions, ObservationMode, WorldMode};
+pub use options::{EnvOptions, ObservationMode, StartOffset, WorldMode};
 
 use crate::criteria::Event;
 use crate::latent::Encoder;

@@ -4,7 +4,9 @@ use super::Termination;
 use crate::camera::CameraConfig;
 use crate::criteria::CriteriaParams;
 use crate::reward::RewardParams;
+use crate::seeds;
 use crate::vehicle::EgoParams;
+use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
 /// What an observation holds. Sizes never change: what is left out is zero.
@@ -46,6 +48,32 @@ pub enum WorldMode {
     Running,
 }
 
+/// How askew the ego stands at the start: each is drawn from the seed, evenly to both sides. Nobody parks
+/// perfectly, and a driver that does not look must not get down a straight road by luck.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct StartOffset {
+    /// Beside the lane's middle (m). Default 0.25.
+    pub lateral: f64,
+    /// Off the lane's heading (degrees). Default 2.5.
+    pub heading_deg: f64,
+}
+
+impl Default for StartOffset {
+    fn default() -> Self {
+        Self { lateral: 0.25, heading_deg: 2.5 }
+    }
+}
+
+impl StartOffset {
+    /// To the left (m), and turned to the left (rad).
+    pub fn draw(&self, seed: u64) -> (f64, f64) {
+        let mut rng = seeds::rng(seed, "start");
+        let mut even = |most: f64| if most > 0.0 { rng.random_range(-most..most) } else { 0.0 };
+        (even(self.lateral), even(self.heading_deg.to_radians()))
+    }
+}
+
 /// What an environment is made of.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -60,6 +88,7 @@ pub struct EnvOptions {
     /// How far the ego's world reaches (m). Default 100.
     pub sight: f64,
     pub ego: EgoParams,
+    pub start: StartOffset,
     /// Thresholds of the events.
     pub criteria: CriteriaParams,
     /// Which events end an episode.
@@ -82,6 +111,7 @@ impl Default for EnvOptions {
             tick_ms: crate::bridge::DEFAULT_TICK_MS,
             sight: 100.0,
             ego: EgoParams::default(),
+            start: StartOffset::default(),
             criteria: CriteriaParams::default(),
             termination: Termination::default(),
             reward: RewardParams::default(),

@@ -2,6 +2,7 @@
 
 use super::episode::{Episode, judge_limit};
 use super::eyes::Eyes;
+use super::green::{self, Held};
 use super::obstacle;
 use super::{Assets, EnvError, EnvOptions, Info, Stages, Step, WorldMode};
 use crate::autopilot::{Autopilot, AutopilotParams, EgoModel};
@@ -36,6 +37,8 @@ struct Sumo {
     episodes: u64,
     /// Something stands in the way since the last episode.
     obstacle: bool,
+    /// Lights that the last task held at green.
+    held: Held,
 }
 
 pub struct World {
@@ -133,6 +136,9 @@ impl World {
         };
         sumo.episodes += 1;
         sumo.obstacle = placement.obstacle.is_some();
+        if task.kind.lights_are_green() {
+            sumo.held = green::hold(&mut sumo.bridge, ego.route()).await?;
+        }
         if let Some(wanted) = &placement.obstacle {
             obstacle::put(&mut sumo.bridge, ego, wanted)?;
         }
@@ -165,17 +171,19 @@ impl World {
         let mut bridge = Bridge::start_on(&options, Some(Arc::clone(self.assets.network()))).await?;
         let ego = match &mut self.ego {
             Some(ego) => {
-                ego.renew(route, 0.0);
+                ego.forget();
                 ego
             }
             none => {
-                let ego = none.insert(Ego::new("ego", self.options.ego.clone(), route, 0.0));
+                let ego = none.insert(Ego::new("ego", self.options.ego.clone(), route.clone(), 0.0));
                 ego.vehicle_mut().set_statics(self.assets.statics().to_vec());
                 ego
             }
         };
+        let (left, turn) = self.options.start.draw(seed);
+        ego.respawn_beside(route, 0.0, left, turn);
         bridge.spawn(ego).await?;
-        self.sumo = Some(Sumo { bridge, traffic, episodes: 0, obstacle: false });
+        self.sumo = Some(Sumo { bridge, traffic, episodes: 0, obstacle: false, held: Held::default() });
         Ok(())
     }
 
@@ -203,6 +211,7 @@ impl World {
             if std::mem::take(&mut sumo.obstacle) {
                 obstacle::take_away(&mut sumo.bridge, ego);
             }
+            green::release(&mut sumo.bridge, &mut sumo.held);
             let start = route.at(0.0).pose.xy();
             let roads = |lane: &LaneId| {
                 matches!(network.edge(network.lane(*lane).edge).kind, EdgeKind::Normal | EdgeKind::Internal)
@@ -210,7 +219,8 @@ impl World {
             let lanes: Vec<LaneId> =
                 network.lanes_near(start, None, ROOM).iter().map(|near| near.lane).filter(roads).collect();
             if sumo.bridge.clear(start, ROOM, &lanes).await? {
-                ego.respawn(route, 0.0);
+                let (left, turn) = self.options.start.draw(seed);
+                ego.respawn_beside(route, 0.0, left, turn);
                 sumo.bridge.step(&mut [ego]).await?;
                 return Ok(placement);
             }

@@ -3,7 +3,9 @@
 use super::survey::{self, Passage, Way};
 use super::{TaskError, TaskKind};
 use crate::destination::{Destinations, EGO_CLASS};
-use crate::network::{EdgeKind, LaneId, LanePosition, Network, RoadOption, Route};
+use crate::network::{
+    EdgeKind, LaneId, LanePosition, Link, LinkDirection, LinkId, Network, RoadOption, Route,
+};
 use crate::seeds;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -185,15 +187,11 @@ impl Places {
             let (Some(&entry), Some(&exit)) = (pick(rng, &passage.entries), pick(rng, &passage.exits)) else {
                 continue;
             };
-            let length = |lane: LaneId| network.lane(lane).shape.length();
-            let before = (ARM.0, ARM.1.min(length(entry) - survey::START_MARGIN));
-            let after = (ARM.0, ARM.1.min(length(exit) - survey::END_MARGIN));
-            if before.0 >= before.1 || after.0 >= after.1 {
-                continue;
-            }
+            let before = rng.random_range(ARM.0..ARM.1);
+            let after = rng.random_range(ARM.0..ARM.1);
             let placement = Placement {
-                from: Spot::of(network, entry, length(entry) - rng.random_range(before.0..before.1)),
-                to: Spot::of(network, exit, rng.random_range(after.0..after.1)),
+                from: before_end(network, entry, before),
+                to: beyond_begin(network, exit, after),
                 obstacle: None,
             };
             let Ok(route) = placement.route(network) else { continue };
@@ -203,8 +201,8 @@ impl Places {
             }
         }
         let condition = format!(
-            "no arm has {:.0} m of road before the roundabout and {:.0} m after it, joined without a lane change",
-            ARM.0, ARM.0
+            "none of {DRAWS} routes from a first arm to a third goes round without a lane change ({} pairs of arms)",
+            passages.len()
         );
         Err(TaskError::NoPlace { task: TaskKind::Roundabout, condition })
     }
@@ -212,6 +210,50 @@ impl Places {
 
 fn pick<'a, T>(rng: &mut ChaCha8Rng, from: &'a [T]) -> Option<&'a T> {
     (!from.is_empty()).then(|| &from[rng.random_range(0..from.len())])
+}
+
+/// The place `way` (m) before a lane's end, on the lanes that lead to it straight on where it is shorter;
+/// as far as they go.
+fn before_end(network: &Network, mut lane: LaneId, mut way: f64) -> Spot {
+    for _ in 0..8 {
+        let length = network.lane(lane).shape.length();
+        if way <= length - survey::START_MARGIN {
+            return Spot::of(network, lane, length - way);
+        }
+        let Some(link) = straight(network, &network.lane(lane).incoming, |link| link.from) else { break };
+        way -= length + network.link_length(link);
+        lane = network.link(link).from;
+        // Not so near to the junction that it would begin there.
+        way = way.max(survey::STOP_MARGIN);
+    }
+    Spot::of(network, lane, survey::START_MARGIN.min(0.5 * network.lane(lane).shape.length()))
+}
+
+/// The place `way` (m) beyond a lane's begin, on the lanes that follow it straight on where it is shorter;
+/// as far as they go.
+fn beyond_begin(network: &Network, mut lane: LaneId, mut way: f64) -> Spot {
+    for _ in 0..8 {
+        let length = network.lane(lane).shape.length();
+        if way <= length - survey::END_MARGIN {
+            return Spot::of(network, lane, way.max(0.0));
+        }
+        let Some(link) = straight(network, &network.lane(lane).outgoing, |link| link.to) else { break };
+        way -= length + network.link_length(link);
+        lane = network.link(link).to;
+        way = way.max(survey::START_MARGIN);
+    }
+    let length = network.lane(lane).shape.length();
+    Spot::of(network, lane, (length - survey::END_MARGIN).max(0.5 * length))
+}
+
+/// The link that goes straight on from or to an open lane.
+fn straight(network: &Network, links: &[LinkId], end: impl Fn(&Link) -> LaneId) -> Option<LinkId> {
+    links.iter().copied().find(|&id| {
+        let link = network.link(id);
+        link.direction == LinkDirection::Straight
+            && network.lane(end(link)).permissions.allows(EGO_CLASS)
+            && network.edge(network.lane(end(link)).edge).kind == EdgeKind::Normal
+    })
 }
 
 fn changes_lane(route: &Route) -> bool {

@@ -53,7 +53,7 @@ struct Wish {
     turns: usize,
     /// Heading keeps within [`STRAIGHT`].
     straight: bool,
-    /// None: no signal at all; else a signalled junction of four arms.
+    /// It passes a signalled junction of four arms.
     cross: bool,
 }
 
@@ -75,7 +75,7 @@ struct Search<'a> {
     found: Vec<Way>,
     /// The longest way that met everything but its length (m).
     longest: f64,
-    /// Ways of full length that failed for their signals, or for the number of turns.
+    /// Ways of full length that pass no such junction, or turn too rarely or in the wrong place.
     wrong_signals: usize,
     wrong_turns: usize,
     lanes: Vec<LaneId>,
@@ -151,17 +151,12 @@ impl Search<'_> {
             let turn = matches!(link.direction, LinkDirection::Left | LinkDirection::Right);
             let open = to.permissions.allows(EGO_CLASS)
                 && link.via.iter().all(|&l| self.network.lane(l).permissions.allows(EGO_CLASS));
-            let signal_unwanted = !self.wish.cross && link.signal.is_some();
             if !open
                 || matches!(link.direction, LinkDirection::TurnAround | LinkDirection::Invalid)
                 || self.ring[to.edge.index()]
                 || self.lanes.iter().any(|&l| self.network.lane(l).edge == to.edge)
                 || turns + usize::from(turn) > self.wish.turns
             {
-                continue;
-            }
-            if signal_unwanted {
-                self.wrong_signals += 1;
                 continue;
             }
             self.lanes.push(link.to);
@@ -189,7 +184,7 @@ impl Search<'_> {
             return;
         };
         let turns_right = self.wish.cross || turns == self.wish.turns;
-        let signals_right = !self.wish.cross || self.crosses(&way, high);
+        let signals_right = !self.wish.cross || self.crosses(&way);
         if !turns_right {
             self.wrong_turns += 1;
         } else if !signals_right {
@@ -202,7 +197,7 @@ impl Search<'_> {
     }
 
     /// Whether it passes a signalled junction of four arms.
-    fn crosses(&self, way: &Way, _start: f64) -> bool {
+    fn crosses(&self, way: &Way) -> bool {
         way.links.iter().any(|&id| {
             let link = self.network.link(id);
             link.signal.is_some() && arms(self.network, link.junction) >= ARMS
@@ -228,8 +223,8 @@ impl Search<'_> {
     fn why(&self) -> String {
         let Wish { task, length, turns, cross, .. } = self.wish;
         let kind = match task {
-            TaskKind::Straight => "straight way without a lane change, a turn or a signal",
-            TaskKind::OneTurn => "way without a lane change or a signal that turns once",
+            TaskKind::Straight => "straight way without a lane change or a turn",
+            TaskKind::OneTurn => "way without a lane change that turns once",
             _ => "way without a lane change that turns at most once",
         };
         if cross && self.wrong_signals > 0 {
@@ -243,9 +238,6 @@ impl Search<'_> {
             text += &format!(
                 "; ways that are long enough do not turn {turns} time(s) between a fifth and four fifths of it"
             );
-        }
-        if !cross && self.wrong_signals > 0 {
-            text += "; others end at a signal";
         }
         text
     }

@@ -4,12 +4,14 @@ mod detector;
 mod sight;
 #[cfg(feature = "learn")]
 mod encoder;
+mod suites;
 
 use super::Exit;
 use anyhow::Context;
 use clap::Subcommand;
+use wad_cosim::eval::Suite;
 
-/// Judge a part of the system by the ground truth.
+/// Drive the episodes of a suite, or judge a part of the system by the ground truth.
 #[derive(clap::Args, Debug)]
 pub struct Args {
     #[command(subcommand)]
@@ -18,6 +20,10 @@ pub struct Args {
 
 #[derive(Debug, Subcommand)]
 enum What {
+    /// The paper's five tasks, in both towns and all weathers: how many episodes end well.
+    Tasks(Box<suites::Args>),
+    /// The composite task: 70 vehicles, 100 pedestrians, random routes.
+    Composite(Box<suites::Args>),
     /// How well a detector finds what the camera shows.
     Detector(detector::Args),
     /// Lane boundaries: precision, recall and lateral error against the painted ones, by weather.
@@ -32,6 +38,8 @@ enum What {
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<Exit> {
     match args.what {
+        What::Tasks(args) => suites::run(Suite::Tasks, *args),
+        What::Composite(args) => suites::run(Suite::Composite, *args),
         What::Detector(args) => detector::run(args),
         What::Lanes(args) => runtime()?.block_on(sight::lanes(args)),
         What::Lead(args) => runtime()?.block_on(sight::lead(args)),
