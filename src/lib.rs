@@ -29,6 +29,7 @@
 //! | [`env`] | all of that as `reset` and `step` |
 //! | [`autopilot`] | the rule-based expert |
 //! | [`criteria`] | collisions, red lights, lane, blocking, arrival |
+//! | [`learned_driver`] | a trained agent with camera, perception and encoder, for `run` |
 //! | [`drive`] | `run`: from destination to destination, with telemetry |
 //!
 //! World frame: SUMO's, x east, y north, z up, metres. Headings in radians, counter-clockwise from
@@ -53,6 +54,7 @@ pub mod env;
 pub mod geometry;
 pub mod interrupt;
 pub mod latent;
+pub mod learned_driver;
 pub mod network;
 pub mod observation;
 pub mod perception;

@@ -39,7 +39,7 @@ mod assets;
 mod end;
 mod episode;
 mod error;
-mod eyes;
+pub(crate) mod eyes;
 mod obstacle;
 mod options;
 mod world;
