@@ -5,6 +5,8 @@ use std::path::{Path, PathBuf};
 
 static TOWNS: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/sumo_nets");
 static ENCODERS: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/models/encoder");
+static WAD_T: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/models/wad_t");
+static WAD_S: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/models/wad_s");
 
 /// Why a CONFIG argument does not name a file.
 #[derive(Debug, thiserror::Error)]
@@ -44,6 +46,16 @@ pub fn encoders() -> Vec<String> {
 /// The bundled encoder of that name.
 pub fn encoder(name: &str) -> Option<&'static [u8]> {
     ENCODERS.get_file(format!("{name}.safetensors")).map(|file| file.contents())
+}
+
+/// The bundled agent of that name, `wad-t` or `wad-s`.
+pub fn agent(name: &str) -> Option<&'static [u8]> {
+    let folder = match name {
+        "wad-t" => &WAD_T,
+        "wad-s" => &WAD_S,
+        _ => return None,
+    };
+    folder.get_file("agent.safetensors").map(|file| file.contents())
 }
 
 /// The user's cache folder of this project: `$XDG_CACHE_HOME/wad-cosim` or `~/.cache/wad-cosim`.

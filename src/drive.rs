@@ -1,9 +1,10 @@
-//! `run`: the autopilot drives one ego from destination to destination.
+//! `run`: the autopilot or a trained agent drives one ego from destination to destination.
 
 use crate::autopilot::{Autopilot, AutopilotParams, Decision, EgoModel};
 use crate::bridge::{Bridge, BridgeError, BridgeOptions, Ego, Lamps};
 use crate::criteria::{Cause, Criteria, CriteriaParams, Event, Situation};
 use crate::destination::{self, DestinationError, Destinations};
+use crate::learned_driver::{DriverRecord, LearnedDriver, LearnedDriverError};
 use crate::network::{LanePosition, Network, Polygon, Route, Shapes};
 use crate::telemetry::{
     FolderError, LeaderRecord, LightRecord, RouteRecord, RunFolder, TickRecord, WriteError,
@@ -38,6 +39,18 @@ pub enum DriveError {
     Folder(#[from] FolderError),
     #[error(transparent)]
     Write(#[from] WriteError),
+    #[error(transparent)]
+    Driver(#[from] LearnedDriverError),
+}
+
+/// What `config.json` holds.
+#[derive(Serialize)]
+struct RunConfig<'a> {
+    #[serde(flatten)]
+    options: &'a DriveOptions,
+    /// Who drives, where it is not the autopilot.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    driver: Option<&'a DriverRecord>,
 }
 
 /// Counts by partner.
@@ -106,6 +119,7 @@ pub struct Drive {
     bridge: Bridge,
     ego: Ego,
     autopilot: Autopilot,
+    driver: Option<LearnedDriver>,
     criteria: Criteria,
     destinations: Destinations,
     folder: RunFolder,
@@ -152,7 +166,19 @@ impl Drive {
     /// # Errors
     /// Bad input, SUMO fails, or the run folder cannot be written. Nothing is left running.
     pub async fn start(options: DriveOptions) -> Result<Self, DriveError> {
-        let folder = RunFolder::create(&options.out, &options)?;
+        Self::start_with(options, None).await
+    }
+
+    /// The same with a trained agent at the wheel. The autopilot then only says what held the ego.
+    ///
+    /// # Errors
+    /// As [`Drive::start`].
+    pub async fn start_with(
+        options: DriveOptions,
+        driver: Option<LearnedDriver>,
+    ) -> Result<Self, DriveError> {
+        let config = RunConfig { options: &options, driver: driver.as_ref().map(LearnedDriver::record) };
+        let folder = RunFolder::create(&options.out, &config)?;
         let mut bridge = Bridge::start(&options.bridge).await?;
         let network = bridge.network().clone();
         let rng = seeds::rng(options.bridge.seed, "route");
@@ -172,6 +198,7 @@ impl Drive {
             bridge,
             ego,
             autopilot,
+            driver,
             criteria: Criteria::new(options.criteria),
             destinations,
             folder,
@@ -214,7 +241,7 @@ impl Drive {
         let network = self.bridge.network().clone();
         let before = self.ego.on_route();
         let clock = Instant::now();
-        let decision = self.autopilot.control(
+        let mut decision = self.autopilot.control(
             &network,
             self.ego.route(),
             before.s,
@@ -222,6 +249,10 @@ impl Drive {
             self.ego.world(),
             tick,
         );
+        if let Some(driver) = &mut self.driver {
+            decision.control = driver.control(&network, &self.ego, tick)?;
+            decision.brake_light = decision.control.brake > 0.05;
+        }
         self.ego.set_lamps(Lamps {
             blinker_left: decision.blinker_left,
             blinker_right: decision.blinker_right,
@@ -286,7 +317,7 @@ impl Drive {
             limit: at.speed_limit,
             light: decision.light.map(|(state, distance)| LightRecord { state, distance }),
             leader: decision.leader.map(|leader| LeaderRecord { gap: leader.gap_m, speed: leader.speed_mps }),
-            reason: Some(decision.reason),
+            reason: self.driver.is_none().then_some(decision.reason),
             events,
             vehicles,
             pedestrians,
@@ -321,6 +352,9 @@ impl Drive {
             route = first_route(network, &mut self.destinations)?;
         }
         self.ego.respawn(route, 0.0);
+        if let Some(driver) = &mut self.driver {
+            driver.reset();
+        }
         self.criteria.route_changed();
         self.totals.respawns += 1;
         Ok(())

@@ -30,6 +30,7 @@
 //! | [`eval`] | suites of episodes, driven in parallel |
 //! | [`autopilot`] | the rule-based expert |
 //! | [`criteria`] | collisions, red lights, lane, blocking, arrival |
+//! | [`learned_driver`] | a trained agent with camera, perception and encoder, for `run` |
 //! | [`drive`] | `run`: from destination to destination, with telemetry |
 //!
 //! World frame: SUMO's, x east, y north, z up, metres. Headings in radians, counter-clockwise from
@@ -55,6 +56,7 @@ pub mod eval;
 pub mod geometry;
 pub mod interrupt;
 pub mod latent;
+pub mod learned_driver;
 pub mod network;
 pub mod observation;
 pub mod perception;

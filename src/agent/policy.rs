@@ -8,6 +8,9 @@ use super::action::to_control;
 use super::learner::{Actor, Algorithm, InputScale, Inputs};
 use super::networks::Dims;
 use super::{Agent, AgentError};
+use crate::bundled;
+use crate::camera::CameraConfig;
+use crate::latent::{Encoder, LatentError, PooledEncoder, TchEncoder};
 use crate::observation::Observation;
 use crate::vehicle::Control;
 use half::f16;
@@ -63,6 +66,10 @@ pub enum PolicyError {
     Other { path: PathBuf, what: &'static str, expected: String, found: String },
     #[error("no agent is called `{0}`: expected autopilot, wad-t, wad-s or a file that `train agent` wrote")]
     Unknown(String),
+    #[error("this build comes without the trained agent `{0}`; train one, and name its file")]
+    NotShipped(String),
+    #[error("the agent's encoder: {0}")]
+    Encoder(#[from] LatentError),
 }
 
 /// Key of the card in the file's header.
@@ -116,6 +123,25 @@ impl Policy {
             source,
         })?;
         Self::parse(&bytes).map_err(|why| PolicyError::Format { path: path.to_path_buf(), why })
+    }
+
+    /// The policy that `name` means: a file, or `wad-t` or `wad-s`, which travel with the binary. And what
+    /// to call its place in messages.
+    ///
+    /// # Errors
+    /// There is none, or it is none.
+    pub fn find(name: &str) -> Result<(Self, PathBuf), PolicyError> {
+        let path = Path::new(name);
+        if path.is_file() {
+            return Ok((Self::load(path)?, path.to_path_buf()));
+        }
+        if !["wad-t", "wad-s"].contains(&name) {
+            return Err(PolicyError::Unknown(name.to_string()));
+        }
+        let bytes = bundled::agent(name).ok_or_else(|| PolicyError::NotShipped(name.to_string()))?;
+        let policy =
+            Self::parse(bytes).map_err(|why| PolicyError::Format { path: path.to_path_buf(), why })?;
+        Ok((policy, path.to_path_buf()))
     }
 
     fn parse(bytes: &[u8]) -> Result<Self, String> {
@@ -239,6 +265,42 @@ impl Agent for PolicyAgent {
         }
         Ok(to_control(action))
     }
+}
+
+/// The encoder called `name`: a file, a folder, a bundled one's name, or `pooled`, which is untrained.
+///
+/// # Errors
+/// There is none, or it does not fit this program.
+pub fn find_encoder(name: &str) -> Result<Box<dyn Encoder>, LatentError> {
+    Ok(match name {
+        "pooled" => Box::new(PooledEncoder),
+        name => Box::new(TchEncoder::find(name)?),
+    })
+}
+
+/// The trained agent that `name` means ([`Policy::find`]), and the encoder that it sees through:
+/// `encoder`, or the one that it was trained with.
+///
+/// # Errors
+/// There is no such agent or encoder, or they do not belong together or to this camera.
+pub fn open(
+    name: &str,
+    encoder: Option<&str>,
+    camera: &CameraConfig,
+) -> Result<(Box<dyn Agent>, Box<dyn Encoder>), PolicyError> {
+    tch::set_num_threads(1);
+    let (policy, path) = Policy::find(name)?;
+    let trained_with = policy.card.config.get("encoder").and_then(|name| name.as_str());
+    let encoder = match (encoder, trained_with) {
+        (Some(encoder), _) => find_encoder(encoder)?,
+        // The file that it was trained with may be elsewhere by now: what counts is the hash.
+        (None, Some(encoder)) => find_encoder(encoder).or_else(|_| find_encoder("default"))?,
+        (None, None) => find_encoder("default")?,
+    };
+    policy.check(&path, encoder.hash(), &camera.hash())?;
+    let misfit = |e: super::learner::Misfit| PolicyError::Format { path: path.clone(), why: e.to_string() };
+    let agent = PolicyAgent::new(name, &policy).map_err(misfit)?;
+    Ok((Box::new(agent), encoder))
 }
 
 #[cfg(test)]

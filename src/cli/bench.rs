@@ -1,5 +1,7 @@
 //! `wad-cosim bench`: what things cost.
 
+#[cfg(feature = "learn")]
+use super::bench_train;
 use super::{Exit, bench_camera, bench_tick, print, run};
 use anyhow::Context;
 use wad_cosim::bench::{BenchError, BridgeBench, BridgeRow};
@@ -22,6 +24,9 @@ enum What {
     Camera(bench_camera::Args),
     /// A tick of the whole loop, stage by stage.
     Tick(bench_tick::Args),
+    /// Driving and learning together, as `train agent` does it.
+    #[cfg(feature = "learn")]
+    Train(bench_train::Args),
 }
 
 const EXAMPLES: &str = "\
@@ -70,6 +75,8 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
         What::Bridge(args) => runtime.block_on(bridge(args)),
         What::Camera(args) => runtime.block_on(bench_camera::run(args)),
         What::Tick(args) => runtime.block_on(bench_tick::run(args)),
+        #[cfg(feature = "learn")]
+        What::Train(args) => bench_train::run(&args),
     }
 }
 

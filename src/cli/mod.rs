@@ -4,6 +4,8 @@
 mod bench;
 mod bench_camera;
 mod bench_tick;
+#[cfg(feature = "learn")]
+mod bench_train;
 mod dataset;
 mod doctor;
 mod eval;

@@ -12,6 +12,9 @@ use wad_cosim::bundled;
 use wad_cosim::camera::{Preset, Town, Weather};
 use wad_cosim::criteria::Event;
 use wad_cosim::drive::{Drive, DriveError, DriveOptions, Status, Summary};
+#[cfg(feature = "learn")]
+use wad_cosim::env::EnvOptions;
+use wad_cosim::learned_driver::LearnedDriver;
 use wad_cosim::record::{RecordView, Recorder};
 use wad_cosim::sight;
 use wad_cosim::telemetry::FolderError;
@@ -22,6 +25,7 @@ Examples:
   wad-cosim run nets/town5.sumocfg                          the town's own traffic, until Ctrl-C or the config's end
   wad-cosim run town5 --traffic dense --ticks 1200          70 vehicles and 150 pedestrians, 200 s
   wad-cosim run town3 --traffic 40,80 --seed 7 --gui        watch it in sumo-gui
+  wad-cosim run town5 --agent wad-t                         the trained agent at the wheel
   wad-cosim run my.sumocfg --route -E12,E7 --json           own net, from edge -E12 to edge E7, machine-readable
   wad-cosim run my.net.xml --attach 127.0.0.1:8813          join a SUMO that is running already
 
@@ -35,9 +39,15 @@ pub struct Args {
     /// A .sumocfg, a .net.xml(.gz), a folder with one .sumocfg, or a bundled town (town3, town5).
     #[arg(value_hint = ValueHint::FilePath)]
     config: String,
-    /// Who drives.
-    #[arg(long, default_value = "autopilot", value_parser = ["autopilot"])]
+    /// Who drives: autopilot, wad-t, wad-s, or a file that `train agent` wrote.
+    #[arg(long, default_value = "autopilot", value_name = "NAME|FILE", value_hint = ValueHint::FilePath)]
     agent: String,
+    /// The encoder that the agent sees through [default: the one that it was trained with].
+    #[arg(long, value_name = "NAME", value_hint = ValueHint::AnyPath)]
+    encoder: Option<String>,
+    /// The detector that the agent sees with.
+    #[arg(long, value_name = "NAME", default_value = "truth")]
+    detector: String,
     /// Stop after N ticks [default: at the config's end time, or at Ctrl-C].
     #[arg(long, value_name = "N")]
     ticks: Option<u64>,
@@ -62,7 +72,7 @@ pub struct Args {
     /// Show it in sumo-gui, the ego followed.
     #[arg(long)]
     gui: bool,
-    /// The weather of the recording, by CARLA's name.
+    /// The weather that agent and recording see, by CARLA's name.
     #[arg(long, default_value = "ClearNoon", value_name = "NAME")]
     weather: Preset,
     /// Film the run: a .mp4 file, or a folder with a trailing / for numbered PNG pictures.
@@ -98,6 +108,7 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
     let config = bundled::resolve(&args.config).map_err(|e| Exit::Input.because(e))?;
     let seed = args.seed.unwrap_or(0);
     let out = args.out.clone().unwrap_or_else(|| default_folder(&config, seed));
+    let driver = driver(&args, seed)?;
     let options = DriveOptions {
         bridge: BridgeOptions {
             seed,
@@ -116,7 +127,7 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
     };
     let mut interrupt = Interrupt::listen()?;
     let started = tokio::select! {
-        started = Drive::start(options) => started,
+        started = Drive::start_with(options, driver) => started,
         () = interrupt.wait() => {
             eprintln!("interrupted before the first tick");
             return Ok(Exit::Interrupted);
@@ -167,6 +178,30 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
     Ok(if interrupted { Exit::Interrupted } else { Exit::Done })
 }
 
+/// The trained agent that was asked for; None: the autopilot.
+#[cfg(feature = "learn")]
+fn driver(args: &Args, seed: u64) -> anyhow::Result<Option<LearnedDriver>> {
+    if args.agent == "autopilot" {
+        return Ok(None);
+    }
+    let options = EnvOptions { detector: args.detector.clone(), ..EnvOptions::evaluation() };
+    let opened = wad_cosim::agent::policy::open(&args.agent, args.encoder.as_deref(), &options.camera);
+    let (agent, encoder) = opened.map_err(|e| Exit::Input.because(e))?;
+    let driver = LearnedDriver::new(&args.config, agent, encoder, &options, args.weather, seed);
+    Ok(Some(driver.map_err(|e| Exit::Input.because(e))?))
+}
+
+#[cfg(not(feature = "learn"))]
+fn driver(args: &Args, _seed: u64) -> anyhow::Result<Option<LearnedDriver>> {
+    if args.agent == "autopilot" {
+        return Ok(None);
+    }
+    Err(Exit::Input.because(anyhow::anyhow!(
+        "--agent {}: this build has no libtorch and knows the autopilot only; build it with the feature `learn`",
+        args.agent
+    )))
+}
+
 impl Args {
     fn quiet_status(&self) -> bool {
         !std::io::stderr().is_terminal()
@@ -209,6 +244,7 @@ pub fn with_exit(error: DriveError) -> anyhow::Error {
         DriveError::Bridge(bridge) if bridge.is_input() => Exit::Input,
         DriveError::Bridge(BridgeError::Folder { .. }) | DriveError::Write(_) => Exit::Other,
         DriveError::Bridge(_) => Exit::Sumo,
+        DriveError::Driver(_) => Exit::Other,
         DriveError::Destination(_) | DriveError::Folder(FolderError::Taken { .. }) => Exit::Input,
         DriveError::Folder(FolderError::Write(_)) => Exit::Other,
     };

@@ -1,7 +1,12 @@
 //! `wad-cosim train`: one subcommand per network, one file each.
 
 #[cfg(feature = "learn")]
+pub mod agent;
+#[cfg(feature = "learn")]
 mod encoder;
+
+#[cfg(feature = "learn")]
+pub use encoder::Device;
 
 use super::Exit;
 use clap::Subcommand;
@@ -18,6 +23,9 @@ enum Command {
     /// Train the encoder-decoder on the transformed images of a dataset.
     #[cfg(feature = "learn")]
     Encoder(Box<encoder::Args>),
+    /// Train a driving agent: WAD-T (TD3) or WAD-S (SAC).
+    #[cfg(feature = "learn")]
+    Agent(Box<agent::Args>),
 }
 
 /// Runs the command.
@@ -25,5 +33,7 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
     match args.command {
         #[cfg(feature = "learn")]
         Command::Encoder(args) => encoder::run(*args),
+        #[cfg(feature = "learn")]
+        Command::Agent(args) => agent::run(*args),
     }
 }

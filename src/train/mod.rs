@@ -1,5 +1,7 @@
-//! Training: the encoder-decoder here; detectors and agents beside it.
+//! Training: the encoder-decoder, and the driving agents.
 
+#[cfg(feature = "learn")]
+pub mod agent;
 #[cfg(feature = "learn")]
 pub mod encoder;
 #[cfg(feature = "learn")]

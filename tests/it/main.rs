@@ -1,6 +1,8 @@
 //! The integration tests: one binary, so that the heavy libraries are linked once.
 //! Each module talks to a real SUMO.
 
+#[cfg(all(feature = "learn", feature = "vision"))]
+mod agents;
 mod autopilot;
 mod bridge;
 mod dataset;

@@ -161,7 +161,10 @@ impl Checkpoints {
                     return Ok((state, buffer));
                 }
                 Err(why) => {
-                    tracing::warn!("the checkpoint `{}` is damaged ({why}); the one before it is used", path.display());
+                    tracing::warn!(
+                        "the checkpoint `{}` is damaged ({why}); the one before it is used",
+                        path.display()
+                    );
                     damaged.push((path.clone(), why));
                 }
             }
@@ -202,7 +205,8 @@ impl Checkpoints {
         mut buffer: ReplayBuffer,
     ) -> Result<(State, ReplayBuffer), String> {
         let state = read_state(path)?;
-        let bytes = std::fs::read(path.join("learner.safetensors")).map_err(|e| format!("its networks: {e}"))?;
+        let bytes =
+            std::fs::read(path.join("learner.safetensors")).map_err(|e| format!("its networks: {e}"))?;
         if bytes.len() as u64 != state.learner_bytes || crc32fast::hash(&bytes) != state.learner_crc {
             return Err(format!(
                 "its networks: expected {} bytes with checksum {:08x}, found {} with {:08x}",

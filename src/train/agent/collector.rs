@@ -35,7 +35,10 @@ pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 /// What collectors send.
 #[derive(Debug)]
 pub enum Message {
-    Segment(Segment),
+    Segment {
+        segment: Segment,
+        autopilot: bool,
+    },
     Episode(Box<Report>),
     /// Where a collector's time went since it last said so (s).
     Times(Times),
@@ -96,6 +99,19 @@ pub fn collect(
     while !shared.stop.load(Ordering::Relaxed) {
         let job = retry.take().unwrap_or_else(|| lock(&shared.schedule).next(config));
         match collector.drive(&job) {
+            // SUMO died on the way.
+            Ok(report) if report.ending.end == End::Error => {
+                failures += 1;
+                if failures >= PATIENCE {
+                    let why = format!(
+                        "SUMO died {failures} times in a row; the last time: {}",
+                        report.ending.cause
+                    );
+                    let _ = out.send(Message::Failed(super::TrainError::Broken(why)));
+                    return;
+                }
+                retry = matches!(job.purpose, Purpose::Validate(_)).then_some(job);
+            }
             Ok(report) => {
                 failures = 0;
                 if out.send(Message::Episode(Box::new(report))).is_err() {
@@ -171,7 +187,6 @@ impl Collector<'_> {
     fn episode(&mut self, env: &mut Env, job: &Job) -> Result<Report, Stop> {
         let mut rng = ChaCha8Rng::seed_from_u64(crate::seeds::derive(job.seed, "exploration"));
         let mut noise = Exploration::new(self.config.exploration, &mut rng);
-        let keep = !matches!(job.purpose, Purpose::Validate(_));
         let demonstration = matches!(job.purpose, Purpose::Demonstrate { noisy: false });
         let begin = |observation: Vec<f32>| Segment {
             observations: vec![observation],
@@ -190,7 +205,7 @@ impl Collector<'_> {
                 // The transition that SUMO did not finish is not kept; what came before is.
                 tracing::info!("the rest of an episode is lost: {}", ending.cause);
                 segment.truncated = true;
-                self.send(segment, keep)?;
+                self.send(segment, &job.purpose)?;
                 return Ok(report(job, &step.info, steps, episodic_return, terms, env));
             }
             steps += 1;
@@ -204,7 +219,7 @@ impl Collector<'_> {
             let over = step.terminated || step.truncated;
             if over || segment.len() == SEGMENT {
                 let last = segment.observations.last().cloned().unwrap_or_default();
-                self.send(std::mem::replace(&mut segment, begin(last)), keep)?;
+                self.send(std::mem::replace(&mut segment, begin(last)), &job.purpose)?;
             }
             if over {
                 return Ok(report(job, &step.info, steps, episodic_return, terms, env));
@@ -264,12 +279,14 @@ impl Collector<'_> {
         Ok(())
     }
 
-    fn send(&mut self, segment: Segment, keep: bool) -> Result<(), Stop> {
-        if !keep || segment.is_empty() {
+    /// Hands experience to the learner; a validation's is not learned from.
+    fn send(&mut self, segment: Segment, purpose: &Purpose) -> Result<(), Stop> {
+        if matches!(purpose, Purpose::Validate(_)) || segment.is_empty() {
             return Ok(());
         }
         let clock = Instant::now();
-        let sent = self.out.send(Message::Segment(segment)).map_err(|_| Stop::Over);
+        let autopilot = matches!(purpose, Purpose::Demonstrate { .. });
+        let sent = self.out.send(Message::Segment { segment, autopilot }).map_err(|_| Stop::Over);
         self.times.waiting += clock.elapsed().as_secs_f64();
         sent
     }

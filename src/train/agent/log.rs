@@ -45,7 +45,13 @@ impl RunLog {
     ///
     /// # Errors
     /// The logs cannot be written.
-    pub fn episode(&mut self, steps: u64, stage: usize, success_rate: f64, r: &Report) -> Result<(), TrainError> {
+    pub fn episode(
+        &mut self,
+        steps: u64,
+        stage: usize,
+        success_rate: f64,
+        r: &Report,
+    ) -> Result<(), TrainError> {
         let by = match r.purpose {
             Purpose::Demonstrate { .. } => "autopilot",
             Purpose::Start => "start",

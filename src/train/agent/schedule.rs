@@ -113,7 +113,8 @@ impl Schedule {
             for i in 0..params.episodes {
                 let stage = config.curriculum.stages.iter().find(|stage| stage.task == task);
                 let traffic = stage.and_then(|stage| stage.traffic);
-                let spec = TaskSpec { traffic, ..TaskSpec::new(task) }.in_weather(weathers[i % weathers.len()]);
+                let spec =
+                    TaskSpec { traffic, ..TaskSpec::new(task) }.in_weather(weathers[i % weathers.len()]);
                 let seed = seeds::derive(params.seed, &format!("{task} {i}"));
                 self.validations.push_back(Job {
                     purpose: Purpose::Validate(Arc::clone(actor)),

@@ -1,0 +1,366 @@
+//! `wad-cosim train agent`.
+
+use super::encoder::Device;
+use crate::cli::progress::Bar;
+use crate::cli::{Exit, dataset, print};
+use anyhow::{Context, anyhow};
+use clap::{ValueEnum, ValueHint};
+use std::path::{Path, PathBuf};
+use wad_cosim::agent::learner::{Algorithm, Inputs};
+use wad_cosim::agent::networks::CriticEnd;
+use wad_cosim::agent::policy::find_encoder;
+use wad_cosim::agent::sac::SacParams;
+use wad_cosim::agent::td3::Td3Params;
+use wad_cosim::env::{Assets, Env, EnvError, EnvOptions};
+use wad_cosim::tasks::Curriculum;
+use wad_cosim::train::agent::{Limits, Maker, Progress, TrainConfig, TrainError, Trained, train};
+
+const EXAMPLES: &str = "\
+Examples:
+  wad-cosim train agent --algo td3 --out runs/wad_t
+  wad-cosim train agent --algo sac --out runs/wad_s --steps 500000 --seed 2
+  wad-cosim train agent --algo td3 --out runs/shown --demonstrations 30000 --pretrain 10000 --bc-weight 2
+  wad-cosim train agent --out runs/wad_t --resume --steps 1000000
+  wad-cosim train agent --algo td3 --out runs/gpu --device cuda --collectors 14 --max-minutes 9
+
+The best actor by validation is DIR/best.safetensors, the newest DIR/last.safetensors; figures are in
+DIR/train.jsonl, DIR/validation.jsonl and for TensorBoard; checkpoints hold the replay buffer.";
+
+/// Train a driving agent: WAD-T (TD3) or WAD-S (SAC).
+#[derive(clap::Args, Debug)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// What learns: td3 (WAD-T) or sac (WAD-S).
+    #[arg(long, value_enum, required_unless_present = "resume")]
+    algo: Option<Algo>,
+    /// Folder for actors, checkpoints and figures.
+    #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
+    out: PathBuf,
+    /// Go on with the training in --out, as it was configured; only --steps, --max-minutes, --collectors
+    /// and --device are taken from the command line.
+    #[arg(long)]
+    resume: bool,
+    /// The tasks in order [default: the bundled curriculum].
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
+    curriculum: Option<PathBuf>,
+    /// Environment steps of the agent in all.
+    #[arg(long, value_name = "N", default_value_t = 400_000)]
+    steps: u64,
+    /// End after this wall time, with a checkpoint.
+    #[arg(long, value_name = "MINUTES")]
+    max_minutes: Option<f64>,
+    /// Environments that drive at once, each with its own SUMO [default: the machine's cores, less two
+    /// where there are many].
+    #[arg(long, value_name = "N")]
+    collectors: Option<usize>,
+    /// Where to learn; driving is always on the processor.
+    #[arg(long, value_enum, default_value_t = Device::Cpu)]
+    device: Device,
+    /// Everything random derives from it.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    seed: u64,
+    /// The encoder: a file, a folder, a bundled one's name, or `pooled` (coarse averages, untrained).
+    #[arg(long, value_name = "NAME", default_value = "default")]
+    encoder: String,
+    /// The detector.
+    #[arg(long, value_name = "NAME", default_value = "truth")]
+    detector: String,
+    /// Updates per environment step.
+    #[arg(long, value_name = "R", default_value_t = 1.0)]
+    update_ratio: f64,
+    /// Transitions per update.
+    #[arg(long, value_name = "N", default_value_t = 256)]
+    batch: usize,
+    /// Transitions in the replay buffer (485 MB per million).
+    #[arg(long, value_name = "N", default_value_t = 1_000_000)]
+    buffer: usize,
+    /// Environment steps before the first update.
+    #[arg(long, value_name = "N", default_value_t = 5_000)]
+    learning_starts: u64,
+    /// Environment steps that the autopilot drives first, into the replay buffer ("with demonstrations").
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    demonstrations: u64,
+    /// Updates on the demonstrations before the agent drives.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pretrain: u64,
+    /// td3: weight of imitating demonstrated actions that the critic prefers; 0: never.
+    #[arg(long, value_name = "W", default_value_t = 0.0)]
+    bc_weight: f64,
+    /// td3: updates over which imitation fades to nothing.
+    #[arg(long, value_name = "N", default_value_t = 200_000)]
+    bc_updates: u64,
+    /// td3: what critics end in: the paper's sigmoid, or linear.
+    #[arg(long, value_enum, default_value_t = Critic::Sigmoid)]
+    critic: Critic,
+    /// td3: the returns that the sigmoid's 0 and 1 stand for.
+    #[arg(long, value_name = "LOW,HIGH", default_value = "-60,100", allow_hyphen_values = true, value_parser = bounds)]
+    critic_range: (f64, f64),
+    /// td3: Adam's step for the critics; the paper's is 3e-3.
+    #[arg(long, value_name = "X", default_value_t = 3e-3)]
+    critic_learning_rate: f64,
+    /// Adam's step for the actor (sac: for all networks).
+    #[arg(long, value_name = "X", default_value_t = 3e-4)]
+    learning_rate: f64,
+    /// Discount per tick of a sixth of a second.
+    #[arg(long, value_name = "X", default_value_t = 0.99)]
+    gamma: f64,
+    /// Rewards summed before the critic's word is taken.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    n_step: usize,
+    /// sac: the temperature, in scaled reward per nat; where --autotune begins.
+    #[arg(long, value_name = "X", default_value_t = 0.1)]
+    alpha: f64,
+    /// sac: let the temperature keep the entropy where it belongs.
+    #[arg(long)]
+    autotune: bool,
+    /// Noise on the actions driven in training: a factor on its standard deviations.
+    #[arg(long, value_name = "X", default_value_t = 1.0)]
+    noise: f64,
+    /// What the networks see (ablation).
+    #[arg(long, value_enum, default_value_t = InputChoice::Both)]
+    inputs: InputChoice,
+    /// Environment steps between validations; 0: never.
+    #[arg(long, value_name = "N", default_value_t = 50_000)]
+    validate_every: u64,
+    /// Validation episodes of each task.
+    #[arg(long, value_name = "N", default_value_t = 4)]
+    validation_episodes: usize,
+    /// Environment steps between checkpoints.
+    #[arg(long, value_name = "N", default_value_t = 25_000)]
+    checkpoint_every: u64,
+    /// Print the result as one JSON line on stdout.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Algo {
+    Td3,
+    Sac,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Critic {
+    Sigmoid,
+    Linear,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum InputChoice {
+    Both,
+    Latent,
+    Raw,
+}
+
+fn bounds(text: &str) -> Result<(f64, f64), String> {
+    let wrong = || format!("`{text}` is not LOW,HIGH, e.g. -60,100");
+    let (low, high) = text.split_once(',').ok_or_else(wrong)?;
+    let (low, high): (f64, f64) =
+        (low.trim().parse().map_err(|_| wrong())?, high.trim().parse().map_err(|_| wrong())?);
+    if low.is_finite() && high.is_finite() && low < high { Ok((low, high)) } else { Err(wrong()) }
+}
+
+/// Runs the command.
+pub fn run(args: Args) -> anyhow::Result<Exit> {
+    tch::set_num_threads(1);
+    let device = args.device.open()?;
+    let config = if args.resume { saved_config(&args)? } else { config(&args)? };
+    let limits = Limits {
+        steps: args.steps,
+        time: dataset::minutes(args.max_minutes)?,
+        collectors: args.collectors.unwrap_or_else(default_collectors).max(1),
+        device,
+        out: args.out.clone(),
+    };
+    let maker = maker(&config.encoder, &config.curriculum.town)?;
+    let interrupt = wad_cosim::interrupt::flag().context("cannot listen for Ctrl-C")?;
+    let bar = Bar::new(limits.steps, "steps");
+    let result = train(&config, &limits, args.resume, &interrupt, &maker, |progress| show(&bar, &progress));
+    bar.clear();
+    let trained = result.map_err(with_exit)?;
+    report(&trained, args.json)?;
+    Ok(if trained.interrupted { Exit::Interrupted } else { Exit::Done })
+}
+
+/// All cores of a small machine; on a large one the learner and the system keep two.
+pub fn default_collectors() -> usize {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    if cores > 4 { cores - 2 } else { cores }
+}
+
+/// Makes environments in `town` with the encoder called `name`.
+pub fn maker(name: &str, town: &str) -> anyhow::Result<Maker> {
+    let assets = Assets::load(town).map_err(|e| with_exit(TrainError::Env(e)))?;
+    let name = name.to_string();
+    Ok(Maker {
+        env: Box::new(move |options: EnvOptions| -> Result<Env, EnvError> {
+            Env::new(assets.clone(), options, find_encoder(&name)?)
+        }),
+    })
+}
+
+/// The curriculum that travels with the binary.
+const CURRICULUM: &str = include_str!("../../../scenarios/curriculum.json");
+
+/// The curriculum of a file, or the bundled one.
+pub fn curriculum(file: Option<&Path>) -> anyhow::Result<Curriculum> {
+    let loaded = match file {
+        Some(path) => Curriculum::load(path),
+        None => Curriculum::parse(Path::new("scenarios/curriculum.json"), CURRICULUM),
+    };
+    loaded.map_err(|e| Exit::Input.because(e))
+}
+
+fn config(args: &Args) -> anyhow::Result<TrainConfig> {
+    let Some(algo) = args.algo else {
+        return Err(Exit::Input.because(anyhow!("--algo: expected td3 or sac")));
+    };
+    let algorithm = match algo {
+        Algo::Td3 => Algorithm::Td3(Td3Params {
+            gamma: args.gamma,
+            actor_learning_rate: args.learning_rate,
+            critic_learning_rate: args.critic_learning_rate,
+            critic_end: match args.critic {
+                Critic::Linear => CriticEnd::Linear,
+                Critic::Sigmoid => CriticEnd::Sigmoid { low: args.critic_range.0, high: args.critic_range.1 },
+            },
+            bc_weight: args.bc_weight,
+            bc_updates: args.bc_updates,
+            ..Td3Params::default()
+        }),
+        Algo::Sac => Algorithm::Sac(SacParams {
+            gamma: args.gamma,
+            learning_rate: args.learning_rate,
+            alpha: args.alpha,
+            autotune: args.autotune,
+            ..SacParams::default()
+        }),
+    };
+    let curriculum = curriculum(args.curriculum.as_deref())?;
+    let hash = find_encoder(&args.encoder).map_err(|e| Exit::Input.because(e))?.hash().to_string();
+    let mut config = TrainConfig::new(algorithm, curriculum, &args.encoder, &hash);
+    config.seed = args.seed;
+    config.env.detector.clone_from(&args.detector);
+    config.update_ratio = args.update_ratio;
+    config.batch_size = args.batch;
+    config.buffer = args.buffer;
+    config.n_step = args.n_step;
+    config.learning_starts = args.learning_starts;
+    config.demonstrations = args.demonstrations;
+    config.pretrain = args.pretrain;
+    config.validation.every = args.validate_every;
+    config.validation.episodes = args.validation_episodes;
+    config.checkpoint_every = args.checkpoint_every.max(1);
+    for noise in &mut config.exploration.exploration_noise {
+        *noise *= args.noise;
+    }
+    config.set_inputs(match args.inputs {
+        InputChoice::Both => Inputs::Both,
+        InputChoice::Latent => Inputs::Latent,
+        InputChoice::Raw => Inputs::Raw,
+    });
+    Ok(config)
+}
+
+/// The configuration of the training that is gone on with.
+fn saved_config(args: &Args) -> anyhow::Result<TrainConfig> {
+    let path = args.out.join("config.json");
+    let text = std::fs::read_to_string(&path).map_err(|source| {
+        Exit::Input.because(anyhow!("nothing to resume: cannot read `{}`: {source}", path.display()))
+    })?;
+    let config: TrainConfig = serde_json::from_str(&text).map_err(|e| {
+        Exit::Input.because(TrainError::ConfigFile { path: path.clone(), why: e.to_string() })
+    })?;
+    let name = |algo: Algo| if algo == Algo::Td3 { "wad-t" } else { "wad-s" };
+    if let Some(algo) = args.algo
+        && name(algo) != config.algorithm.agent_name()
+    {
+        return Err(Exit::Input.because(anyhow!(
+            "`{}` trains {}, and --algo asks for {}; leave --algo out, or name another folder",
+            args.out.display(),
+            config.algorithm.agent_name(),
+            name(algo)
+        )));
+    }
+    let found = find_encoder(&config.encoder).map_err(|e| Exit::Input.because(e))?.hash().to_string();
+    if found != config.encoder_hash {
+        return Err(Exit::Input.because(anyhow!(
+            "the training in `{}` sees through the encoder {} (`{}`), which is {found} now; put that one back, or \
+             train anew",
+            args.out.display(),
+            config.encoder_hash,
+            config.encoder
+        )));
+    }
+    Ok(config)
+}
+
+fn show(bar: &Bar, p: &Progress<'_>) {
+    if let Some(news) = &p.news {
+        bar.say(news);
+    }
+    let doing = if p.validating {
+        "validating".to_string()
+    } else if p.steps == 0 && p.demonstrated > 0 {
+        format!("{} demonstrated", p.demonstrated)
+    } else {
+        format!("{}, {:.0} % of the last", p.task, 100.0 * p.success_rate)
+    };
+    let message = format!(
+        "{} updates, stage {}/{}: {doing}, return {:.0}",
+        p.updates,
+        p.stage + 1,
+        p.stages,
+        p.mean_return
+    );
+    bar.show(p.steps, &message);
+}
+
+/// The exit code that belongs to a training's error.
+pub fn with_exit(error: TrainError) -> anyhow::Error {
+    let exit = match &error {
+        TrainError::Env(env) if env.is_input() => Exit::Input,
+        TrainError::Env(env) if env.is_sumo() => Exit::Sumo,
+        TrainError::Buffer(_)
+        | TrainError::Config(_)
+        | TrainError::ConfigFile { .. }
+        | TrainError::Taken { .. }
+        | TrainError::NoCheckpoint { .. } => Exit::Input,
+        _ => Exit::Other,
+    };
+    exit.because(error)
+}
+
+fn report(t: &Trained, json: bool) -> anyhow::Result<()> {
+    let best = t.best.map_or("no validation yet".to_string(), |best| {
+        format!(
+            "best at step {}: {:.0} % of the validation, mean return {:.0}",
+            best.steps,
+            100.0 * best.success_rate,
+            best.mean_return
+        )
+    });
+    let text = format!(
+        "{}: {} steps, {} updates{} in {:.0} s ({:.0} s in all); {:.1} steps/s and {:.1} updates/s while learning\n\
+         stage {} ({}){}; {best}\nresults in {}\n{}",
+        t.algorithm,
+        t.steps,
+        t.updates,
+        if t.demonstrated > 0 { format!(", {} steps demonstrated", t.demonstrated) } else { String::new() },
+        t.wall_seconds,
+        t.total_seconds,
+        t.env_steps_per_s,
+        t.updates_per_s,
+        t.stage + 1,
+        t.stage_task,
+        if t.curriculum_done { ", the curriculum is passed" } else { "" },
+        t.out.display(),
+        if t.interrupted { "interrupted; --resume goes on from here\n" } else { "" },
+    );
+    if json {
+        eprint!("{text}");
+        print(&format!("{}\n", serde_json::to_string(t).context("cannot write the result as JSON")?))
+    } else {
+        print(&text)
+    }
+}

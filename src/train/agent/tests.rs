@@ -1,0 +1,223 @@
+//! Checkpoints that resume bit for bit, and the schedule's order.
+
+use super::checkpoint::{Checkpoints, RngState, State};
+use super::config::TrainConfig;
+use super::schedule::{ActorCopy, Purpose, Schedule};
+use crate::agent::learner::{Algorithm, Batches, InputScale, Learner, Metrics};
+use crate::agent::networks::Dims;
+use crate::agent::replay_buffer::{ReplayBuffer, Sampled, Sampling, Segment};
+use crate::agent::sac::SacParams;
+use crate::agent::td3::Td3Params;
+use crate::seeds;
+use crate::tasks::{Curriculum, TaskKind};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use std::path::Path;
+use std::sync::Arc;
+use tch::Device;
+
+const DIMS: Dims = Dims { latent: 6, raw: 4, actions: 3 };
+const SAMPLING: Sampling = Sampling { batch_size: 32, n_step: 2, gamma: 0.97, reward_scale: 1.0 };
+
+fn config() -> TrainConfig {
+    let text = include_str!("../../../scenarios/curriculum.json");
+    let curriculum = Curriculum::parse(Path::new("curriculum.json"), text).unwrap();
+    TrainConfig::new(Algorithm::Td3(Td3Params::default()), curriculum, "pooled", "hash")
+}
+
+struct Learning {
+    learner: Learner,
+    buffer: ReplayBuffer,
+    rng: ChaCha8Rng,
+}
+
+impl Learning {
+    fn new(algorithm: &Algorithm) -> Self {
+        tch::set_num_threads(1);
+        Self {
+            learner: Learner::new(algorithm, DIMS, 4, Device::Cpu),
+            buffer: ReplayBuffer::new(DIMS, 3000).unwrap(),
+            rng: seeds::rng(4, "learner"),
+        }
+    }
+
+    fn experience(&mut self, seed: u64) {
+        let mut rng = seeds::rng(seed, "experience");
+        for _ in 0..20 {
+            let mut numbers = |n: usize| -> Vec<f32> { (0..n).map(|_| rng.random::<f32>()).collect() };
+            self.buffer.push(&Segment {
+                observations: (0..31).map(|_| numbers(10)).collect(),
+                actions: (0..30).map(|_| [numbers(1)[0], 0.3, 0.1]).collect(),
+                rewards: numbers(30),
+                terminated: seed % 2 == 0,
+                ..Segment::default()
+            });
+        }
+    }
+
+    fn learn(&mut self, updates: usize) {
+        let scale = InputScale::identity(DIMS).tensors(Device::Cpu);
+        let mut sampled = Sampled::default();
+        for _ in 0..updates {
+            self.buffer.sample(&mut self.rng, SAMPLING, 1, &mut sampled);
+            let batches = Batches::upload(&sampled, DIMS, &scale, Device::Cpu);
+            self.learner.update(&batches.get(0), &mut Metrics::default());
+        }
+    }
+
+    fn save(&mut self, checkpoints: &mut Checkpoints, steps: u64) {
+        let state = State {
+            steps,
+            updates: 0,
+            adam_steps: Vec::new(),
+            rng: RngState::of(&self.rng),
+            schedule: Schedule::new(&config(), None, 0).state,
+            scale: None,
+            best: None,
+            validated_at: 0,
+            wall_seconds: 1.0,
+            replay: Default::default(),
+            learner_bytes: 0,
+            learner_crc: 0,
+        };
+        checkpoints.save(state, &mut self.learner, &self.buffer).unwrap();
+    }
+
+    fn bits(&mut self) -> Vec<(&'static str, Vec<u32>)> {
+        let tensors = self.learner.tensors();
+        tensors
+            .into_iter()
+            .map(|(name, t)| {
+                (name, Vec::<f32>::try_from(&*t).unwrap().into_iter().map(f32::to_bits).collect())
+            })
+            .collect()
+    }
+}
+
+fn restore(algorithm: &Algorithm, out: &Path) -> Result<(Learning, u64, Checkpoints), super::TrainError> {
+    let mut learning = Learning::new(algorithm);
+    let mut checkpoints = Checkpoints::new(out);
+    let (state, buffer) =
+        checkpoints.restore(&mut learning.learner, || Ok(ReplayBuffer::new(DIMS, 3000)?))?;
+    learning.buffer = buffer;
+    learning.rng = state.rng.generator().unwrap();
+    Ok((learning, state.steps, checkpoints))
+}
+
+fn resumes_bit_for_bit(algorithm: &Algorithm) {
+    let out = tempfile::tempdir().unwrap();
+    let mut straight = Learning::new(algorithm);
+    let mut checkpoints = Checkpoints::new(out.path());
+    straight.experience(1);
+    straight.learn(7);
+    straight.save(&mut checkpoints, 100);
+    let (mut resumed, steps, _) = restore(algorithm, out.path()).unwrap();
+    assert_eq!(steps, 100);
+    assert_eq!(resumed.learner.counters(), straight.learner.counters());
+    for learning in [&mut straight, &mut resumed] {
+        learning.experience(2);
+        learning.learn(9);
+    }
+    for (one, two) in straight.bits().into_iter().zip(resumed.bits()) {
+        assert!(one == two, "`{}` differs after the resume", one.0);
+    }
+}
+
+#[test]
+fn td3_resumes_bit_for_bit() {
+    resumes_bit_for_bit(&Algorithm::Td3(Td3Params::default()));
+}
+
+#[test]
+fn sac_resumes_bit_for_bit() {
+    resumes_bit_for_bit(&Algorithm::Sac(SacParams { autotune: true, ..SacParams::default() }));
+}
+
+#[test]
+fn a_checkpoint_cut_short_is_passed_over_for_the_one_before() {
+    let algorithm = Algorithm::Td3(Td3Params::default());
+    for damage in ["learner.safetensors", "state.json", "chunk"] {
+        let out = tempfile::tempdir().unwrap();
+        let mut learning = Learning::new(&algorithm);
+        let mut checkpoints = Checkpoints::new(out.path());
+        for steps in [100, 200, 300] {
+            learning.experience(steps);
+            learning.learn(2);
+            learning.save(&mut checkpoints, steps);
+        }
+        let folder = out.path().join("checkpoints");
+        assert!(!folder.join("000000100").exists(), "two are kept");
+        let newest: State =
+            serde_json::from_slice(&std::fs::read(folder.join("000000300/state.json")).unwrap()).unwrap();
+        let file = match damage {
+            "chunk" => folder.join("replay").join(&newest.replay.chunks[0].file),
+            name => folder.join("000000300").join(name),
+        };
+        let data = std::fs::read(&file).unwrap();
+        std::fs::write(&file, &data[..data.len() / 2]).unwrap();
+        let (mut found, steps, mut checkpoints) = restore(&algorithm, out.path()).unwrap();
+        assert_eq!((steps, found.learner.counters().0), (200, 4), "after damage to {damage}");
+        // The next checkpoint follows on that one.
+        found.experience(9);
+        found.save(&mut checkpoints, 250);
+        assert_eq!(restore(&algorithm, out.path()).unwrap().1, 250);
+    }
+}
+
+#[test]
+fn nothing_to_resume_and_another_form_are_said() {
+    let out = tempfile::tempdir().unwrap();
+    let td3 = Algorithm::Td3(Td3Params::default());
+    let error = restore(&td3, out.path()).err().unwrap().to_string();
+    assert!(error.contains("there is none"), "{error}");
+    let mut learning = Learning::new(&td3);
+    learning.experience(1);
+    learning.save(&mut Checkpoints::new(out.path()), 100);
+    let error = restore(&Algorithm::Sac(SacParams::default()), out.path()).err().unwrap().to_string();
+    assert!(error.contains("tensor `policy`"), "{error}");
+}
+
+#[test]
+fn demonstrations_come_first_then_the_curriculum_and_validations_between() {
+    let mut config = config();
+    config.demonstrations = 1000;
+    let mut schedule = Schedule::new(&config, None, 0);
+    let mut shown = std::collections::BTreeSet::new();
+    for _ in 0..60 {
+        let job = schedule.next(&config);
+        assert!(matches!(job.purpose, Purpose::Demonstrate { .. }));
+        shown.insert(job.task.kind);
+    }
+    assert_eq!(shown.len(), 6, "every task is demonstrated: {shown:?}");
+    schedule.state.demonstrated = 1000;
+    let job = schedule.next(&config);
+    assert!(matches!(job.purpose, Purpose::Explore));
+    assert_eq!(job.task.kind, TaskKind::Straight);
+
+    schedule.state.progress.stage = 1;
+    let scale = InputScale::identity(Dims::DRIVING);
+    let actor = Arc::new(ActorCopy { version: 3, values: Vec::new(), scale });
+    let validation = |schedule: &mut Schedule| -> Vec<(TaskKind, u64)> {
+        let n = schedule.validate(&config, &actor);
+        assert_eq!(n, 2 * config.validation.episodes, "the tasks come to so far");
+        (0..n)
+            .map(|_| {
+                let job = schedule.next(&config);
+                assert!(matches!(job.purpose, Purpose::Validate(_)));
+                (job.task.kind, job.seed)
+            })
+            .collect()
+    };
+    let first = validation(&mut schedule);
+    assert!(matches!(schedule.next(&config).purpose, Purpose::Explore));
+    assert_eq!(validation(&mut schedule), first, "always the same episodes");
+}
+
+#[test]
+fn without_demonstrations_gentle_driving_comes_first() {
+    let config = config();
+    let mut schedule = Schedule::new(&config, None, 0);
+    assert!(matches!(schedule.next(&config).purpose, Purpose::Start));
+    schedule.steps = config.learning_starts;
+    assert!(matches!(schedule.next(&config).purpose, Purpose::Explore));
+}

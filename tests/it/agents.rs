@@ -1,0 +1,169 @@
+//! `train agent` on a real SUMO: it learns, stops on Ctrl-C, goes on, and what it wrote drives.
+
+use serde_json::Value;
+use std::os::unix::process::CommandExt;
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+fn wad(args: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_wad-cosim"));
+    command.args(args).stdin(Stdio::null());
+    command
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+fn json(output: &Output) -> Value {
+    let text = String::from_utf8_lossy(&output.stdout);
+    let last = text.lines().last().unwrap_or_default();
+    serde_json::from_str(last).unwrap_or_else(|e| panic!("{e}: {last:?}\n{}", stderr(output)))
+}
+
+/// A small training behind the encoder that needs no weights.
+const SMALL: [&str; 14] = [
+    "--encoder",
+    "pooled",
+    "--buffer",
+    "4000",
+    "--batch",
+    "32",
+    "--learning-starts",
+    "200",
+    "--collectors",
+    "2",
+    "--checkpoint-every",
+    "300",
+    "--seed",
+    "5",
+];
+
+fn train(out: &Path, args: &[&str]) -> Command {
+    let mut command = wad(&["train", "agent", "--json", "--out"]);
+    command.arg(out).args(args);
+    command
+}
+
+fn lines(file: &Path) -> Vec<Value> {
+    let text = std::fs::read_to_string(file).unwrap_or_else(|e| panic!("{}: {e}", file.display()));
+    text.lines().map(|line| serde_json::from_str(line).expect("a JSON line")).collect()
+}
+
+fn wait_until(child: &mut Child, what: &str, mut done: impl FnMut() -> bool) {
+    let began = Instant::now();
+    while !done() {
+        assert!(child.try_wait().expect("a child").is_none(), "ended before {what}");
+        assert!(began.elapsed() < Duration::from_secs(180), "no {what} within three minutes");
+        std::thread::sleep(Duration::from_millis(100));
+    }
+}
+
+fn checkpoints(out: &Path) -> usize {
+    let count = |entries: std::fs::ReadDir| {
+        entries.flatten().filter(|entry| entry.path().join("state.json").exists()).count()
+    };
+    std::fs::read_dir(out.join("checkpoints")).map_or(0, count)
+}
+
+#[test]
+fn wad_t_trains_stops_on_ctrl_c_goes_on_and_drives() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("wad_t");
+    let mut command = train(&out, &["--algo", "td3", "--steps", "1000000", "--validate-every", "0"]);
+    command.args(SMALL).stdout(Stdio::piped()).stderr(Stdio::piped()).process_group(0);
+    let mut child = command.spawn().unwrap();
+    wait_until(&mut child, "a checkpoint", || checkpoints(&out) > 0);
+    let pid = child.id() as i32;
+    // SAFETY: sends a signal to a child that has not been waited for.
+    assert_eq!(unsafe { libc::kill(pid, libc::SIGINT) }, 0);
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(4), "{}", stderr(&output));
+    let first = json(&output);
+    assert_eq!(first["interrupted"], true);
+    let steps = first["steps"].as_u64().unwrap();
+    let updates = first["updates"].as_u64().unwrap();
+    assert!(steps >= 300 && updates > 0, "{first}");
+    assert!(updates <= steps - 200, "one update per step: {first}");
+
+    // Another algorithm in the same folder is refused, and so is a new start.
+    let other = train(&out, &["--resume", "--algo", "sac"]).output().unwrap();
+    assert_eq!(other.status.code(), Some(2));
+    assert!(stderr(&other).contains("trains wad-t"), "{}", stderr(&other));
+    let again = train(&out, &["--algo", "td3"]).args(SMALL).output().unwrap();
+    assert_eq!(again.status.code(), Some(2));
+    assert!(stderr(&again).contains("--resume"), "{}", stderr(&again));
+
+    let more = (steps + 300).to_string();
+    let output = train(&out, &["--resume", "--collectors", "2", "--steps", &more]).output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    let second = json(&output);
+    let (all, updates) = (second["steps"].as_u64().unwrap(), second["updates"].as_u64().unwrap());
+    assert!(all >= steps + 300 && updates == all - 200, "{second}");
+    let log = lines(&out.join("train.jsonl"));
+    assert!(log.iter().any(|line| line.get("losses/qf1_loss").is_some_and(Value::is_number)));
+    assert!(log.iter().any(|line| line.get("charts/episodic_return").is_some_and(Value::is_number)));
+    assert!(log.windows(2).all(|w| w[0]["global_step"].as_u64() <= w[1]["global_step"].as_u64()));
+
+    // What it wrote drives, the same way each time.
+    let agent = out.join("last.safetensors");
+    let drive = |name: &str| {
+        let run = dir.path().join(name);
+        let mut command = wad(&["run", "town3", "--traffic", "5,5", "--ticks", "40", "--json", "--agent"]);
+        let output = command.arg(&agent).arg("--out").arg(&run).output().unwrap();
+        assert!(output.status.success(), "{}", stderr(&output));
+        assert_eq!(json(&output)["ticks"], 40);
+        std::fs::read(run.join("telemetry.jsonl")).unwrap()
+    };
+    assert_eq!(drive("one"), drive("two"));
+    let config = std::fs::read_to_string(dir.path().join("one/config.json")).unwrap();
+    assert!(config.contains("pooled-8x8"), "the run says what its agent saw through");
+
+    // Another encoder is refused.
+    std::fs::write(dir.path().join("broken.safetensors"), b"nothing").unwrap();
+    let broken = dir.path().join("broken.safetensors");
+    let mut command = wad(&["run", "town3", "--ticks", "5", "--agent"]);
+    let output = command.arg(&broken).arg("--out").arg(dir.path().join("three")).output().unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    assert!(stderr(&output).contains("is no trained agent"), "{}", stderr(&output));
+}
+
+#[test]
+fn wad_s_learns_from_demonstrations_and_is_validated() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("wad_s");
+    let curriculum = dir.path().join("curriculum.json");
+    let text = r#"{ "town": "town3", "weathers": ["ClearNoon"], "replay": 0.0,
+        "stages": [{ "task": "obstacle", "threshold": 0.9, "window": 20 }] }"#;
+    std::fs::write(&curriculum, text).unwrap();
+    let mut command = train(&out, &["--algo", "sac", "--steps", "200", "--demonstrations", "400"]);
+    command.args(["--pretrain", "50", "--validate-every", "1000", "--validation-episodes", "1"]);
+    let output = command.arg("--curriculum").arg(&curriculum).args(SMALL).output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    let trained = json(&output);
+    assert!(trained["demonstrated"].as_u64().unwrap() >= 400, "{trained}");
+    let (steps, updates) = (trained["steps"].as_u64().unwrap(), trained["updates"].as_u64().unwrap());
+    assert_eq!(updates, steps + 50, "updates on the demonstrations, then one per step");
+    assert!(trained["best"]["success_rate"].is_number(), "{trained}");
+    assert_eq!(lines(&out.join("validation.jsonl")).len(), 1);
+    assert!(out.join("best.safetensors").exists());
+    let log = lines(&out.join("train.jsonl"));
+    assert!(log.iter().any(|line| line["by"] == "autopilot"), "reported apart");
+
+    std::fs::write(&curriculum, text.replace("replay", "repaly")).unwrap();
+    let mut command = train(&dir.path().join("other"), &["--algo", "sac"]);
+    let output = command.arg("--curriculum").arg(&curriculum).args(SMALL).output().unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    assert!(stderr(&output).contains("repaly"), "{}", stderr(&output));
+}
+
+#[test]
+fn a_replay_buffer_beyond_memory_is_refused_with_its_size() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("run");
+    let args = ["--algo", "td3", "--encoder", "pooled", "--buffer", "4000000000"];
+    let output = train(&out, &args).output().unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    assert!(stderr(&output).contains("MB of memory are free"), "{}", stderr(&output));
+}
