@@ -7,7 +7,7 @@
 //! | [`networks`] | WAD-T's and WAD-S' actors and critics |
 //! | [`adam`] | the optimiser, with a state that can be saved |
 //! | [`td3`], [`sac`] | one learning step each, in the papers' order |
-//! | [`replay_buffer`] | a million transitions of latents |
+//! | [`replay_buffer`], [`replay_files`] | a million transitions of latents, in memory and on disk |
 //! | [`policy`] | a trained actor as a file, and as an [`Agent`] |
 
 pub mod action;
@@ -22,6 +22,8 @@ pub mod networks;
 pub mod policy;
 #[cfg(feature = "learn")]
 pub mod replay_buffer;
+#[cfg(feature = "learn")]
+pub mod replay_files;
 #[cfg(feature = "learn")]
 pub mod sac;
 #[cfg(feature = "learn")]

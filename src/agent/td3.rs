@@ -43,7 +43,7 @@ impl Default for Td3Params {
             noise_clip: 0.25,
             policy_frequency: 2,
             critic_hidden: vec![256, 128],
-            critic_end: CriticEnd::Sigmoid { low: -100.0, high: 100.0 },
+            critic_end: CriticEnd::Sigmoid { low: -60.0, high: 100.0 },
             bc_weight: 0.0,
             bc_updates: 200_000,
         }

@@ -13,7 +13,8 @@ use super::gather::{Gather, Geometry};
 use super::ground_marks::Marks;
 use super::model::{Scene, SemanticTag};
 use super::raster::{CamVertex, PAD, Visibility, draw_ground};
-use super::shade::{self, Ground, Row, Run, Wall};
+use super::shade::{self, Row, Run, Wall};
+use super::shade_ground::{Ground, ground};
 use super::shadow_map::ShadowMap;
 use super::simd::{multiversion, pack, tone};
 use super::sky::{Look, Sky};
@@ -275,7 +276,7 @@ impl CpuRenderer {
                 let left = (0.5 - view.centre[0]) / view.focal;
                 let base = |i: usize| view.ahead[i] + ry * view.up[i] + left * view.right[i];
                 let lies = run.surface.lies;
-                let ground = Ground {
+                let site = Ground {
                     eye: still.eye,
                     base: [base(0), base(1)],
                     step: [view.right[0] / view.focal, view.right[1] / view.focal],
@@ -291,7 +292,7 @@ impl CpuRenderer {
                     numbers: &self.grounds[material],
                     lies,
                 };
-                shade::ground(run, &ground, row);
+                ground(run, &site, row);
             }
             Kind::Leaves | Kind::Bricks | Kind::Plate => {
                 let wall = Wall { focal: view.focal, weather, facade: &self.facades[material] };

@@ -328,7 +328,7 @@ multiversion! {
         let rows = (shape.rows.0.max(0.0) as usize, (shape.rows.1.max(0.0) as usize + 1).min(visibility.height));
         let columns = (shape.columns.0.max(0.0), shape.columns.1.min(visibility.width as f32));
         let edges = &shape.edges[..shape.count];
-        for y in rows.0..rows.1 {
+        for (y, range) in touched.iter_mut().enumerate().take(rows.1).skip(rows.0) {
             let yc = y as f32 + 0.5;
             // Where the row is within all edges' reach.
             let (mut left, mut right) = columns;
@@ -346,7 +346,6 @@ multiversion! {
                 continue;
             }
             let (x0, x1) = (left.max(0.0) as usize, (right as usize + 1).min(visibility.width));
-            let range = &mut touched[y];
             *range = [range[0].min(x0 as u32), range[1].max(x1 as u32)];
             let base = shape.iz[1] * yc + shape.iz[2] + 0.5 * shape.iz[0];
             let mut x = x0;

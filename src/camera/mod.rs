@@ -25,6 +25,7 @@ mod picture;
 mod raster;
 pub mod scene;
 mod shade;
+mod shade_ground;
 mod shadow_map;
 mod simd;
 mod sky;

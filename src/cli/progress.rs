@@ -40,6 +40,7 @@ impl Bar {
     }
 
     /// How many there will be.
+    #[cfg(feature = "learn")]
     pub fn set_total(&self, total: u64) {
         self.total.set(total);
         if let Some(bar) = &self.bar {
@@ -48,6 +49,7 @@ impl Bar {
     }
 
     /// Prints a line of its own.
+    #[cfg(feature = "learn")]
     pub fn say(&self, text: &str) {
         match &self.bar {
             Some(bar) => bar.suspend(|| eprintln!("{text}")),

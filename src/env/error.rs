@@ -36,7 +36,7 @@ pub enum EnvError {
     #[error(
         "SUMO failed {attempts} times in a row at the start of an episode of `{task}` with seed {seed}; the last time: {source}"
     )]
-    Start { attempts: usize, task: String, seed: u64, source: BridgeError },
+    Start { attempts: usize, task: String, seed: u64, source: Box<BridgeError> },
     #[error(
         "no free place for `{task}` in {town} after {tries} draws: too much traffic; ask for fewer vehicles"
     )]
@@ -54,7 +54,8 @@ impl EnvError {
             Self::Resolve(_) | Self::Config(_) | Self::Network(_) | Self::Task(_) | Self::Crowded { .. } => {
                 true
             }
-            Self::Bridge(bridge) | Self::Start { source: bridge, .. } => bridge.is_input(),
+            Self::Bridge(bridge) => bridge.is_input(),
+            Self::Start { source, .. } => source.is_input(),
             _ => false,
         }
     }

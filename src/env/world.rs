@@ -88,7 +88,12 @@ impl World {
                     self.sumo = None;
                     if attempt == ATTEMPTS {
                         let (task, source) = (task.kind.to_string(), error);
-                        return Err(EnvError::Start { attempts: ATTEMPTS, task, seed, source });
+                        return Err(EnvError::Start {
+                            attempts: ATTEMPTS,
+                            task,
+                            seed,
+                            source: Box::new(source),
+                        });
                     }
                     tracing::warn!("SUMO is started again for `{}`, seed {seed}: {error}", task.kind);
                 }

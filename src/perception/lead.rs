@@ -19,10 +19,10 @@ pub struct Candidate {
     /// Index in the detections.
     pub detection: usize,
     pub class: ObjectClass,
-    /// Its nearest point, m ahead of the ego's front bumper.
+    /// Along the route from the ego's front bumper to its nearest point (m).
     pub gap: f64,
-    /// That point's distance along the route (m).
-    pub s: f64,
+    /// The nearest point straight ahead of the ego's centre (m).
+    pub ahead: f64,
 }
 
 /// How broad things of a class are seen from behind (m), and how far the lowest seen point (the wheels) is
@@ -59,9 +59,7 @@ fn locate(
     let [near, y_left] = ground.point([left, bottom])?;
     let [_, y_right] = ground.point([right, bottom])?;
     let (breadth, behind) = build(class);
-    let nearest = f64::from(near - behind);
-    let gap = nearest - 0.5 * facts.length;
-    if gap > SIGHT {
+    if f64::from(near) > SIGHT + facts.length {
         return None;
     }
     // Its place on the route: the middle, and the ends of what is seen of its breadth.
@@ -69,7 +67,7 @@ fn locate(
     let reach = f64::from(near) + 10.0;
     let offset = |y: f32| {
         let place = state.pose.to_world(Point::new(f64::from(near), f64::from(y)).coords);
-        facts.route.project_near(place, facts.on_route.s, 5.0, reach)
+        facts.route.project_near(place, facts.on_route.s, 0.0, reach)
     };
     // A vehicle beside the path shows its flank too: no more than its class's breadth counts, from the
     // side that is away from the path.
@@ -80,13 +78,9 @@ fn locate(
     let inner = outer - f64::from(2.0 * half).copysign(outer);
     let crosses = inner.signum() != outer.signum() || inner.abs() < HALF_WAY;
     let within = crosses || middle.d.abs() < HALF_WAY;
-    // Beyond the route's end nothing is in the way that is not before it.
-    within.then(|| Candidate {
-        detection: index,
-        class,
-        gap: gap.max(0.0),
-        s: facts.on_route.s + 0.5 * facts.length + gap.max(0.0),
-    })
+    let gap = (middle.s - facts.on_route.front_s - f64::from(behind)).max(0.0);
+    let ahead = f64::from(near - behind);
+    (within && gap <= SIGHT).then_some(Candidate { detection: index, class, gap, ahead })
 }
 
 /// Follows the vehicle in front over the ticks.
@@ -120,7 +114,7 @@ impl LeadTracker {
         self.track = None;
     }
 
-    /// One tick of `tick` s later, with the ego at `ego_speed` (m/s).
+    /// One tick later: what is in front, given the nearest detection in the path.
     pub fn update(
         &mut self,
         seen: Option<&Candidate>,
@@ -133,8 +127,8 @@ impl LeadTracker {
         }
         match (seen, &mut self.track) {
             (Some(seen), track) => {
-                let ahead = (seen.gap + 0.5 * facts.length) as f32;
-                let noise = GAP_NOISE.hypot(ROW_NOISE * f64::from(ground.metres_per_row(ahead)));
+                let row = f64::from(ground.metres_per_row(seen.ahead as f32));
+                let noise = GAP_NOISE.hypot(ROW_NOISE * row);
                 match track {
                     Some(old) if old.expects(seen.gap, noise) => old.correct(seen.gap, noise),
                     _ => *track = Some(Track::new(seen, noise, ego_speed)),

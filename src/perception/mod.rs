@@ -6,6 +6,8 @@
 //! signals --light---> red or not --/
 //! ```
 
+#[cfg(feature = "learn")]
+pub mod centernet;
 mod choice;
 pub mod coco;
 mod ground;
@@ -21,6 +23,7 @@ pub mod onnx_file;
 pub mod paint;
 mod pipeline;
 pub mod score;
+pub mod sight_score;
 pub mod stages;
 mod tour;
 mod truth;

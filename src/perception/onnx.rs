@@ -73,8 +73,7 @@ impl OnnxDetector {
         };
         let (width, height) = detector.size;
         let empty = Frame { width, height, rgb: vec![0; width * height * 3], ..Frame::default() };
-        let shapes: Vec<Vec<usize>> =
-            detector.forward(&empty).map_err(refused)?.iter().map(|o| shape(o)).collect();
+        let shapes: Vec<Vec<usize>> = detector.forward(&empty).map_err(refused)?.iter().map(shape).collect();
         let named: Vec<(&str, &[usize])> =
             detector.outputs.iter().map(String::as_str).zip(shapes.iter().map(Vec::as_slice)).collect();
         detector.head = heads::recognise(&named).map_err(failed)?;

@@ -99,7 +99,7 @@ impl Curriculum {
 }
 
 /// Where training is in a curriculum; saved with checkpoints.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Progress {
     /// Index of the stage.
     pub stage: usize,
@@ -109,12 +109,6 @@ pub struct Progress {
     pub recent: VecDeque<bool>,
     /// The last stage's threshold has been passed too.
     pub done: bool,
-}
-
-impl Default for Progress {
-    fn default() -> Self {
-        Self { stage: 0, steps: 0, recent: VecDeque::new(), done: false }
-    }
 }
 
 impl Progress {

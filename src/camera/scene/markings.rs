@@ -89,11 +89,10 @@ pub(super) fn opposite(network: &Network, edge: EdgeId) -> Option<(EdgeId, f64)>
 
 /// Paints the whole network.
 pub(super) fn build(network: &Network, seed: u64, tiles: &mut Tiles) {
-    let inward = if network.left_hand { -1.0 } else { 1.0 };
     for number in 0..network.edges.len() {
         let id = EdgeId(number as u32);
         if network.edge(id).kind == EdgeKind::Normal {
-            edge(network, id, inward, seed, tiles);
+            edge(network, id, seed, tiles);
         }
     }
     for crossing in &network.crossings {
@@ -123,64 +122,124 @@ pub(super) fn build(network: &Network, seed: u64, tiles: &mut Tiles) {
     }
 }
 
-fn edge(network: &Network, id: EdgeId, inward: f64, seed: u64, tiles: &mut Tiles) {
-    let edge = network.edge(id);
-    let driven: Vec<LaneId> =
-        edge.lanes.iter().copied().filter(|&l| surface(network.lane(l)) == Surface::Road).collect();
-    let (Some(&outer), Some(&inner)) = (driven.first(), driven.last()) else { return };
-    let across = opposite(network, id);
+/// The line on the inner side of a lane: its centre, m left of the lane's.
+enum Inner {
+    Solid(f64),
+    Dashes {
+        d: f64,
+        dash: f64,
+        gap: f64,
+    },
+    /// Between this direction and the other: two lines, or dashes on narrow roads.
+    Between {
+        middle: f64,
+        double: bool,
+        other: EdgeId,
+    },
+}
+
+/// From the middle of a double line to its two (m).
+const DOUBLE: f64 = 0.12;
+
+fn inward(network: &Network) -> f64 {
+    if network.left_hand { -1.0 } else { 1.0 }
+}
+
+fn driven(network: &Network, id: EdgeId) -> Vec<LaneId> {
+    network.edge(id).lanes.iter().copied().filter(|&l| surface(network.lane(l)) == Surface::Road).collect()
+}
+
+/// Narrow roads have no lines at their borders.
+fn is_narrow(network: &Network, driven: &[LaneId]) -> bool {
+    driven.last().is_some_and(|&inner| network.lane(inner).width < 2.9)
+}
+
+fn inner_line(network: &Network, id: LaneId, driven: &[LaneId]) -> Inner {
+    let lane = network.lane(id);
+    let (half, inward) = (0.5 * lane.width, inward(network));
+    let next = driven.iter().position(|&l| l == id).and_then(|i| driven.get(i + 1)).map(|&l| network.lane(l));
+    let Some(next) = next else {
+        return match opposite(network, lane.edge) {
+            Some((other, gap)) if gap < ADJACENT => Inner::Between {
+                middle: inward * (half + 0.5 * gap.max(0.0)),
+                double: !is_narrow(network, driven),
+                other,
+            },
+            _ => Inner::Solid(inward * (half - 0.22)),
+        };
+    };
+    let car = VehicleClass::Passenger;
+    let open = lane.change_up.allows(car) || next.change_down.allows(car);
+    let cycle_lane = !lane.permissions.allows(car) || !next.permissions.allows(car);
+    let d = inward * half;
+    match () {
+        () if !open || cycle_lane => Inner::Solid(d),
+        () if lane.speed_limit > 20.0 => Inner::Dashes { d, dash: 6.0, gap: 12.0 },
+        () => Inner::Dashes { d, dash: 3.0, gap: 6.0 },
+    }
+}
+
+/// The line on the outer side of a lane (m left of its centre): the road's border or the next lane's line.
+fn outer_line(network: &Network, id: LaneId, driven: &[LaneId]) -> Option<f64> {
+    let half = 0.5 * network.lane(id).width;
+    if driven.first() != Some(&id) {
+        return Some(-inward(network) * half);
+    }
+    (!is_narrow(network, driven)).then(|| -inward(network) * (half - 0.22))
+}
+
+/// Where the painted lines next to a lane's centre are: left and right, m left of the lane's centre line;
+/// None where there is none, as inside junctions.
+pub fn painted_sides(network: &Network, id: LaneId) -> [Option<f64>; 2] {
+    let edge = network.lane(id).edge;
+    let driven = driven(network, edge);
+    if network.edge(edge).kind != EdgeKind::Normal || !driven.contains(&id) {
+        return [None; 2];
+    }
+    let inner = match inner_line(network, id, &driven) {
+        Inner::Solid(d) | Inner::Dashes { d, .. } => d,
+        Inner::Between { middle, double: false, .. } => middle,
+        Inner::Between { middle, double: true, .. } => middle - DOUBLE.copysign(middle),
+    };
+    let outer = outer_line(network, id, &driven);
+    if inner > 0.0 { [Some(inner), outer] } else { [outer, Some(inner)] }
+}
+
+fn edge(network: &Network, id: EdgeId, seed: u64, tiles: &mut Tiles) {
+    let driven = driven(network, id);
+    let Some(&outer) = driven.first() else { return };
     let strength =
         0.6 + 0.35 * ((crate::seeds::derive(seed ^ u64::from(id.0), "paint") % 100) as f32 / 100.0);
-    let narrow = network.lane(inner).width < 2.9;
     let stops = |lanes: &[LaneId]| lanes.iter().any(|&l| line_at_end(network, l) != EndLine::None);
     let trim = if stops(&driven) { STOP_LINE.1 } else { 0.0 };
-    let facing = across.filter(|&(other, gap)| gap < ADJACENT && stops(&network.edge(other).lanes));
     for &lane_id in &driven {
         let lane = network.lane(lane_id);
-        let half = 0.5 * lane.width;
         let line = stations(&lane.shape, 16.0);
         if line.len() < 2 || lane.shape.length() < 2.0 {
             continue;
         }
         let length = lane.shape.length();
         let mut painter = Painter { tiles, line, length, reach: (0.0, length - trim), strength };
-        if lane_id == outer && !narrow {
-            painter.stripe(-inward * (half - 0.22), LINE, 0.0, length);
+        if let Some(d) = outer_line(network, lane_id, &driven).filter(|_| lane_id == outer) {
+            painter.stripe(d, LINE, 0.0, length);
         }
-        if lane_id == inner {
-            match across {
-                Some((other, gap)) if gap < ADJACENT => {
-                    // Painted once for both directions.
-                    if id < other {
-                        painter.reach.0 = if facing.is_some() { STOP_LINE.1 } else { 0.0 };
-                        let middle = inward * (half + 0.5 * gap.max(0.0));
-                        if narrow {
-                            painter.dashes(middle, 3.0, 3.0);
-                        } else {
-                            painter.stripe(middle - 0.12, 0.10, 0.0, length);
-                            painter.stripe(middle + 0.12, 0.10, 0.0, length);
-                        }
-                    }
+        match inner_line(network, lane_id, &driven) {
+            Inner::Solid(d) => painter.stripe(d, LINE, 0.0, length),
+            Inner::Dashes { d, dash, gap } => painter.dashes(d, dash, gap),
+            // Painted once for both directions.
+            Inner::Between { other, .. } if other < id => {}
+            Inner::Between { middle, double, other } => {
+                painter.reach.0 = if stops(&network.edge(other).lanes) { STOP_LINE.1 } else { 0.0 };
+                if double {
+                    painter.stripe(middle - DOUBLE, 0.10, 0.0, length);
+                    painter.stripe(middle + DOUBLE, 0.10, 0.0, length);
+                } else {
+                    painter.dashes(middle, 3.0, 3.0);
                 }
-                _ => painter.stripe(inward * (half - 0.22), LINE, 0.0, length),
-            }
-        } else {
-            let fast = lane.speed_limit > 20.0;
-            let car = VehicleClass::Passenger;
-            let next = driven.iter().position(|&l| l == lane_id).map(|i| network.lane(driven[i + 1]));
-            let open = lane.change_up.allows(car) || next.is_some_and(|n| n.change_down.allows(car));
-            let cycle_lane =
-                !lane.permissions.allows(car) || next.is_some_and(|n| !n.permissions.allows(car));
-            if !open || cycle_lane {
-                painter.stripe(inward * half, LINE, 0.0, length);
-            } else if fast {
-                painter.dashes(inward * half, 6.0, 12.0);
-            } else {
-                painter.dashes(inward * half, 3.0, 6.0);
             }
         }
         let (right, left) = (lane_id == driven[0], lane_id == driven[driven.len() - 1]);
-        let sides = if inward > 0.0 { [right, left] } else { [left, right] };
+        let sides = if inward(network) > 0.0 { [right, left] } else { [left, right] };
         ends(network, lane_id, sides, tiles, strength);
     }
 }

@@ -20,6 +20,8 @@ mod tests;
 mod tiles;
 mod trees;
 
+pub use markings::painted_sides;
+
 use super::actors::Cast;
 use super::model::Scene;
 use crate::network::{Network, Shapes};

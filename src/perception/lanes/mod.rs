@@ -80,8 +80,11 @@ pub struct LaneDetector {
     fitter: fit::Fitter,
     pieces: Pieces,
     /// Where the ego was at the last tick, and the boundaries and their ages (ticks) then.
-    last: Option<(Pose, [Option<(LaneBoundary, u32)>; 2])>,
+    last: Option<(Pose, [Option<Aged>; 2])>,
 }
+
+/// A boundary and for how many ticks it has not been seen.
+type Aged = (LaneBoundary, u32);
 
 impl LaneDetector {
     /// A detector.

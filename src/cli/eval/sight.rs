@@ -1,0 +1,260 @@
+//! `wad-cosim eval lanes` and `eval lead`: the autopilot drives, perception looks on.
+
+use crate::cli::{Exit, print, run};
+use anyhow::Context;
+use indicatif::{ProgressBar, ProgressStyle};
+use std::io::IsTerminal;
+use wad_cosim::bridge::BridgeOptions;
+use wad_cosim::bundled;
+use wad_cosim::camera::{Camera, CameraConfig, Outputs, Preset, Town, Weather};
+use wad_cosim::drive::{Drive, DriveOptions};
+use wad_cosim::perception::sight_score::{LaneScore, LaneTruth, LeadScore, LeadTruth, MEASURED_AT};
+use wad_cosim::perception::{self, EgoFacts, Perception};
+use wad_cosim::sight;
+use wad_cosim::traffic::TrafficSpec;
+
+const EXAMPLES: &str = "\
+Examples:
+  wad-cosim eval lanes
+  wad-cosim eval lanes town3 --ticks 2000 --weather ClearNoon,HardRainNoon --json
+  wad-cosim eval lead --detector truth:faulty";
+
+/// Options of both.
+#[derive(clap::Args, Debug)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// Config or bundled town.
+    #[arg(default_value = "town5")]
+    config: String,
+    /// Ticks to drive; ticks in which the ego stands do not count.
+    #[arg(long, value_name = "N", default_value_t = 1200)]
+    ticks: u64,
+    /// Weathers, separated by commas.
+    #[arg(
+        long,
+        value_name = "NAMES",
+        value_delimiter = ',',
+        default_value = "ClearNoon,CloudyNoon,SoftRainNoon,WetCloudySunset,MidRainyNoon,HardRainNoon"
+    )]
+    weather: Vec<Preset>,
+    /// Background traffic: empty, regular, dense, or VEHICLES,PEDESTRIANS.
+    #[arg(long, default_value = "regular", value_name = "T")]
+    traffic: TrafficSpec,
+    /// Who detects: truth (the renderer's boxes) or truth:faulty (with a real detector's faults).
+    #[arg(long, default_value = "truth", value_name = "NAME")]
+    detector: String,
+    /// WIDTHxHEIGHT of the camera's picture in pixels.
+    #[arg(long, value_name = "WxH", default_value = "512x512", value_parser = crate::cli::snapshot::size)]
+    size: (usize, usize),
+    /// Everything random derives from it.
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    seed: u64,
+    /// Print one JSON object as the last line of stdout; everything else goes to stderr.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Perception in one weather.
+struct Eye {
+    weather: Weather,
+    camera: Camera,
+    perception: Perception,
+}
+
+/// Drives, and hands every eye to `look` after each tick in which the ego moves; `looks` of the first
+/// `eyes` weathers.
+async fn drive(
+    args: &Args,
+    weathers: &[Preset],
+    outputs: Outputs,
+    look: &mut dyn FnMut(usize, &mut Eye, &Town, &Drive) -> anyhow::Result<()>,
+) -> anyhow::Result<()> {
+    let input = |e: anyhow::Error| Exit::Input.because(e);
+    let config = bundled::resolve(&args.config).map_err(|e| Exit::Input.because(e))?;
+    let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
+    let (width, height) = args.size;
+    let camera = CameraConfig::sized(width, height);
+    let mut eyes = Vec::new();
+    for &preset in weathers {
+        let mut perception = perception::detector(&args.detector, perception::MIN_SCORE)
+            .and_then(|detector| Perception::new(detector, camera))
+            .map_err(|e| input(e.into()))?;
+        perception.reset(args.seed);
+        let camera = Camera::new(camera).map_err(|e| input(e.into()))?;
+        eyes.push(Eye { weather: Weather::from(preset), camera, perception });
+    }
+    let mut drive = Drive::start(DriveOptions {
+        bridge: BridgeOptions {
+            seed: args.seed,
+            traffic: args.traffic,
+            ..BridgeOptions::new(config, scratch.path().join("sumo"))
+        },
+        route: None,
+        ego: Default::default(),
+        autopilot: Default::default(),
+        criteria: Default::default(),
+        out: scratch.path().join("run"),
+    })
+    .await
+    .map_err(run::with_exit)?;
+    let mut town = sight::town(drive.bridge(), args.seed);
+    let bar = progress(args.ticks);
+    let mut respawns = 0;
+    for tick in 0..args.ticks {
+        drive.tick().await.map_err(run::with_exit)?;
+        sight::follow(&mut town, drive.ego());
+        let now = drive.summary("survived", false).respawns;
+        for (index, eye) in eyes.iter_mut().enumerate() {
+            if now != respawns {
+                eye.perception.reset(args.seed);
+            }
+            let needs = eye.perception.needs();
+            let outputs = Outputs { boxes: needs.boxes || outputs.boxes, ..outputs };
+            let pose = drive.ego().state().pose;
+            eye.camera.render(town.scene(), town.actors(), &pose, &eye.weather, outputs);
+            let facts = EgoFacts::of(drive.bridge().network(), drive.ego(), drive.bridge().tick());
+            eye.perception.perceive(eye.camera.frame(), &facts)?;
+            look(index, eye, &town, &drive)?;
+        }
+        respawns = now;
+        match &bar {
+            Some(bar) => bar.inc(1),
+            None if (tick + 1) % 300 == 0 => eprintln!("tick {} of {}", tick + 1, args.ticks),
+            None => {}
+        }
+    }
+    if let Some(bar) = bar {
+        bar.finish_and_clear();
+    }
+    drive.finish("survived", false).await.map_err(run::with_exit)?;
+    Ok(())
+}
+
+fn progress(ticks: u64) -> Option<ProgressBar> {
+    let bar = std::io::stderr().is_terminal().then(|| ProgressBar::new(ticks))?;
+    let style = ProgressStyle::with_template("{bar:30} {pos}/{len}  {per_sec}  {eta} left").ok()?;
+    Some(bar.with_style(style))
+}
+
+/// Below this (m/s) the ego stands, and the next frame is like the last.
+const STANDS: f64 = 0.3;
+
+/// `eval lanes`.
+pub async fn lanes(args: Args) -> anyhow::Result<Exit> {
+    let mut scores = vec![LaneScore::default(); args.weather.len()];
+    let outputs = Outputs { semantic: true, ..Outputs::RGB };
+    drive(&args, &args.weather, outputs, &mut |index, eye, _, drive| {
+        let facts = EgoFacts::of(drive.bridge().network(), drive.ego(), drive.bridge().tick());
+        if facts.on_route.state.speed > STANDS
+            && let Some(truth) = LaneTruth::find(&facts, eye.perception.ground(), eye.camera.frame())
+        {
+            scores[index].add(&eye.perception.percept().lanes, &truth);
+        }
+        Ok(())
+    })
+    .await?;
+    let say = |line: &str| if args.json { eprintln!("{line}") } else { println!("{line}") };
+    say(&format!(
+        "lane boundaries at {MEASURED_AT} m, {} at {}x{}, seed {}\n{:>16} {:>7} {:>8} {:>10} {:>7} {:>11} {:>9} {:>7} {:>7}",
+        args.config,
+        args.size.0,
+        args.size.1,
+        args.seed,
+        "weather",
+        "frames",
+        "painted",
+        "precision",
+        "recall",
+        "with hidden",
+        "median m",
+        "p90 m",
+        "bias m"
+    ));
+    let mut rows = Vec::new();
+    for (preset, score) in args.weather.iter().zip(&scores) {
+        let r = score.report();
+        say(&format!(
+            "{:>16} {:>7} {:>8} {:>10} {:>7} {:>11} {:>9} {:>7} {:>7}",
+            preset.name(),
+            r.frames,
+            r.painted,
+            number(r.precision, 3),
+            number(r.recall, 3),
+            number(r.recall_hidden_too, 3),
+            number(r.lateral_error.median, 3),
+            number(r.lateral_error.p90, 3),
+            number(r.bias, 3)
+        ));
+        rows.push(serde_json::json!({ "weather": preset.name(), "lanes": r }));
+    }
+    finish(&args, serde_json::json!({ "measured_at_m": MEASURED_AT, "rows": rows }))
+}
+
+/// `eval lead`.
+pub async fn lead(args: Args) -> anyhow::Result<Exit> {
+    let mut score = LeadScore::default();
+    let outputs = Outputs { boxes: true, ..Outputs::RGB };
+    let weather = args.weather.first().copied().unwrap_or_default();
+    drive(&args, &[weather], outputs, &mut |_, eye, _, drive| {
+        let ego = drive.ego();
+        let facts = EgoFacts::of(drive.bridge().network(), ego, drive.bridge().tick());
+        if facts.on_route.state.speed > STANDS {
+            let truth = LeadTruth::find(&facts, ego.world(), eye.camera.frame());
+            score.add(truth, eye.perception.percept().raw.lead);
+        }
+        Ok(())
+    })
+    .await?;
+    let report = score.report();
+    let say = |line: &str| if args.json { eprintln!("{line}") } else { println!("{line}") };
+    say(&format!(
+        "vehicle in front, detector {}, {}, seed {}, {}\n{:>9} {:>7} {:>7} {:>10} {:>7} {:>7} {:>13} {:>8}",
+        args.detector,
+        args.config,
+        args.seed,
+        weather.name(),
+        "gap m",
+        "frames",
+        "recall",
+        "gap err m",
+        "p90 m",
+        "bias m",
+        "closing m/s",
+        "p90 m/s"
+    ));
+    for bin in &report.bins {
+        say(&format!(
+            "{:>9} {:>7} {:>7} {:>10} {:>7} {:>7} {:>13} {:>8}",
+            format!("{:.0}-{:.0}", bin.from, bin.to),
+            bin.frames,
+            number(bin.recall, 3),
+            number(bin.gap_error.median, 2),
+            number(bin.gap_error.p90, 2),
+            number(bin.gap_bias, 2),
+            number(bin.closing_error.median, 2),
+            number(bin.closing_error.p90, 2)
+        ));
+    }
+    say(&format!(
+        "nothing in the path in {} frames, something reported in {} of them",
+        report.free_frames,
+        number(report.false_leads.map(|share| 100.0 * share), 1) + " %"
+    ));
+    finish(&args, serde_json::json!({ "weather": weather.name(), "detector": args.detector, "lead": report }))
+}
+
+fn number(value: Option<f64>, digits: usize) -> String {
+    value.map_or("-".to_string(), |v| format!("{v:.digits$}"))
+}
+
+fn finish(args: &Args, mut result: serde_json::Value) -> anyhow::Result<Exit> {
+    if let Some(fields) = result.as_object_mut() {
+        fields.insert("config".into(), args.config.clone().into());
+        fields.insert("seed".into(), args.seed.into());
+        fields.insert("ticks".into(), args.ticks.into());
+    }
+    if args.json {
+        print(&format!("{result}\n"))?;
+    }
+    Ok(Exit::Done)
+}

@@ -1,0 +1,134 @@
+//! Convolution and batch norm, trained apart and folded into one for use.
+
+use tch::nn::{Init, Path};
+use tch::{TchError, Tensor};
+
+/// Batch norm's share of the new batch in the running statistics, and what keeps its root from 0.
+const MOMENTUM: f64 = 0.1;
+const EPSILON: f64 = 1e-5;
+
+/// Batch norm.
+#[derive(Debug)]
+pub struct Norm {
+    scale: Tensor,
+    shift: Tensor,
+    mean: Tensor,
+    variance: Tensor,
+}
+
+impl Norm {
+    /// Of pictures with `channels` channels.
+    pub fn new(path: &Path<'_>, channels: i64) -> Self {
+        Self {
+            scale: path.var("scale", &[channels], Init::Const(1.0)),
+            shift: path.var("shift", &[channels], Init::Const(0.0)),
+            mean: path.zeros_no_train("mean", &[channels]),
+            variance: path.ones_no_train("variance", &[channels]),
+        }
+    }
+
+    /// The normed picture.
+    ///
+    /// # Errors
+    /// torch fails.
+    pub fn forward(&self, x: &Tensor, train: bool) -> Result<Tensor, TchError> {
+        let (scale, shift) = (Some(&self.scale), Some(&self.shift));
+        let (mean, variance) = (Some(&self.mean), Some(&self.variance));
+        x.f_batch_norm(scale, shift, mean, variance, train, MOMENTUM, EPSILON, true)
+    }
+}
+
+/// What a convolution is like, beside its channels.
+#[derive(Clone, Copy, Debug)]
+pub struct Kernel {
+    /// Side, odd (or 4 where `up`).
+    pub side: i64,
+    pub stride: i64,
+    /// Upwards: a transposed convolution.
+    pub up: bool,
+    /// Followed by batch norm, which then brings the bias.
+    pub norm: bool,
+}
+
+impl Kernel {
+    /// `side` x `side` with batch norm.
+    pub const fn normed(side: i64, stride: i64) -> Self {
+        Self { side, stride, up: false, norm: true }
+    }
+
+    /// `side` x `side` with a bias.
+    pub const fn plain(side: i64) -> Self {
+        Self { side, stride: 1, up: false, norm: false }
+    }
+}
+
+/// A convolution with what follows it.
+#[derive(Debug)]
+pub struct Conv {
+    kernel: Kernel,
+    weight: Tensor,
+    bias: Option<Tensor>,
+    norm: Option<Norm>,
+}
+
+impl Conv {
+    /// From `from` to `to` channels; He's normal initialisation.
+    pub fn new(path: &Path<'_>, from: i64, to: i64, kernel: Kernel) -> Self {
+        let Kernel { side, stride, up, norm } = kernel;
+        let (shape, seen) = if up {
+            ([from, to, side, side], from * side * side / (stride * stride))
+        } else {
+            ([to, from, side, side], from * side * side)
+        };
+        let init = Init::Randn { mean: 0.0, stdev: (2.0 / seen as f64).sqrt() };
+        Self {
+            kernel,
+            weight: path.var("weight", &shape, init),
+            bias: (!norm).then(|| path.var("bias", &[to], Init::Const(0.0))),
+            norm: norm.then(|| Norm::new(path, to)),
+        }
+    }
+
+    /// Sets weights and bias anew: a head that begins with small answers.
+    ///
+    /// # Errors
+    /// torch fails.
+    pub fn begin_at(&mut self, deviation: f64, bias: f64) -> Result<(), TchError> {
+        tch::no_grad(|| {
+            let _ = self.weight.f_normal_(0.0, deviation)?;
+            self.bias.as_mut().map_or(Ok(()), |b| b.f_fill_(bias).map(|_| ()))
+        })
+    }
+
+    /// The convolution, and batch norm after it.
+    ///
+    /// # Errors
+    /// torch fails.
+    pub fn forward(&self, x: &Tensor, train: bool) -> Result<Tensor, TchError> {
+        let Kernel { side, stride, up, .. } = self.kernel;
+        let bias = self.bias.as_ref();
+        let x = if up {
+            let pad = (side - stride) / 2;
+            x.f_conv_transpose2d(&self.weight, bias, [stride; 2], [pad; 2], [0; 2], 1, [1; 2])?
+        } else {
+            x.f_conv2d(&self.weight, bias, [stride; 2], [side / 2; 2], [1; 2], 1)?
+        };
+        self.norm.as_ref().map_or(Ok(x.shallow_clone()), |norm| norm.forward(&x, train))
+    }
+
+    /// Draws batch norm into weight and bias. The layer cannot be trained any more.
+    ///
+    /// # Errors
+    /// torch fails.
+    pub fn fold(&mut self) -> Result<(), TchError> {
+        tch::no_grad(|| {
+            if let Some(norm) = self.norm.take() {
+                let factor = norm.scale.f_div(&norm.variance.f_add_scalar(EPSILON)?.f_sqrt()?)?;
+                let shape: [i64; 4] = if self.kernel.up { [1, -1, 1, 1] } else { [-1, 1, 1, 1] };
+                self.weight = self.weight.f_mul(&factor.f_view(shape)?)?;
+                self.bias = Some(norm.shift.f_sub(&norm.mean.f_mul(&factor)?)?);
+            }
+            Ok(())
+        })
+    }
+}

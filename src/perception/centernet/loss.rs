@@ -1,0 +1,98 @@
+//! CenterNet's loss (Zhou et al. 2019, equations 1 to 4).
+
+use super::network::Answer;
+use tch::{TchError, Tensor};
+
+/// What the answers of a batch are compared with.
+#[derive(Debug)]
+pub struct Target {
+    /// (n, 8, h, w): 1 at centres, falling round them; [`super::targets::NO_MATTER`] where nothing counts.
+    pub heat: Tensor,
+    /// (m): picture * h * w + cell of each centre.
+    pub cells: Tensor,
+    /// (m, 2): in cells.
+    pub size: Tensor,
+    pub offset: Tensor,
+}
+
+/// Weights of the sizes' and the offsets' part.
+const SIZE: f64 = 0.1;
+const OFFSET: f64 = 1.0;
+
+/// The parts of the loss, each per centre.
+#[derive(Debug)]
+pub struct Loss {
+    pub heat: Tensor,
+    pub size: Tensor,
+    pub offset: Tensor,
+}
+
+impl Loss {
+    /// What is minimised.
+    ///
+    /// # Errors
+    /// torch fails.
+    pub fn total(&self) -> Result<Tensor, TchError> {
+        self.heat.f_add(&self.size.f_mul_scalar(SIZE)?)?.f_add(&self.offset.f_mul_scalar(OFFSET)?)
+    }
+}
+
+/// The loss of answers.
+///
+/// # Errors
+/// torch fails.
+pub fn loss(answer: &Answer, target: &Target) -> Result<Loss, TchError> {
+    let centres = (target.cells.size()[0] as f64).max(1.0);
+    // Penalty-reduced focal loss with alpha = 2, beta = 4, from logits: log p = -softplus(-x).
+    let log_p = answer.heat.f_log_sigmoid()?;
+    let log_not_p = log_p.f_sub(&answer.heat)?;
+    let p = answer.heat.f_sigmoid()?;
+    let is_centre = target.heat.f_eq(1.0)?.f_to_kind(tch::Kind::Float)?;
+    let is_other = target.heat.f_ge(0.0)?.f_to_kind(tch::Kind::Float)?.f_sub(&is_centre)?;
+    let positive = log_p.f_mul(&p.f_neg()?.f_add_scalar(1.0)?.f_square()?)?.f_mul(&is_centre)?;
+    let spared = target.heat.f_neg()?.f_add_scalar(1.0)?.f_square()?.f_square()?;
+    let negative = log_not_p.f_mul(&p.f_square()?)?.f_mul(&spared)?.f_mul(&is_other)?;
+    let heat = positive.f_sum(tch::Kind::Float)?.f_add(&negative.f_sum(tch::Kind::Float)?)?;
+    let part = |answer: &Tensor, wanted: &Tensor| -> Result<Tensor, TchError> {
+        // (n, 2, h, w) to (n h w, 2), then the centres' rows.
+        let rows = answer.f_permute([0, 2, 3, 1])?.f_reshape([-1, 2])?.f_index_select(0, &target.cells)?;
+        rows.f_sub(wanted)?.f_abs()?.f_sum(tch::Kind::Float)?.f_div_scalar(centres)
+    };
+    Ok(Loss {
+        heat: heat.f_div_scalar(-centres)?,
+        size: part(&answer.size, &target.size)?,
+        offset: part(&answer.offset, &target.offset)?,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tch::{Device, Kind};
+
+    #[test]
+    fn the_loss_of_one_cell_by_hand() {
+        // Four cells of one class: a centre at p = 0.5, a slope of 0.5 at p = 0.5, background at p = 0.5,
+        // and one that does not count.
+        let heat = Tensor::from_slice(&[1.0_f32, 0.5, 0.0, -1.0]).view([1, 1, 2, 2]);
+        let answer = Answer {
+            heat: Tensor::zeros([1, 1, 2, 2], (Kind::Float, Device::Cpu)),
+            size: Tensor::full([1, 2, 2, 2], 3.0, (Kind::Float, Device::Cpu)),
+            offset: Tensor::zeros([1, 2, 2, 2], (Kind::Float, Device::Cpu)),
+        };
+        let target = Target {
+            heat,
+            cells: Tensor::from_slice(&[0_i64]),
+            size: Tensor::from_slice(&[5.0_f32, 2.0]).view([1, 2]),
+            offset: Tensor::from_slice(&[0.25_f32, 0.5]).view([1, 2]),
+        };
+        let loss = loss(&answer, &target).unwrap();
+        let half = 0.5_f64.ln();
+        // -(1-p)^2 log p; -(1-y)^4 p^2 log(1-p) with y = 0.5 and y = 0.
+        let heat = -0.25 * half - 0.0625 * 0.25 * half - 0.25 * half;
+        assert!((loss.heat.double_value(&[]) - heat).abs() < 1e-6);
+        assert!((loss.size.double_value(&[]) - 3.0).abs() < 1e-6);
+        assert!((loss.offset.double_value(&[]) - 0.75).abs() < 1e-6);
+        assert!((loss.total().unwrap().double_value(&[]) - (heat + 0.3 + 0.75)).abs() < 1e-6);
+    }
+}

@@ -1,0 +1,12 @@
+//! CenterNet in tch: heatmap, size and offset of eight classes over two backbones.
+
+mod detector;
+mod layer;
+pub mod light;
+pub mod loss;
+pub mod network;
+pub mod resnet;
+pub mod targets;
+
+pub use detector::CenterNetDetector;
+pub use network::{Answer, Backbone, CenterNet};

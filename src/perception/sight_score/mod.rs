@@ -1,0 +1,49 @@
+//! How good perception is, against what the simulator knows. For measuring only: nothing here feeds
+//! back into what an agent sees.
+
+mod lanes;
+mod lead;
+
+pub use lanes::{LaneScore, LaneTruth, MEASURED_AT};
+pub use lead::{LeadBin, LeadScore, LeadTruth};
+
+use serde::Serialize;
+
+/// The middle and the 90th percentile of absolute errors.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Spread {
+    pub median: Option<f64>,
+    pub p90: Option<f64>,
+    pub n: usize,
+}
+
+impl Spread {
+    /// Of errors, signs aside.
+    pub fn of(errors: &[f64]) -> Self {
+        let mut sorted: Vec<f64> = errors.iter().map(|e| e.abs()).collect();
+        sorted.sort_by(f64::total_cmp);
+        let at = |share: f64| {
+            let last = sorted.len().checked_sub(1)?;
+            sorted.get((share * last as f64).round() as usize).copied()
+        };
+        Self { median: at(0.5), p90: at(0.9), n: sorted.len() }
+    }
+}
+
+/// A share, None of nothing.
+fn share(part: usize, whole: usize) -> Option<f64> {
+    (whole > 0).then(|| part as f64 / whole as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_spread_of_errors() {
+        let errors: Vec<f64> = (0..=10).map(|i| f64::from(i) * if i % 2 == 0 { 1.0 } else { -1.0 }).collect();
+        assert_eq!(Spread::of(&errors), Spread { median: Some(5.0), p90: Some(9.0), n: 11 });
+        assert_eq!(Spread::of(&[]).median, None);
+        assert_eq!((share(1, 4), share(0, 0)), (Some(0.25), None));
+    }
+}
