@@ -33,6 +33,33 @@ impl FromStr for RecordView {
     }
 }
 
+/// How an .mp4 film is encoded.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Codec {
+    /// H.264 where OpenCV can encode it, else MPEG-4 (`mp4v`).
+    #[default]
+    Auto,
+    /// This one only, by its four-character code.
+    Code([u8; 4]),
+}
+
+impl FromStr for Codec {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "auto" => Ok(Self::Auto),
+            "h264" => Ok(Self::Code(*b"avc1")),
+            _ => match <[u8; 4]>::try_from(text.as_bytes()) {
+                Ok(code) if code.is_ascii() => Ok(Self::Code(code)),
+                _ => Err(format!(
+                    "`{text}` is no codec: expected auto, h264 or a four-character code such as avc1 or mp4v"
+                )),
+            },
+        }
+    }
+}
+
 /// Why a film cannot be made.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
@@ -46,11 +73,11 @@ pub enum RecordError {
     )]
     Kind { path: PathBuf },
     #[error(
-        "{path}: this OpenCV can encode neither H.264 (avc1) nor MPEG-4 (mp4v). Install its FFmpeg or \
-         GStreamer backend (Debian: libopencv-videoio-dev with libavcodec), or give a folder such as film/ for \
-         numbered pictures"
+        "{path}: this OpenCV cannot encode {tried}. Install its FFmpeg backend (Debian, Ubuntu: apt-get install \
+         libopencv-videoio-dev libavcodec-extra), ask for another codec (--record-codec mp4v), or give a \
+         folder such as film/ for numbered pictures"
     )]
-    Codec { path: PathBuf },
+    Codec { path: PathBuf, tried: String },
     #[error(
         "{path}: this build has no video encoder: build it with the feature `vision`, or give a folder such as \
          film/ for numbered pictures"
@@ -77,7 +104,7 @@ impl Recorder {
     ///
     /// # Errors
     /// The place cannot be written, or no codec is there.
-    pub fn create(path: &Path, view: RecordView, fps: f64) -> Result<Self, RecordError> {
+    pub fn create(path: &Path, view: RecordView, fps: f64, codec: Codec) -> Result<Self, RecordError> {
         use RecordView::{All, Bird, Chase, Front};
         let camera = |wanted: &[RecordView], config: CameraConfig| {
             wanted.contains(&view).then(|| Camera::new(config)).transpose()
@@ -93,7 +120,7 @@ impl Recorder {
             front: camera(&[Front, All], CameraConfig::default())?,
             chase: camera(&[Chase, All], CameraConfig::chase(WIDE.0, WIDE.1))?,
             bird: camera(&[Bird, All], bird)?,
-            sink: Sink::create(path, size, fps)?,
+            sink: Sink::create(path, size, fps, codec)?,
         })
     }
 
@@ -140,7 +167,7 @@ enum Sink {
 }
 
 impl Sink {
-    fn create(path: &Path, size: (usize, usize), fps: f64) -> Result<Self, RecordError> {
+    fn create(path: &Path, size: (usize, usize), fps: f64, codec: Codec) -> Result<Self, RecordError> {
         let text = path.to_string_lossy();
         let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
         if text.ends_with('/') || path.is_dir() {
@@ -163,11 +190,11 @@ impl Sink {
                 // OpenCV says nothing of why a file cannot be written; the system does.
                 std::fs::File::create(path)
                     .map_err(|source| RecordError::Write { path: path.to_path_buf(), source })?;
-                Ok(Self::Video(video::Video::create(path, size, fps)?))
+                Ok(Self::Video(video::Video::create(path, size, fps, codec)?))
             }
             #[cfg(not(feature = "vision"))]
             Some("mp4") => {
-                let _ = (size, fps);
+                let _ = (size, fps, codec);
                 Err(RecordError::NoEncoder { path: path.to_path_buf() })
             }
             _ => Err(RecordError::Kind { path: path.to_path_buf() }),
@@ -197,7 +224,7 @@ impl Sink {
 
 #[cfg(feature = "vision")]
 mod video {
-    use super::{Picture, RecordError};
+    use super::{Codec, Picture, RecordError};
     use opencv::core::{Mat, Size, Vec3b};
     use opencv::prelude::{VideoWriterTrait, VideoWriterTraitConst};
     use opencv::videoio::VideoWriter;
@@ -211,20 +238,32 @@ mod video {
     }
 
     impl Video {
-        /// H.264 where OpenCV has it, else MPEG-4.
-        pub fn create(path: &Path, (width, height): (usize, usize), fps: f64) -> Result<Self, RecordError> {
+        /// Nothing is left at `path` where no codec can be had.
+        pub fn create(
+            path: &Path,
+            (width, height): (usize, usize),
+            fps: f64,
+            codec: Codec,
+        ) -> Result<Self, RecordError> {
             let failed = |e: opencv::Error| RecordError::Encode { path: path.to_path_buf(), why: e.message };
-            for codec in [['a', 'v', 'c', '1'], ['m', 'p', '4', 'v']] {
-                let [a, b, c, d] = codec;
+            let codes = match codec {
+                Codec::Auto => vec![*b"avc1", *b"mp4v"],
+                Codec::Code(code) => vec![code],
+            };
+            for code in &codes {
+                let [a, b, c, d] = code.map(char::from);
                 let fourcc = VideoWriter::fourcc(a, b, c, d).map_err(failed)?;
                 let size = Size::new(width as i32, height as i32);
                 let writer = VideoWriter::new(path, fourcc, fps, size, true).map_err(failed)?;
                 if writer.is_opened().map_err(failed)? {
                     return Ok(Self { writer, path: path.to_path_buf(), line: Vec::new() });
                 }
-                tracing::info!("OpenCV cannot encode {}", codec.iter().collect::<String>());
+                tracing::warn!("this OpenCV cannot encode {}", String::from_utf8_lossy(code));
             }
-            Err(RecordError::Codec { path: path.to_path_buf() })
+            // A file that cannot be removed is empty at worst.
+            let _ = std::fs::remove_file(path);
+            let tried = codes.iter().map(|c| String::from_utf8_lossy(c)).collect::<Vec<_>>().join(" or ");
+            Err(RecordError::Codec { path: path.to_path_buf(), tried })
         }
 
         pub fn write(&mut self, picture: &Picture) -> Result<(), RecordError> {
@@ -249,10 +288,12 @@ mod tests {
     #[test]
     fn a_film_has_a_place_that_can_hold_it() {
         let folder = tempfile::tempdir().unwrap();
-        let at = |name: &str| Recorder::create(&folder.path().join(name), RecordView::Front, 6.0);
+        let at = |name: &str| Recorder::create(&folder.path().join(name), RecordView::Front, 6.0, Codec::Auto);
         assert!(at("frames/").is_ok() && at("new/film.png").is_ok());
         let error = at("film.avi").err().map(|e| e.to_string()).unwrap_or_default();
         assert!(error.contains("film.avi") && error.contains(".mp4"), "{error}");
+        assert_eq!("h264".parse(), Ok(Codec::Code(*b"avc1")));
+        assert!("divx5".parse::<Codec>().unwrap_err().contains("mp4v"));
         assert!("side".parse::<RecordView>().unwrap_err().contains("chase"));
     }
 }

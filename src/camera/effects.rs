@@ -184,7 +184,20 @@ pub fn glow(
             if px >= view.width || py >= view.height {
                 continue;
             }
-            if visibility.iz[py * visibility.stride + px] * depth > 1.12 {
+            // Something nearer hides it: the body that it is mounted on counts too.
+            if visibility.iz[py * visibility.stride + px] * (depth - 0.35) > 1.0 {
+                continue;
+            }
+            // Lamps shine away from what they are on; street lamps all round.
+            let ahead = match channel {
+                Channel::StreetLamp => 1.0,
+                _ => {
+                    let eye = view.eye - (thing.instance.pose.position + offset);
+                    let along = (eye.x * cos + eye.y * sin) / eye.xy().norm().max(0.1);
+                    (along as f32 * centre[0].signum()).max(0.0).sqrt()
+                }
+            };
+            if ahead <= 0.0 {
                 continue;
             }
             let (colour, size) = match channel {
@@ -196,8 +209,8 @@ pub fn glow(
                 Channel::Head => ([255.0, 244.0, 220.0], 0.55),
                 _ => ([255.0, 214.0, 150.0], 0.7),
             };
-            let radius = (view.focal * size / depth).clamp(1.5, 0.12 * view.height as f32);
-            add_glow(pixels, view, at, radius, colour, 0.55 * gain);
+            let radius = (view.focal * size / depth).min(0.12 * view.height as f32).max(1.5);
+            add_glow(pixels, view, at, radius, colour, 0.55 * gain * ahead);
         }
     }
 }

@@ -207,13 +207,17 @@ impl Picture {
         }
     }
 
-    /// Writes a PNG file.
+    /// Writes a PNG file, or a JPEG file where the name ends in .jpg or .jpeg.
     ///
     /// # Errors
-    /// The file cannot be written.
+    /// The file cannot be written, or is a JPEG file and this build has no OpenCV.
     pub fn save(&self, path: &Path) -> io::Result<()> {
         if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
             std::fs::create_dir_all(folder)?;
+        }
+        let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+        if matches!(extension.as_deref(), Some("jpg" | "jpeg")) {
+            return std::fs::write(path, self.jpeg()?);
         }
         let mut file = BufWriter::new(std::fs::File::create(path)?);
         let mut encoder = png::Encoder::new(&mut file, self.width as u32, self.height as u32);
@@ -223,6 +227,27 @@ impl Picture {
         writer.write_image_data(&self.rgb)?;
         writer.finish()?;
         file.flush()
+    }
+
+    #[cfg(feature = "vision")]
+    fn jpeg(&self) -> io::Result<Vec<u8>> {
+        use opencv::core::{Mat, Vec3b, Vector};
+        use opencv::imgcodecs::{IMWRITE_JPEG_QUALITY, imencode};
+        let pixels: Vec<Vec3b> =
+            self.rgb.chunks_exact(3).map(|p| Vec3b::from([p[2], p[1], p[0]])).collect();
+        let mut bytes = Vector::new();
+        Mat::new_rows_cols_with_data(self.height as i32, self.width as i32, &pixels)
+            .and_then(|mat| imencode(".jpg", &mat, &mut bytes, &Vector::from_slice(&[IMWRITE_JPEG_QUALITY, 85])))
+            .map_err(|e| io::Error::other(format!("OpenCV cannot encode JPEG: {}", e.message)))?;
+        Ok(bytes.to_vec())
+    }
+
+    #[cfg(not(feature = "vision"))]
+    fn jpeg(&self) -> io::Result<Vec<u8>> {
+        Err(io::Error::new(
+            io::ErrorKind::Unsupported,
+            "this build writes PNG files only: end the name with .png, or build with the feature `vision`",
+        ))
     }
 }
 

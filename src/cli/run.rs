@@ -15,7 +15,7 @@ use wad_cosim::drive::{Drive, DriveError, DriveOptions, Status, Summary};
 #[cfg(feature = "learn")]
 use wad_cosim::env::EnvOptions;
 use wad_cosim::learned_driver::LearnedDriver;
-use wad_cosim::record::{RecordView, Recorder};
+use wad_cosim::record::{Codec, RecordView, Recorder};
 use wad_cosim::sight;
 use wad_cosim::telemetry::FolderError;
 use wad_cosim::traffic::TrafficSpec;
@@ -81,6 +81,9 @@ pub struct Args {
     /// What the film shows: front, chase, bird, or all.
     #[arg(long, value_name = "VIEW", default_value = "chase", requires = "record")]
     record_view: RecordView,
+    /// Codec of a .mp4 film: auto (H.264, else MPEG-4), h264, mp4v, or another four-character code.
+    #[arg(long, value_name = "CODEC", default_value = "auto", requires = "record")]
+    record_codec: Codec,
     /// Run no faster than real time.
     #[arg(long)]
     realtime: bool,
@@ -158,7 +161,11 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
             }
         }
         if let Some(film) = &mut film {
-            film.add(&drive)?;
+            if let Err(error) = film.add(&drive) {
+                line.clear();
+                drive.abort().await.map_err(with_exit)?;
+                return Err(error);
+            }
         }
         ticks += 1;
         if args.realtime {
@@ -261,7 +268,8 @@ struct Film {
 impl Film {
     fn begin(path: &std::path::Path, args: &Args, drive: &Drive, seed: u64) -> anyhow::Result<Self> {
         let fps = 1.0 / drive.bridge().tick();
-        let recorder = Recorder::create(path, args.record_view, fps).map_err(|e| Exit::Input.because(e))?;
+        let recorder = Recorder::create(path, args.record_view, fps, args.record_codec)
+            .map_err(|e| Exit::Input.because(e))?;
         let town = sight::town(drive.bridge(), seed);
         Ok(Self { recorder, town, weather: Weather::from(args.weather) })
     }

@@ -42,7 +42,7 @@ pub struct Args {
     /// Simulation seconds between the pictures.
     #[arg(long, value_name = "SECONDS", default_value_t = 5.0)]
     every: f64,
-    /// PNG file to write.
+    /// PNG (or .jpg) file to write.
     #[arg(long, value_name = "FILE", default_value = "snapshot.png", value_hint = ValueHint::FilePath)]
     out: PathBuf,
     /// Background traffic: as-is, empty, regular, dense, or VEHICLES,PEDESTRIANS.
@@ -220,7 +220,8 @@ async fn take(args: Args, mut camera: Camera, mut watch: Option<Watch>) -> anyho
         };
         let out = if args.count > 1 {
             let stem = args.out.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-            args.out.with_file_name(format!("{stem}-{number:03}.png"))
+            let extension = args.out.extension().unwrap_or("png".as_ref()).to_string_lossy();
+            args.out.with_file_name(format!("{stem}-{number:03}.{extension}"))
         } else {
             args.out.clone()
         };
@@ -268,6 +269,18 @@ fn picture(args: &Args, camera: &mut Camera, town: &Town, pose: &Pose) -> Pictur
     }
 }
 
+/// `ClearNoon` as `Clear Noon`.
+fn words(name: &str) -> String {
+    let mut text = String::new();
+    for letter in name.chars() {
+        if letter.is_ascii_uppercase() && !text.is_empty() {
+            text.push(' ');
+        }
+        text.push(letter);
+    }
+    text
+}
+
 /// Noon in the upper rows, sunset in the lower: four pictures to a row.
 fn sheet(mut shoot: impl FnMut(Preset) -> Picture) -> Picture {
     const COLUMNS: usize = 4;
@@ -276,7 +289,7 @@ fn sheet(mut shoot: impl FnMut(Preset) -> Picture) -> Picture {
     for (half, presets) in Preset::ALL.chunks(7).enumerate() {
         for (n, &preset) in presets.iter().enumerate() {
             let mut picture = shoot(preset);
-            picture.label(preset.name(), 0, 0, (picture.width / 256).max(1));
+            picture.label(&words(preset.name()), 0, 0, (picture.width / 256).max(1));
             let (w, h) = (picture.width + GAP, picture.height + GAP);
             let page = pages.get_or_insert_with(|| Picture::new(COLUMNS * w - GAP, 4 * h - GAP));
             page.paste(&picture, n % COLUMNS * w, (2 * half + n / COLUMNS) * h);

@@ -9,6 +9,9 @@ use nalgebra::Point3;
 
 /// Breadth of a line (m).
 const LINE: f64 = 0.12;
+/// The middle of a carriageway's border line lies this far inside the lane (m): what shows the lane's
+/// border is where the lane ends.
+const BORDER_LINE: f64 = 0.07;
 /// Borders of opposite directions further apart than this (m) have a median between them.
 const ADJACENT: f64 = 1.0;
 
@@ -165,7 +168,7 @@ fn inner_line(network: &Network, id: LaneId, driven: &[LaneId]) -> Inner {
                 double: !is_narrow(network, driven),
                 other,
             },
-            _ => Inner::Solid(inward * (half - 0.22)),
+            _ => Inner::Solid(inward * (half - BORDER_LINE)),
         };
     };
     let car = VehicleClass::Passenger;
@@ -185,7 +188,7 @@ fn outer_line(network: &Network, id: LaneId, driven: &[LaneId]) -> Option<f64> {
     if driven.first() != Some(&id) {
         return Some(-inward(network) * half);
     }
-    (!is_narrow(network, driven)).then(|| -inward(network) * (half - 0.22))
+    (!is_narrow(network, driven)).then(|| -inward(network) * (half - BORDER_LINE))
 }
 
 /// Where the painted lines next to a lane's centre are: left and right, m left of the lane's centre line;
@@ -281,7 +284,7 @@ fn ends(network: &Network, id: LaneId, sides: [bool; 2], tiles: &mut Tiles, stre
     }
     let links: Vec<_> = lane.outgoing.iter().map(|&l| network.link(l)).collect();
     // From line to line; over the seams between lanes.
-    let [right, left] = sides.map(|at_border| 0.5 * lane.width + if at_border { -0.17 } else { 0.03 });
+    let [right, left] = sides.map(|at_border| 0.5 * lane.width + if at_border { -0.15 } else { 0.03 });
     let bar = |tiles: &mut Tiles, from: f64, to: f64, right: f64, left: f64| {
         let (a, b) = (lane.shape.at(from), lane.shape.at(to));
         let p = |pose: &Pose, d: f64| {

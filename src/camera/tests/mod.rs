@@ -1,5 +1,10 @@
 //! The renderer on small scenes of its own.
 
+mod agreement;
+mod golden;
+mod odd;
+mod places;
+
 use super::model::*;
 use super::*;
 use crate::geometry::Pose;
