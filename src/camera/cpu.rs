@@ -312,13 +312,8 @@ impl CpuRenderer {
             let horizon = view.centre[1] + view.focal * view.ahead[2] / view.up[2].max(0.1);
             effects::mirror(pixels, &self.mirrors, view.width, horizon as i32, &mut self.foot);
         }
-        effects::smooth_edges(
-            &mut self.pixels,
-            &self.visibility,
-            geometry,
-            &self.vertices,
-            &mut self.borders,
-        );
+        let outline = effects::Outline { looks: &self.looks, surfaces: &self.surfaces };
+        effects::smooth_edges(&mut self.pixels, &self.visibility, &outline, &mut self.borders);
         let pixels = &mut self.pixels[..view.width * view.height];
         if weather.lamps {
             let gain = weather.lamp_gain * 0.6;

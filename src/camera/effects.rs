@@ -1,41 +1,50 @@
 //! What happens to the picture after shading: mirroring wet ground, smooth edges, glowing lamps, rain
 //! in the air and on the glass.
 
-use super::gather::{Geometry, Seen};
+use super::gather::Seen;
 use super::lanes::lanes;
 use super::model::{Channel, Library};
-use super::raster::{CamVertex, Visibility};
+use super::raster::Visibility;
 use super::simd::{hash, mix_packed, multiversion, unit};
-use super::view::{NEAR, View};
+use super::surface::Surface;
+use super::view::View;
 use std::sync::OnceLock;
 
 multiversion! {
     /// Wet ground shows what stands behind it, upside down: each column is mirrored at the foot of what
     /// stands on the ground.
     pub fn mirror(pixels: &mut [u32], share: &[u8], width: usize, horizon: i32, foot: &mut Vec<i32>) {
+        const AT_ONCE: usize = 8;
         foot.clear();
         foot.resize(width, horizon);
         let height = pixels.len() / width.max(1);
-        for y in 0..height {
+        for y in horizon.clamp(0, height as i32) as usize..height {
             let (above, rest) = pixels.split_at_mut(y * width);
-            let row = &mut rest[..width];
             let share = &share[y * width..][..width];
             let wobble = (hash(y as u32 >> 1) & 3) as i32;
-            for x in 0..width {
-                let s = u32::from(share[x]);
-                if s == 0 {
-                    foot[x] = (y as i32).max(horizon);
+            let blocks = rest[..width].chunks_mut(AT_ONCE).zip(share.chunks(AT_ONCE)).zip(foot.chunks_mut(AT_ONCE));
+            for (block, ((pixels, share), foot)) in blocks.enumerate() {
+                if share.iter().all(|&s| s == 0) {
+                    foot.fill(y as i32);
                     continue;
                 }
-                let depth = y as i32 - foot[x];
-                // Rough water smears upward.
-                let first = (foot[x] - depth - wobble).max(0) as usize;
-                let second = (foot[x] - depth - depth / 4 - 3).max(0) as usize;
-                if first >= y {
-                    continue;
+                let (mut first, mut second) = ([0; AT_ONCE], [0; AT_ONCE]);
+                for (((first, second), foot), &s) in first.iter_mut().zip(&mut second).zip(foot.iter_mut()).zip(share) {
+                    *foot = if s == 0 { y as i32 } else { *foot };
+                    let depth = y as i32 - *foot;
+                    // Rough water smears upward.
+                    *first = (*foot - depth - wobble).max(0) * width as i32;
+                    *second = (*foot - depth - depth / 4 - 3).max(0) * width as i32;
                 }
-                let (a, b) = (above[first * width + x], above[second * width + x]);
-                row[x] = mix_packed(row[x], mix_packed(a, b, 112), s);
+                let (mut a, mut b) = ([0; AT_ONCE], [0; AT_ONCE]);
+                for i in 0..pixels.len() {
+                    let x = (block * AT_ONCE + i) as i32;
+                    a[i] = above.get((first[i] + x) as usize).copied().unwrap_or(pixels[i]);
+                    b[i] = above.get((second[i] + x) as usize).copied().unwrap_or(pixels[i]);
+                }
+                for (((pixel, &s), a), b) in pixels.iter_mut().zip(share).zip(a).zip(b) {
+                    *pixel = mix_packed(*pixel, mix_packed(a, b, 112), u32::from(s));
+                }
             }
         }
     }
@@ -46,53 +55,52 @@ multiversion! {
 pub fn smooth_edges(
     pixels: &mut [u32],
     visibility: &Visibility,
-    geometry: &Geometry<'_>,
-    vertices: &[CamVertex],
+    outline: &Outline<'_>,
     borders: &mut Vec<u32>,
 ) {
     let (width, height, stride) = (visibility.width, visibility.height, visibility.stride);
-    let outline = Outline { geometry, vertices };
     for y in 0..height {
         let row = |y: usize| (&visibility.id[y * stride..][..stride], &visibility.iz[y * stride..][..stride]);
-        let (ids, iz) = row(y);
+        let below = (y + 1).min(height - 1);
+        let ((ids, iz), (ids_below, iz_below)) = (row(y), row(below));
         borders.clear();
-        find_borders(ids, &ids[1..], &pixels[y * width..], &pixels[y * width + 1..], width - 1, borders);
-        for &x in borders.iter() {
-            let (x, at) = (x as usize, y * width + x as usize);
+        find_borders([ids, ids_below], [&pixels[y * width..], &pixels[below * width..]], width, borders);
+        for &border in borders.iter() {
+            let (x, down) = ((border >> 1) as usize, border & 1 == 1);
+            let at = y * width + x;
             let centre = (x as f32 + 0.5, y as f32 + 0.5);
-            if let Some(cut) = outline.cut((ids[x], iz[x]), (ids[x + 1], iz[x + 1]), 0, centre) {
+            let own = (ids[x], iz[x]);
+            if down {
+                if let Some(cut) = outline.cut(own, (ids_below[x], iz_below[x]), 1, centre) {
+                    blend(pixels, at, at + width, cut - (y as f32 + 1.0));
+                }
+            } else if let Some(cut) = outline.cut(own, (ids[x + 1], iz[x + 1]), 0, centre) {
                 blend(pixels, at, at + 1, cut - (x as f32 + 1.0));
-            }
-        }
-        if y + 1 == height {
-            break;
-        }
-        let (below, iz_below) = row(y + 1);
-        borders.clear();
-        find_borders(ids, below, &pixels[y * width..], &pixels[(y + 1) * width..], width, borders);
-        for &x in borders.iter() {
-            let (x, at) = (x as usize, y * width + x as usize);
-            let centre = (x as f32 + 0.5, y as f32 + 0.5);
-            if let Some(cut) = outline.cut((ids[x], iz[x]), (below[x], iz_below[x]), 1, centre) {
-                blend(pixels, at, at + width, cut - (y as f32 + 1.0));
             }
         }
     }
 }
 
 lanes! {
-    /// Which of `count` pixels show another triangle than their neighbours, and another colour. Padded.
-    fn find_borders<L>(ids: &[u32], other_ids: &[u32], colours: &[u32], other_colours: &[u32], count: usize, out: &mut Vec<u32>) {
+    /// The pixels of a row that show another triangle than their right neighbours (2 x) and than the
+    /// pixels of the row below (2 x + 1), in another colour. Padded.
+    fn find_borders<L>(ids: [&[u32]; 2], colours: [&[u32]; 2], width: usize, out: &mut Vec<u32>) {
+        let ([ids, ids_below], [colours, colours_below]) = (ids, colours);
         let mut x = 0;
-        while x < count {
-            let mut found =
-                L::borders([&ids[x..], &other_ids[x..]], [&colours[x..], &other_colours[x..]]);
-            while found != 0 {
-                let at = x + found.trailing_zeros() as usize;
-                if at < count {
-                    out.push(at as u32);
+        while x < width {
+            let neighbours = [&ids[x + 1..], &ids_below[x..]];
+            if L::differ(&ids[x..], neighbours) {
+                let own = (&ids[x..], &colours[x..]);
+                for (axis, other) in [(neighbours[0], &colours[x + 1..]), (neighbours[1], &colours_below[x..])].into_iter().enumerate() {
+                    let mut found = L::borders(own, other);
+                    while found != 0 {
+                        let at = x + found.trailing_zeros() as usize;
+                        if at + 1 - axis < width {
+                            out.push((2 * at + axis) as u32);
+                        }
+                        found &= found - 1;
+                    }
                 }
-                found &= found - 1;
             }
             x += L::COUNT;
         }
@@ -109,35 +117,38 @@ fn blend(pixels: &mut [u32], first: usize, second: usize, shift: f32) {
     }
 }
 
-struct Outline<'a> {
-    geometry: &'a Geometry<'a>,
-    vertices: &'a [CamVertex],
+/// The looks of what is seen, and by triangle their index + 1.
+pub struct Outline<'a> {
+    pub looks: &'a [u32],
+    pub surfaces: &'a [Surface],
 }
 
 impl Outline<'_> {
+    /// The surface of a triangle's id; None where nothing is.
+    #[inline(always)]
+    fn surface(&self, id: u32) -> Option<&Surface> {
+        let look = *self.looks.get((id as usize).checked_sub(1)?)?;
+        self.surfaces.get((look as usize).checked_sub(1)?)
+    }
+
     /// Where the edge of the nearer of two neighbours crosses the line from one centre to the next,
     /// along `axis`; None where their border is no outline.
     #[inline]
     fn cut(&self, a: (u32, f32), b: (u32, f32), axis: usize, (x, y): (f32, f32)) -> Option<f32> {
         let (near, far) = if a.1 >= b.1 { (a, b) } else { (b, a) };
-        let tri = self.geometry.tris.get((near.0 as usize).checked_sub(1)?)?;
-        let item = self.geometry.items.get(tri.item as usize)?;
-        let triangle = &item.mesh.triangles[tri.triangle as usize];
+        let surface = self.surface(near.0)?;
+        let (p, item) = surface.outline.as_ref()?;
         if near.1 < far.1 * 1.04
-            && let Some(other) = (far.0 as usize).checked_sub(1).and_then(|i| self.geometry.tris.get(i))
-            && other.item == tri.item
-            && item.mesh.triangles[other.triangle as usize].material == triangle.material
+            && let Some(other) = self.surface(far.0)
+            && other.material == surface.material
+            && other.outline.as_ref().is_some_and(|(_, other)| other == item)
         {
-            return None;
-        }
-        let p = triangle.corners.map(|i| &self.vertices[item.first as usize + i as usize]);
-        if p.iter().any(|v| v.p[2] < NEAR) {
             return None;
         }
         let (along, across) = (axis, 1 - axis);
         let (from, level) = if axis == 0 { (x, y) } else { (y, x) };
         for i in 0..3 {
-            let (q, r) = (p[i].s, p[(i + 1) % 3].s);
+            let (q, r) = (p[i], p[(i + 1) % 3]);
             let (da, dc) = (r[along] - q[along], r[across] - q[across]);
             // Only edges that run rather across the line; the others are met along the other axis.
             if dc.abs() < da.abs() || dc == 0.0 {
@@ -265,10 +276,14 @@ fn streaks() -> &'static [u8; TILE * TILE] {
 multiversion! {
     fn fall(pixels: &mut [u32], width: usize, offset: (usize, usize), strength: u32, colour: u32, tile: &[u8; TILE * TILE]) {
         for (y, row) in pixels.chunks_exact_mut(width).enumerate() {
-            let line = ((y + offset.1) & (TILE - 1)) * TILE;
-            for (x, pixel) in row.iter_mut().enumerate() {
-                let t = (u32::from(tile[line | ((x + offset.0) & (TILE - 1))]) * strength) >> 8;
-                *pixel = mix_packed(*pixel, colour, t);
+            let line = &tile[((y + offset.1) & (TILE - 1)) * TILE..][..TILE];
+            let (mut row, mut from) = (row, offset.0 & (TILE - 1));
+            while !row.is_empty() {
+                let (part, rest) = row.split_at_mut(row.len().min(TILE - from));
+                for (pixel, &streak) in part.iter_mut().zip(&line[from..]) {
+                    *pixel = mix_packed(*pixel, colour, (u32::from(streak) * strength) >> 8);
+                }
+                (row, from) = (rest, 0);
             }
         }
     }

@@ -125,7 +125,9 @@ impl<'a> Gather<'a, '_> {
         if self.is_hidden(corner, axes, &chunk.bounds) {
             return;
         }
-        if let Some((_, mesh)) = chunk.levels.iter().find(|(to, _)| distance <= *to) {
+        // The levels' distances are for a focal length of 256 pixels: small pictures show less.
+        let apparent = distance * (256.0 / self.view.focal).max(1.0);
+        if let Some((_, mesh)) = chunk.levels.iter().find(|(to, _)| apparent <= *to) {
             self.mesh(mesh, &[Place { axes, origin: corner }], None, [1.0, 0.0], 1.0, out);
         }
         for instance in &chunk.instances {

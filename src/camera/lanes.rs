@@ -37,14 +37,17 @@ pub trait Lane:
     /// Four bytes (corners) at masked texel coordinates of a square table of `1 << bits` texels a side,
     /// blended by the fractions: 0..255. The table must have `1 << 2 * bits` words.
     fn texel(table: &[u32], bits: u32, x: Self, y: Self) -> Self;
-    /// The words of `table` at whole-numbered indices, which are brought within it.
-    fn lookup(table: &[u32], index: Self, to: &mut [u32]);
+    /// The words of `table` at whole-numbered indices, which are brought within it; those `next` before
+    /// them will be asked for soon.
+    fn lookup(table: &[u32], index: Self, next: usize, to: &mut [u32]);
     /// Puts these into the first `count` places of `depth`, and `id` into those of `ids`, where they are
     /// larger (and above 0); whether any is.
     fn nearer(self, count: i32, depth: &mut [f32], ids: &mut [u32], id: u32) -> bool;
-    /// The places, as bits, where two rows of ids differ and two rows of packed colours are far enough
-    /// apart (more than 20 of 765) to see it.
-    fn borders(ids: [&[u32]; 2], colours: [&[u32]; 2]) -> u32;
+    /// Whether any of some ids differs from one of its neighbours.
+    fn differ(ids: &[u32], neighbours: [&[u32]; 2]) -> bool;
+    /// The places, as bits, where two rows of (ids, packed colours) have different ids and colours far
+    /// enough apart (more than 20 of 765) to see it.
+    fn borders(a: (&[u32], &[u32]), b: (&[u32], &[u32])) -> u32;
     /// A well-mixed number 0..1 for each pair of whole numbers and a seed.
     fn random(x: Self, y: Self, seed: u32) -> Self;
 
@@ -143,7 +146,7 @@ impl Lane for f32 {
         corner(0).mix(corner(8), fx).mix(corner(16).mix(corner(24), fx), fy)
     }
     #[inline(always)]
-    fn lookup(table: &[u32], index: Self, to: &mut [u32]) {
+    fn lookup(table: &[u32], index: Self, _: usize, to: &mut [u32]) {
         to[0] = table[(index.max(0.0) as usize).min(table.len() - 1)];
     }
     #[inline(always)]
@@ -155,10 +158,14 @@ impl Lane for f32 {
         nearer
     }
     #[inline(always)]
-    fn borders(ids: [&[u32]; 2], colours: [&[u32]; 2]) -> u32 {
+    fn differ(ids: &[u32], neighbours: [&[u32]; 2]) -> bool {
+        ids[0] != neighbours[0][0] || ids[0] != neighbours[1][0]
+    }
+    #[inline(always)]
+    fn borders(a: (&[u32], &[u32]), b: (&[u32], &[u32])) -> u32 {
         let byte = |word: u32, shift: u32| word >> shift & 0xff;
-        let gap = |shift| byte(colours[0][0], shift).abs_diff(byte(colours[1][0], shift));
-        u32::from(ids[0][0] != ids[1][0] && gap(0) + gap(8) + gap(16) + gap(24) > 20)
+        let gap = |shift| byte(a.1[0], shift).abs_diff(byte(b.1[0], shift));
+        u32::from(a.0[0] != b.0[0] && gap(0) + gap(8) + gap(16) + gap(24) > 20)
     }
     #[inline(always)]
     fn random(x: Self, y: Self, seed: u32) -> Self {
@@ -217,6 +224,13 @@ mod avx {
             x = _mm256_mullo_epi32(x, _mm256_set1_epi32(0x846c_a68b_u32 as i32));
             _mm256_xor_si256(x, _mm256_srli_epi32::<16>(x))
         }
+    }
+
+    #[inline(always)]
+    fn load_words(from: &[u32]) -> __m256i {
+        let from = &from[..8];
+        // SAFETY: see [`Eight`]; the slice has the length.
+        unsafe { _mm256_loadu_si256(from.as_ptr().cast()) }
     }
 
     /// 0..1 as a byte in each word.
@@ -343,12 +357,18 @@ mod avx {
             }
         }
         #[inline(always)]
-        fn lookup(table: &[u32], index: Self, to: &mut [u32]) {
+        fn lookup(table: &[u32], index: Self, next: usize, to: &mut [u32]) {
             let to = &mut to[..8];
             assert!(!table.is_empty() && table.len() < 1 << 24);
             let index = index.max(Self::splat(0.0)).min(Self::splat((table.len() - 1) as f32));
             unsafe {
-                let words = _mm256_i32gather_epi32::<4>(table.as_ptr().cast(), _mm256_cvttps_epi32(index.0));
+                let index = _mm256_cvttps_epi32(index.0);
+                // A hint only: it may lie outside.
+                for at in [_mm256_extract_epi32::<0>(index), _mm256_extract_epi32::<7>(index)] {
+                    let soon = table.as_ptr().wrapping_add(at as usize).wrapping_sub(next);
+                    _mm_prefetch::<_MM_HINT_T0>(soon.cast());
+                }
+                let words = _mm256_i32gather_epi32::<4>(table.as_ptr().cast(), index);
                 _mm256_storeu_si256(to.as_mut_ptr().cast(), words);
             }
         }
@@ -371,15 +391,24 @@ mod avx {
             }
         }
         #[inline(always)]
-        fn borders(ids: [&[u32]; 2], colours: [&[u32]; 2]) -> u32 {
-            let ([a, b], [c, d]) = (ids.map(|row| &row[..8]), colours.map(|row| &row[..8]));
+        fn differ(ids: &[u32], neighbours: [&[u32]; 2]) -> bool {
+            let [ids, right, below] = [ids, neighbours[0], neighbours[1]].map(load_words);
             unsafe {
-                let [a, b, c, d] = [a, b, c, d].map(|row| _mm256_loadu_si256(row.as_ptr().cast()));
-                let gaps = _mm256_or_si256(_mm256_subs_epu8(c, d), _mm256_subs_epu8(d, c));
+                let gaps = _mm256_or_si256(_mm256_xor_si256(ids, right), _mm256_xor_si256(ids, below));
+                _mm256_testz_si256(gaps, gaps) == 0
+            }
+        }
+        #[inline(always)]
+        fn borders(a: (&[u32], &[u32]), b: (&[u32], &[u32])) -> u32 {
+            let (ids, colours) = (load_words(a.0), load_words(a.1));
+            let (other_ids, others) = (load_words(b.0), load_words(b.1));
+            unsafe {
+                let gaps =
+                    _mm256_or_si256(_mm256_subs_epu8(colours, others), _mm256_subs_epu8(others, colours));
                 let pairs = _mm256_maddubs_epi16(gaps, _mm256_set1_epi8(1));
                 let sums = _mm256_madd_epi16(pairs, _mm256_set1_epi16(1));
                 let seen = _mm256_cmpgt_epi32(sums, _mm256_set1_epi32(20));
-                let border = _mm256_andnot_si256(_mm256_cmpeq_epi32(a, b), seen);
+                let border = _mm256_andnot_si256(_mm256_cmpeq_epi32(ids, other_ids), seen);
                 _mm256_movemask_ps(_mm256_castsi256_ps(border)) as u32
             }
         }

@@ -76,22 +76,23 @@ impl Visibility {
 multiversion! {
     fn reduce(iz: &[f32], stride: usize, width: usize, height: usize, tiles: &mut [f32], columns: usize) {
         for (row, tiles) in tiles.chunks_exact_mut(columns).enumerate() {
-            tiles.fill(f32::MAX);
-            for y in row * TILE..((row + 1) * TILE).min(height) {
-                let line = &iz[y * stride..y * stride + width];
-                let (blocks, rest) = line.as_chunks::<TILE>();
-                for (tile, block) in tiles.iter_mut().zip(blocks) {
-                    let mut least: [f32; 8] = std::array::from_fn(|i| if block[i] < block[i + 8] { block[i] } else { block[i + 8] });
-                    for half in [4, 2, 1] {
-                        for i in 0..half {
-                            least[i] = if least[i] < least[i + half] { least[i] } else { least[i + half] };
+            let rows = row * TILE..((row + 1) * TILE).min(height);
+            for (column, tile) in tiles.iter_mut().enumerate() {
+                let x = column * TILE;
+                let mut least = [f32::MAX; TILE];
+                for y in rows.clone() {
+                    let line = &iz[y * stride + x..y * stride + (x + TILE).min(width)];
+                    if let Some(block) = line.first_chunk::<TILE>() {
+                        for (least, &z) in least.iter_mut().zip(block) {
+                            *least = if z < *least { z } else { *least };
+                        }
+                    } else {
+                        for (least, &z) in least.iter_mut().zip(line) {
+                            *least = if z < *least { z } else { *least };
                         }
                     }
-                    *tile = if least[0] < *tile { least[0] } else { *tile };
                 }
-                if let Some(tile) = tiles.get_mut(blocks.len()) {
-                    *tile = rest.iter().fold(*tile, |least, &z| if z < least { z } else { least });
-                }
+                *tile = least.iter().fold(f32::MAX, |least, &z| if z < least { z } else { least });
             }
         }
     }

@@ -16,8 +16,8 @@ pub struct Row {
     pub b: Vec<f32>,
     /// Share (0..255) of what a wet ground mirrors.
     pub mirror: Vec<u8>,
-    /// Light and shine of the ground's posts.
-    pub posts: [Vec<f32>; 4],
+    /// Of the ground's posts: colour, shine, light on paint, noise.
+    pub posts: [Vec<f32>; 8],
 }
 
 impl Row {
@@ -306,18 +306,23 @@ lanes! {
     pub fn finish<L>(row: &Row, iz: &[f32], haze: &[Vec<f32>; 3], fog: f32, span: (usize, usize), out: &mut [u32]) {
         let v = L::splat;
         let (f1, f2, f3) = (v(fog), v(0.5 * fog * fog), v(fog * fog * fog * 0.166_667));
-        let mut x = span.0;
-        while x < span.1 {
-            let iz = L::load(&iz[x..]);
+        // Cut to one length, in whole lanes.
+        let (from, end) = (span.0, span.0 + (span.1 - span.0).next_multiple_of(L::COUNT));
+        let lines = [iz, &row.r, &row.g, &row.b, &haze[0], &haze[1], &haze[2]];
+        let [iz, red, green, blue, h0, h1, h2] = lines.map(|line| line[from..end].chunks_exact(L::COUNT));
+        let pixels = out[from..end].chunks_exact_mut(L::COUNT);
+        for (((((((iz, red), green), blue), h0), h1), h2), pixels) in
+            iz.zip(red).zip(green).zip(blue).zip(h0).zip(h1).zip(h2).zip(pixels)
+        {
+            let iz = L::load(iz);
             // What comes through: 1 / e^t by a few terms of its series, t = fog x depth.
             let i = iz.max(v(1e-9));
             let cube = i * i * i;
             let clear = cube / (cube + i.fma(f1.fma(i, f2), f3));
-            let r = tone(L::load(&haze[0][x..]).mix(L::load(&row.r[x..]), clear));
-            let g = tone(L::load(&haze[1][x..]).mix(L::load(&row.g[x..]), clear));
-            let b = tone(L::load(&haze[2][x..]).mix(L::load(&row.b[x..]), clear));
-            L::pack(r, g, b, &mut out[x..], iz.less(v(1e-9)));
-            x += L::COUNT;
+            let r = tone(L::load(h0).mix(L::load(red), clear));
+            let g = tone(L::load(h1).mix(L::load(green), clear));
+            let b = tone(L::load(h2).mix(L::load(blue), clear));
+            L::pack(r, g, b, pixels, iz.less(v(1e-9)));
         }
     }
 }

@@ -132,6 +132,26 @@ fn bare<L: Lane, const KIND: u8>(a: &Along<'_>, at: L, z: L, w: [L; 2], n_fine: 
     ([red * m, green * m, blue * m], n_mid, n_large)
 }
 
+/// The albedo of paint, and its share of the surface.
+#[inline(always)]
+fn paint_of<L: Lane>(a: &Along<'_>, words: &[u16], n_fine: L, n_mid: L) -> ([L; 3], L) {
+    let v = L::splat;
+    let (cover, colour) = L::load_bytes(words);
+    // Worn paint lets the asphalt through.
+    let wear = (n_fine.fma(v(0.5), n_mid + v(0.1)) * v(4.0)).unit();
+    let cover = cover * v(1.0 / 255.0) * (v(1.0) - v(0.30 * a.g.numbers.wear) * wear);
+    let grain = n_fine.fma(v(0.15), v(1.0));
+    let mut paint = [grain; 3];
+    for i in 0..3 {
+        paint[i] = v(PAINTS[0][i]);
+        for (number, other) in PAINTS.iter().enumerate().skip(1) {
+            paint[i] = L::select(colour.less(v(number as f32 - 0.5)), paint[i], v(other[i]));
+        }
+        paint[i] = paint[i] * grain;
+    }
+    (paint, cover)
+}
+
 /// The albedo when wet, and how much it mirrors (0..255).
 #[inline(always)]
 fn wetted<L: Lane>(a: &Along<'_>, albedo: [L; 3], w: [L; 2], n_large: L, open: L) -> ([L; 3], L) {
@@ -215,16 +235,24 @@ fn ground_run<L: Lane, const KIND: u8>(run: &Run<'_>, g: &Ground<'_>, row: &mut 
             let at = v(x0 as f32) + step;
             let z = one / step.fma(v(slope), v(first)).max(v(1e-4));
             let w = [world[0].at(at, z), world[1].at(at, z)];
-            let (mut albedo, _, n_large) = bare::<L, KIND>(&a, at, z, w, v(0.0));
+            let (albedo, n_mid, n_large) = bare::<L, KIND>(&a, at, z, w, v(0.0));
+            // The light on it, less what water swallows.
+            let mut white = [one; 3];
             if a.wet > 0.0 {
-                let (wet, shine) = wetted(&a, albedo, w, n_large, one);
-                albedo = wet;
+                let (wet, shine) = wetted(&a, white, w, n_large, one);
+                white = wet;
                 shine.store(&mut row.posts[3][k..]);
             }
-            let [red, green, blue] = lit(&a, albedo, z, w, one, one);
-            red.store(&mut row.posts[0][k..]);
-            green.store(&mut row.posts[1][k..]);
-            blue.store(&mut row.posts[2][k..]);
+            let light = lit(&a, white, z, w, one, one);
+            for i in 0..3 {
+                (albedo[i] * light[i]).store(&mut row.posts[i][k..]);
+            }
+            if KIND <= SLABS {
+                for i in 0..3 {
+                    light[i].store(&mut row.posts[4 + i][k..]);
+                }
+                n_mid.store(&mut row.posts[7][k..]);
+            }
             k += L::COUNT;
         }
     }
@@ -239,12 +267,24 @@ fn ground_run<L: Lane, const KIND: u8>(run: &Run<'_>, g: &Ground<'_>, row: &mut 
         let from = x0 + k * POST;
         let painted = KIND <= SLABS && touched(g.painted, g.paint, from, 0);
         let shaded = touched(g.shaded, g.shade, from, u16::MAX);
-        if posted && !painted && !shaded {
+        if posted && !shaded {
             let part = v((x - from) as f32) + L::ramp();
             let grain = n_fine.fma(v(GRAIN[KIND as usize]), one);
-            (between(&row.posts[0], k, part) * grain).store(&mut row.r[x..]);
-            (between(&row.posts[1], k, part) * grain).store(&mut row.g[x..]);
-            (between(&row.posts[2], k, part) * grain).store(&mut row.b[x..]);
+            let mut colour = [one; 3];
+            for i in 0..3 {
+                colour[i] = between(&row.posts[i], k, part) * grain;
+            }
+            if painted {
+                let n_mid = between(&row.posts[7], k, part);
+                let (paint, cover) = paint_of(&a, &g.paint[x..], n_fine, n_mid);
+                for i in 0..3 {
+                    let light = between(&row.posts[4 + i], k, part);
+                    colour[i] = colour[i].mix(paint[i] * light, cover);
+                }
+            }
+            colour[0].store(&mut row.r[x..]);
+            colour[1].store(&mut row.g[x..]);
+            colour[2].store(&mut row.b[x..]);
             if a.wet > 0.0 {
                 between(&row.posts[3], k, part).store_bytes(&mut row.mirror[x..]);
             }
@@ -253,17 +293,9 @@ fn ground_run<L: Lane, const KIND: u8>(run: &Run<'_>, g: &Ground<'_>, row: &mut 
         }
         let (mut albedo, n_mid, n_large) = bare::<L, KIND>(&a, at, z, w, n_fine);
         if painted {
-            let (cover, colour) = L::load_bytes(&g.paint[x..]);
-            // Worn paint lets the asphalt through.
-            let wear = (n_fine.fma(v(0.5), n_mid + v(0.1)) * v(4.0)).unit();
-            let cover = cover * v(1.0 / 255.0) * (one - v(0.30 * g.numbers.wear) * wear);
-            let grain = n_fine.fma(v(0.15), one);
+            let (paint, cover) = paint_of(&a, &g.paint[x..], n_fine, n_mid);
             for i in 0..3 {
-                let mut paint = v(PAINTS[0][i]);
-                for (number, other) in PAINTS.iter().enumerate().skip(1) {
-                    paint = L::select(colour.less(v(number as f32 - 0.5)), paint, v(other[i]));
-                }
-                albedo[i] = albedo[i].mix(paint * grain, cover);
+                albedo[i] = albedo[i].mix(paint[i], cover);
             }
         }
         let (mut sun, mut sky) = (one, one);

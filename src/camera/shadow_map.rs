@@ -135,6 +135,19 @@ impl ShadowMap {
             let (sin, cos) = (instance.pose.heading.sin() as f32, instance.pose.heading.cos() as f32);
             let r = instance.pose.position - chunk.origin;
             let at = [r.x as f32, r.y as f32, r.z as f32];
+            // Can its own shadow fall into the cell?
+            let size = |i: usize| {
+                model.bounds[0][i].abs().max(model.bounds[1][i].abs()) * instance.scale[i]
+            };
+            let (reach, height) = (size(0).hypot(size(1)), size(2) + (at[2] + base[2]).max(0.0));
+            let beside = |i: usize| {
+                let (middle, shift) = (at[i] + base[i], throw[i] * height);
+                middle + reach + shift.max(0.0) < -1.0
+                    || middle - reach + shift.min(0.0) > CELL_M as f32 + 1.0
+            };
+            if beside(0) || beside(1) {
+                continue;
+            }
             let points: Vec<[f32; 2]> = level
                 .mesh
                 .vertices
@@ -171,13 +184,24 @@ impl ShadowMap {
             let slack = 0.3 * (dx.abs() + dy.abs());
             [-dy, dx, dy * a[0] - dx * a[1] + slack]
         });
+        let inverse = edges.map(|e| 1.0 / e[0]);
         for y in y0..=y1 {
             let fy = y as f32 - 1.5;
-            for x in x0..=x1 {
-                let fx = x as f32 - 1.5;
-                if edges.iter().all(|e| e[0] * fx + e[1] * fy + e[2] >= 0.0) {
-                    self.scratch[(y * W + x) as usize] = 1;
+            // Where the row is inside all edges.
+            let (mut left, mut right) = (x0 as f32 - 1.5, x1 as f32 - 1.5);
+            for (e, inverse) in edges.iter().zip(inverse) {
+                let rest = e[1] * fy + e[2];
+                if e[0] > 1e-6 {
+                    left = left.max(-rest * inverse);
+                } else if e[0] < -1e-6 {
+                    right = right.min(-rest * inverse);
+                } else if rest < 0.0 {
+                    right = f32::MIN;
                 }
+            }
+            let (from, to) = ((left + 1.5).ceil() as i32, (right + 1.5).floor() as i32);
+            if from <= to {
+                self.scratch[(y * W + from) as usize..=(y * W + to) as usize].fill(1);
             }
         }
     }

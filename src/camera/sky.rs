@@ -119,7 +119,7 @@ lanes! {
             let at = L::splat(ry * scale) * L::load(&squeeze[x..]) + first;
             let row = at.max(zero).min(last).floor().max(zero);
             let index = row * L::splat(COLUMNS as f32) + L::load(&column[x..]);
-            L::lookup(pixels, index, &mut out[x..]);
+            L::lookup(pixels, index, 2 * COLUMNS, &mut out[x..]);
             x += L::COUNT;
         }
     }

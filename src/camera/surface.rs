@@ -5,7 +5,7 @@ use super::gather::{Geometry, Item};
 use super::model::{Channel, GroundFloor, Library, Material, Rgb, Texture, Tint, Vertex, Wall};
 use super::raster::CamVertex;
 use super::sky::mirrored;
-use super::view::{View, cross, dot, sub};
+use super::view::{NEAR, View, cross, dot, sub};
 use super::weather::Weather;
 
 /// Which shading a surface gets.
@@ -43,6 +43,9 @@ pub struct Surface {
     pub sun: Rgb,
     /// Ground: horizontal and low, so that shadows and puddles lie on it.
     pub lies: bool,
+    /// The triangle's corners in the picture (pixels), and the item that it is part of; None where it is
+    /// cut by the near plane.
+    pub outline: Option<([[f32; 2]; 3], u32)>,
 }
 
 /// What lights a frame.
@@ -62,6 +65,10 @@ impl Lighting<'_> {
         let corners = triangle.corners.map(|i| &item.mesh.vertices[i as usize]);
         let p = triangle.corners.map(|i| vertices[item.first as usize + i as usize].p);
         let mut surface = Surface { material: triangle.material.0, ..Surface::default() };
+        if p.iter().all(|p| p[2] >= NEAR) {
+            let screen = triangle.corners.map(|i| vertices[item.first as usize + i as usize].s);
+            surface.outline = Some((screen, tri.item));
+        }
         let emission = item.lamps.has(material.channel) && material.channel != Channel::None;
         let albedo = tinted(material, item);
         if emission || material.texture == Texture::Plain {
