@@ -1,12 +1,13 @@
 //! What a tick of the whole loop costs, stage by stage.
 //!
 //! The loop is that of `run` with the front camera: the autopilot decides, the ego's physics moves it,
-//! SUMO steps, the reply is decoded, the camera renders what the ego sees.
+//! SUMO steps, the reply is decoded, the camera renders what the ego sees, perception looks at it.
 
 use crate::bench::median;
 use crate::camera::{Camera, CameraConfig, CameraError, Outputs, Town, Weather};
 use crate::cpu_time;
 use crate::drive::{Drive, DriveError, DriveOptions, Status};
+use crate::perception::{Detector, EgoFacts, Perception, PerceptionError};
 use crate::sight;
 use serde::Serialize;
 use serde::ser::{SerializeMap, Serializer};
@@ -45,12 +46,13 @@ impl Serialize for Stages {
 }
 
 /// What to measure.
-#[derive(Clone, Debug)]
 pub struct TickBenchOptions {
     pub drive: DriveOptions,
     pub camera: CameraConfig,
     pub weather: Weather,
     pub outputs: Outputs,
+    /// Who detects; None: perception is left out.
+    pub detector: Option<Box<dyn Detector>>,
     /// Ticks that are driven first and not measured.
     pub warm_up: u64,
 }
@@ -62,6 +64,8 @@ pub enum TickBenchError {
     Drive(#[from] DriveError),
     #[error(transparent)]
     Camera(#[from] CameraError),
+    #[error(transparent)]
+    Perception(#[from] PerceptionError),
 }
 
 /// A measurement under way.
@@ -71,6 +75,7 @@ pub struct TickBench {
     camera: Camera,
     weather: Weather,
     outputs: Outputs,
+    perception: Option<Perception>,
     warm_up: u64,
     done: u64,
     stages: Stages,
@@ -97,6 +102,9 @@ impl TickBench {
     /// A camera that cannot be, bad input, SUMO fails.
     pub async fn start(options: TickBenchOptions) -> Result<Self, TickBenchError> {
         let camera = Camera::new(options.camera)?;
+        let perception = options.detector.map(|d| Perception::new(d, options.camera)).transpose()?;
+        let needs = perception.as_ref().map_or(options.outputs, Perception::needs);
+        let outputs = Outputs { boxes: needs.boxes || options.outputs.boxes, ..options.outputs };
         let seed = options.drive.bridge.seed;
         let drive = Drive::start(options.drive).await?;
         let town = sight::town(drive.bridge(), seed);
@@ -105,7 +113,8 @@ impl TickBench {
             town,
             camera,
             weather: options.weather,
-            outputs: options.outputs,
+            outputs,
+            perception,
             warm_up: options.warm_up,
             done: 0,
             stages: Stages::default(),
@@ -135,6 +144,8 @@ impl TickBench {
         sight::follow(&mut self.town, self.drive.ego());
         let pose = self.drive.ego().state().pose;
         self.camera.render(self.town.scene(), self.town.actors(), &pose, &self.weather, self.outputs);
+        let rendered = clock.elapsed();
+        let seen = self.perceive()?;
         let total = clock.elapsed();
         self.done += 1;
         if measured {
@@ -143,13 +154,36 @@ impl TickBench {
             self.stages.record("sumo", sumo);
             self.stages.record("decode", after.bridge - before.bridge - sumo);
             self.stages.record("physics", after.physics - before.physics);
-            self.stages.record("camera", (total - driven).as_secs_f64());
+            self.stages.record("camera", (rendered - driven).as_secs_f64());
+            if let Some(seen) = seen {
+                for (stage, seconds) in ["detect", "lanes", "judge", "transform"].into_iter().zip(seen) {
+                    self.stages.record(stage, seconds);
+                }
+            }
             self.stages.record("act", after.agent - before.agent);
             self.totals.push(total.as_secs_f64() * 1000.0);
             let now = self.cpu_seconds();
             self.cpu = self.cpu.zip(now).map(|((began, _), now)| (began, now));
         }
         Ok(status)
+    }
+
+    /// What the stages of perception took (s): detections, lanes, light and vehicle in front, transformed
+    /// image.
+    fn perceive(&mut self) -> Result<Option<[f64; 4]>, TickBenchError> {
+        let Some(perception) = &mut self.perception else { return Ok(None) };
+        let frame = self.camera.frame();
+        let facts = EgoFacts::of(self.drive.bridge().network(), self.drive.ego(), self.drive.bridge().tick());
+        let clock = Instant::now();
+        perception.detect(frame)?;
+        let detected = clock.elapsed().as_secs_f64();
+        perception.find_lanes(frame, &facts)?;
+        let lanes = clock.elapsed().as_secs_f64();
+        perception.judge(&facts);
+        let judged = clock.elapsed().as_secs_f64();
+        perception.transform(frame)?;
+        let transformed = clock.elapsed().as_secs_f64();
+        Ok(Some([detected, lanes - detected, judged - lanes, transformed - judged]))
     }
 
     fn cpu_seconds(&self) -> Option<f64> {

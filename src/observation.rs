@@ -147,3 +147,50 @@ impl Observation {
         [self.latent.as_slice(), &self.raw].concat()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::perception::testing::Road;
+
+    #[test]
+    fn the_raw_state_says_where_the_ego_is_on_its_route() {
+        let road = Road::new("GGG");
+        let facts = road.facts(60.0, 0.5, 0.1, 8.0);
+        let raw = RawState::of(facts.route, &facts.on_route, None, Some(25.0));
+        assert_eq!((raw.lateral, raw.speed, raw.speed_limit), (0.5, 8.0, 10.0));
+        // Turned left by 0.1: the way goes to the right.
+        assert!((raw.heading_error + 0.1).abs() < 1e-6 && (raw.heading_error_far + 0.1).abs() < 1e-6);
+        assert_eq!(raw.option, RoadOption::LaneFollow);
+        let v = raw.vector();
+        assert!((v[0] - 8.0 / 15.0).abs() < 1e-6 && (v[1] + 0.2).abs() < 1e-6 && v[3] == 1.0, "{v:?}");
+        assert_eq!((v[11], v[13], v[14]), (0.0, 1.0, 0.5));
+    }
+
+    #[test]
+    fn the_option_is_that_of_the_waypoint_ahead() {
+        let road = Road::new("GGG");
+        // Announced 15 m before the stop line; at 8 m/s the waypoint is 9 m ahead.
+        let announced = road.route.links[0].stop_s - 15.0;
+        let at = |s: f64| {
+            let facts = road.facts(s, 0.0, 0.0, 8.0);
+            RawState::of(facts.route, &facts.on_route, None, None).option
+        };
+        assert_eq!(at(announced - 9.5), RoadOption::LaneFollow);
+        assert_eq!(at(announced - 8.5), RoadOption::Straight);
+    }
+
+    #[test]
+    fn wild_numbers_stay_within_two() {
+        let wild = RawState {
+            speed: 400.0,
+            speed_limit: 0.0,
+            lateral: -90.0,
+            heading_error: 9.0,
+            lead: Some(LeadState { gap: 900.0, closing_speed: -300.0 }),
+            stop_light: Some(1e9),
+            ..RawState::STANDING
+        };
+        assert!(wild.vector().iter().all(|x| (-2.0..=2.0).contains(x)));
+    }
+}

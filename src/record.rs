@@ -2,6 +2,8 @@
 
 use crate::camera::{Camera, CameraConfig, CameraError, Outputs, Picture, Town, Weather};
 use crate::geometry::Pose;
+use crate::perception::stages;
+use crate::watch::Watch;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -15,7 +17,7 @@ pub enum RecordView {
     Chase,
     /// From above.
     Bird,
-    /// Chase view with front and bird view inset.
+    /// Chase view with front and bird view inset, and the transformed image as in the paper's figure 1.
     All,
 }
 
@@ -93,6 +95,8 @@ pub struct Recorder {
     front: Option<Camera>,
     chase: Option<Camera>,
     bird: Option<Camera>,
+    /// Perception's stages below the picture: how many.
+    panels: usize,
     sink: Sink,
 }
 
@@ -101,10 +105,17 @@ const WIDE: (usize, usize) = (1280, 720);
 
 impl Recorder {
     /// A film at `path`, `fps` pictures a second. A folder or a `.png` name gives numbered pictures.
+    /// `panels` of perception's stages are shown below the picture (0: none, 3, or 4 with a decoder).
     ///
     /// # Errors
     /// The place cannot be written, or no codec is there.
-    pub fn create(path: &Path, view: RecordView, fps: f64, codec: Codec) -> Result<Self, RecordError> {
+    pub fn create(
+        path: &Path,
+        view: RecordView,
+        fps: f64,
+        codec: Codec,
+        panels: usize,
+    ) -> Result<Self, RecordError> {
         use RecordView::{All, Bird, Chase, Front};
         let camera = |wanted: &[RecordView], config: CameraConfig| {
             wanted.contains(&view).then(|| Camera::new(config)).transpose()
@@ -115,8 +126,11 @@ impl Recorder {
             Bird => (720, 720),
             Chase | All => WIDE,
         };
+        // Whole numbers of pixels, even ones as video wants them.
+        let size = (size.0, size.1 + panel_side(size.0, panels) / 2 * 2);
         Ok(Self {
             view,
+            panels,
             front: camera(&[Front, All], CameraConfig::default())?,
             chase: camera(&[Chase, All], CameraConfig::chase(WIDE.0, WIDE.1))?,
             bird: camera(&[Bird, All], bird)?,
@@ -124,11 +138,17 @@ impl Recorder {
         })
     }
 
-    /// Adds a picture of the town as seen round an ego at `pose`.
+    /// Adds a picture of the town as seen round an ego at `pose`, with what it makes of what it sees.
     ///
     /// # Errors
     /// It cannot be written.
-    pub fn add(&mut self, town: &Town, pose: &Pose, weather: &Weather) -> Result<(), RecordError> {
+    pub fn add(
+        &mut self,
+        town: &Town,
+        pose: &Pose,
+        weather: &Weather,
+        watch: Option<&Watch>,
+    ) -> Result<(), RecordError> {
         let shoot = |camera: &mut Option<Camera>| {
             camera.as_mut().map(|camera| {
                 Picture::rgb(camera.render(town.scene(), town.actors(), pose, weather, Outputs::RGB))
@@ -139,6 +159,10 @@ impl Recorder {
             (RecordView::All, Some(front), Some(mut chase), Some(bird)) => {
                 chase.inset(&front.scaled(320, 320), WIDE.0 - 336, 16);
                 chase.inset(&bird.scaled(320, 320), WIDE.0 - 336, WIDE.1 - 336);
+                if let Some(watch) = watch {
+                    let seen = stages::transformed(&watch.percept().transformed);
+                    chase.inset(&seen.scaled(320, 320), 16, WIDE.1 - 336);
+                }
                 chase
             }
             (_, front, chase, bird) => match front.or(chase).or(bird) {
@@ -146,7 +170,10 @@ impl Recorder {
                 None => return Ok(()),
             },
         };
-        self.sink.write(&picture)
+        match watch {
+            Some(watch) if self.panels > 0 => self.sink.write(&with_panels(&picture, watch, self.panels)),
+            _ => self.sink.write(&picture),
+        }
     }
 
     /// Completes the film.
@@ -156,6 +183,20 @@ impl Recorder {
     pub fn finish(self) -> Result<(), RecordError> {
         self.sink.finish()
     }
+}
+
+/// Side of a panel (pixels) when `panels` stand below a picture `width` wide.
+fn panel_side(width: usize, panels: usize) -> usize {
+    width.checked_div(panels).unwrap_or(0)
+}
+
+/// The picture with the stages below it.
+fn with_panels(picture: &Picture, watch: &Watch, panels: usize) -> Picture {
+    let side = panel_side(picture.width, panels);
+    let mut page = Picture::new(picture.width, picture.height + side / 2 * 2);
+    page.paste(picture, 0, 0);
+    page.paste(&watch.strip(side), (picture.width - side * panels) / 2, picture.height);
+    page
 }
 
 /// Where pictures go.
@@ -288,7 +329,7 @@ mod tests {
     #[test]
     fn a_film_has_a_place_that_can_hold_it() {
         let folder = tempfile::tempdir().unwrap();
-        let at = |name: &str| Recorder::create(&folder.path().join(name), RecordView::Front, 6.0, Codec::Auto);
+        let at = |name: &str| Recorder::create(&folder.path().join(name), RecordView::Front, 6.0, Codec::Auto, 0);
         assert!(at("frames/").is_ok() && at("new/film.png").is_ok());
         let error = at("film.avi").err().map(|e| e.to_string()).unwrap_or_default();
         assert!(error.contains("film.avi") && error.contains(".mp4"), "{error}");

@@ -86,6 +86,11 @@ impl Watch {
         self.reconstruction.as_ref()
     }
 
+    /// How many pictures [`Watch::strip`] has.
+    pub fn panels(&self) -> usize {
+        if self.decoder.is_some() { 4 } else { 3 }
+    }
+
     /// The stages side by side, `side` pixels each: camera, detections, transformed, reconstruction.
     pub fn strip(&self, side: usize) -> Picture {
         stages::strip(self.frame(), self.percept(), self.reconstruction(), side)

@@ -239,7 +239,7 @@ impl Picture {
         Mat::new_rows_cols_with_data(self.height as i32, self.width as i32, &pixels)
             .and_then(|mat| imencode(".jpg", &mat, &mut bytes, &Vector::from_slice(&[IMWRITE_JPEG_QUALITY, 85])))
             .map_err(|e| io::Error::other(format!("OpenCV cannot encode JPEG: {}", e.message)))?;
-        Ok(bytes.to_vec())
+        Ok(bytes.into())
     }
 
     #[cfg(not(feature = "vision"))]

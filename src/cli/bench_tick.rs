@@ -9,6 +9,7 @@ use wad_cosim::bridge::BridgeOptions;
 use wad_cosim::bundled;
 use wad_cosim::camera::{CameraConfig, Outputs, Preset, Weather};
 use wad_cosim::drive::DriveOptions;
+use wad_cosim::perception::{self, DETECTORS, MIN_SCORE};
 use wad_cosim::traffic::TrafficSpec;
 
 const EXAMPLES: &str = "\
@@ -17,7 +18,7 @@ Examples:
   wad-cosim bench tick town3 --traffic 100,250 --weather HardRainNoon --json
   wad-cosim bench tick my.sumocfg --traffic as-is --outputs all";
 
-/// A tick of the whole loop: autopilot, physics, SUMO, decoding, camera.
+/// A tick of the whole loop: autopilot, physics, SUMO, decoding, camera, perception.
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -36,6 +37,11 @@ pub struct Args {
     /// What the camera makes.
     #[arg(long, value_enum, default_value_t = Made::Rgb)]
     outputs: Made,
+    #[arg(long, help = format!("Who detects: {DETECTORS}"), default_value = "truth", value_name = "NAME")]
+    detector: String,
+    /// Leave perception out.
+    #[arg(long, conflicts_with = "detector")]
+    no_perception: bool,
     /// Ticks that are measured.
     #[arg(long, default_value_t = 600)]
     ticks: u64,
@@ -62,7 +68,13 @@ enum Made {
 pub async fn run(args: Args) -> anyhow::Result<Exit> {
     let config = bundled::resolve(&args.config).map_err(|e| Exit::Input.because(e))?;
     let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
+    // Perception looks for lanes with OpenCV.
+    let detector = (cfg!(feature = "vision") && !args.no_perception)
+        .then(|| perception::detector(&args.detector, MIN_SCORE))
+        .transpose()
+        .map_err(|e| Exit::Input.because(e))?;
     let options = TickBenchOptions {
+        detector,
         drive: DriveOptions {
             bridge: BridgeOptions {
                 seed: args.seed,
@@ -113,15 +125,16 @@ fn with_exit(error: TickBenchError) -> anyhow::Error {
     match error {
         TickBenchError::Drive(error) => run::with_exit(error),
         TickBenchError::Camera(error) => Exit::Input.because(error),
+        TickBenchError::Perception(error) => Exit::Other.because(error),
     }
 }
 
 fn show(report: &TickReport, json: bool) -> anyhow::Result<()> {
     let mut text = String::new();
     for (name, ms) in report.stages.medians() {
-        text += &format!("{name:>8} {ms:>8.3} ms\n");
+        text += &format!("{name:>9} {ms:>8.3} ms\n");
     }
-    text += &format!("{:>8} {:>8.3} ms, median of {} ticks", "total", report.total_ms, report.ticks);
+    text += &format!("{:>9} {:>8.3} ms, median of {} ticks", "total", report.total_ms, report.ticks);
     if let Some(cpu) = report.cpu_ms {
         text += &format!("; {cpu:.3} ms of processor time on average");
     }

@@ -9,16 +9,18 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 use wad_cosim::bridge::{BridgeError, BridgeOptions};
 use wad_cosim::bundled;
-use wad_cosim::camera::{Preset, Town, Weather};
+use wad_cosim::camera::{CameraConfig, Preset, Town, Weather};
 use wad_cosim::criteria::Event;
 use wad_cosim::drive::{Drive, DriveError, DriveOptions, Status, Summary};
 #[cfg(feature = "learn")]
 use wad_cosim::env::EnvOptions;
 use wad_cosim::learned_driver::LearnedDriver;
 use wad_cosim::record::{Codec, RecordView, Recorder};
+use wad_cosim::perception::{self, Percept};
 use wad_cosim::sight;
 use wad_cosim::telemetry::FolderError;
 use wad_cosim::traffic::TrafficSpec;
+use wad_cosim::watch::Watch;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -26,6 +28,7 @@ Examples:
   wad-cosim run town5 --traffic dense --ticks 1200          70 vehicles and 150 pedestrians, 200 s
   wad-cosim run town3 --traffic 40,80 --seed 7 --gui        watch it in sumo-gui
   wad-cosim run town5 --agent wad-t                         the trained agent at the wheel
+  wad-cosim run town5 --perception --record see.mp4         film what the ego sees and makes of it
   wad-cosim run my.sumocfg --route -E12,E7 --json           own net, from edge -E12 to edge E7, machine-readable
   wad-cosim run my.net.xml --attach 127.0.0.1:8813          join a SUMO that is running already
 
@@ -84,6 +87,12 @@ pub struct Args {
     /// Codec of a .mp4 film: auto (H.264, else MPEG-4), h264, mp4v, or another four-character code.
     #[arg(long, value_name = "CODEC", default_value = "auto", requires = "record")]
     record_codec: Codec,
+    /// Look through the front camera too: say what is seen, and record the stages (camera, detections,
+    /// transformed image) below the film.
+    #[arg(long)]
+    perception: bool,
+    #[arg(long, help = format!("Who detects: {}", perception::DETECTORS), default_value = "truth", value_name = "NAME")]
+    detector: String,
     /// Run no faster than real time.
     #[arg(long)]
     realtime: bool,
@@ -138,7 +147,7 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
     };
     let mut drive = started.map_err(with_exit)?;
     let limit = tick_limit(&args, &drive)?;
-    let mut film = args.record.as_ref().map(|path| Film::begin(path, &args, &drive, seed)).transpose()?;
+    let mut sight = Sight::begin(&args, &drive, seed)?;
     let mut line = StatusLine::new(args.quiet_status(), limit);
     let (began, tick) = (Instant::now(), drive.bridge().tick());
     let mut interrupted = false;
@@ -150,7 +159,12 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
             ticked = drive.tick() => ticked,
         };
         match ticked {
-            Ok(status) => line.show(&status),
+            Ok(status) => {
+                if let Some(sight) = &mut sight {
+                    sight.look(&drive)?;
+                }
+                line.show(&status, sight.as_ref().and_then(Sight::said));
+            }
             Err(error) => {
                 line.clear();
                 // What there is stays readable, with a summary that says how it ended.
@@ -158,13 +172,6 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
                     eprintln!("wad-cosim: {second}");
                 }
                 return Err(with_exit(error));
-            }
-        }
-        if let Some(film) = &mut film {
-            if let Err(error) = film.add(&drive) {
-                line.clear();
-                drive.abort().await.map_err(with_exit)?;
-                return Err(error);
             }
         }
         ticks += 1;
@@ -177,8 +184,8 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
         }
     }
     line.clear();
-    if let Some(film) = film {
-        film.recorder.finish()?;
+    if let Some(sight) = sight {
+        sight.finish()?;
     }
     let summary = drive.finish("survived", interrupted).await.map_err(with_exit)?;
     report(&summary, args.json)?;
@@ -258,26 +265,68 @@ pub fn with_exit(error: DriveError) -> anyhow::Error {
     exit.because(error)
 }
 
-/// A recording of the run.
-struct Film {
-    recorder: Recorder,
+/// What is seen and recorded of the run.
+struct Sight {
     town: Town,
     weather: Weather,
+    watch: Option<Watch>,
+    /// Perception was asked for, not only needed by the film.
+    says: bool,
+    recorder: Option<Recorder>,
 }
 
-impl Film {
-    fn begin(path: &std::path::Path, args: &Args, drive: &Drive, seed: u64) -> anyhow::Result<Self> {
+impl Sight {
+    /// None where nobody looks.
+    fn begin(args: &Args, drive: &Drive, seed: u64) -> anyhow::Result<Option<Self>> {
+        if args.record.is_none() && !args.perception {
+            return Ok(None);
+        }
+        // The film of all views holds the transformed image where this build can make one.
+        let inset = args.record.is_some() && args.record_view == RecordView::All && cfg!(feature = "vision");
+        let watch = (args.perception || inset)
+            .then(|| -> anyhow::Result<Watch> {
+                let detector = perception::detector(&args.detector, perception::MIN_SCORE)
+                    .map_err(|e| Exit::Input.because(e))?;
+                let mut watch =
+                    Watch::new(detector, CameraConfig::default()).map_err(|e| Exit::Input.because(e))?;
+                watch.reset(seed);
+                Ok(watch)
+            })
+            .transpose()?;
+        let panels = watch.as_ref().filter(|_| args.perception).map_or(0, Watch::panels);
         let fps = 1.0 / drive.bridge().tick();
-        let recorder = Recorder::create(path, args.record_view, fps, args.record_codec)
+        let recorder = args
+            .record
+            .as_ref()
+            .map(|path| Recorder::create(path, args.record_view, fps, args.record_codec, panels))
+            .transpose()
             .map_err(|e| Exit::Input.because(e))?;
-        let town = sight::town(drive.bridge(), seed);
-        Ok(Self { recorder, town, weather: Weather::from(args.weather) })
+        let (town, weather) = (sight::town(drive.bridge(), seed), Weather::from(args.weather));
+        Ok(Some(Self { town, weather, watch, says: args.perception, recorder }))
     }
 
-    fn add(&mut self, drive: &Drive) -> anyhow::Result<()> {
-        sight::follow(&mut self.town, drive.ego());
-        let pose = drive.ego().state().pose;
-        Ok(self.recorder.add(&self.town, &pose, &self.weather)?)
+    fn look(&mut self, drive: &Drive) -> anyhow::Result<()> {
+        let (ego, bridge) = (drive.ego(), drive.bridge());
+        sight::follow(&mut self.town, ego);
+        if let Some(watch) = &mut self.watch {
+            watch.look(&self.town, &self.weather, bridge.network(), ego, bridge.tick())?;
+        }
+        if let Some(recorder) = &mut self.recorder {
+            recorder.add(&self.town, &ego.state().pose, &self.weather, self.watch.as_ref())?;
+        }
+        Ok(())
+    }
+
+    /// What perception says of the last tick.
+    fn said(&self) -> Option<&Percept> {
+        self.watch.as_ref().filter(|_| self.says).map(Watch::percept)
+    }
+
+    fn finish(self) -> anyhow::Result<()> {
+        match self.recorder {
+            Some(recorder) => Ok(recorder.finish()?),
+            None => Ok(()),
+        }
     }
 }
 
@@ -319,7 +368,7 @@ impl StatusLine {
         Self { bar, last: None }
     }
 
-    fn show(&mut self, status: &Status) {
+    fn show(&mut self, status: &Status, percept: Option<&Percept>) {
         let every = if self.bar.is_some() { Duration::from_millis(100) } else { Duration::from_secs(5) };
         for event in &status.record.events {
             self.say(&format!("{:8.1} s  {}", status.record.time, describe(event)));
@@ -328,7 +377,7 @@ impl StatusLine {
             return;
         }
         self.last = Some(Instant::now());
-        let text = describe_tick(status);
+        let text = describe_tick(status) + &percept.map_or(String::new(), describe_percept);
         match &self.bar {
             Some(bar) => {
                 bar.set_position(status.record.tick);
@@ -364,6 +413,18 @@ fn describe_tick(status: &Status) -> String {
         100.0 * r.route.s / r.route.length.max(1e-9),
         r.reason.map_or(String::new(), |reason| reason_name(&reason)),
         status.ticks_per_second,
+    )
+}
+
+fn describe_percept(percept: &Percept) -> String {
+    let side = |line: Option<_>, letter| if line.is_some() { letter } else { '-' };
+    let lead = percept.raw.lead.map_or("-".to_string(), |l| format!("{:.0} m", l.gap));
+    format!(
+        "  sees {} objects, lanes {}{}, ahead {lead}{}",
+        percept.detections.len(),
+        side(percept.lanes.left, 'L'),
+        side(percept.lanes.right, 'R'),
+        if percept.light_red { ", red light here" } else { "" },
     )
 }
 

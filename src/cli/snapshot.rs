@@ -69,8 +69,7 @@ pub struct Args {
     /// What perception makes of the front camera's picture, in place of the plain picture.
     #[arg(long, value_enum, conflicts_with_all = ["overlay", "view"])]
     stage: Option<Stage>,
-    /// Who detects: truth (the renderer's boxes) or truth:faulty (with a real detector's faults).
-    #[arg(long, default_value = "truth", value_name = "NAME", requires = "stage")]
+    #[arg(long, help = format!("Who detects: {}", perception::DETECTORS), default_value = "truth", value_name = "NAME", requires = "stage")]
     detector: String,
     /// All 14 weathers in one picture.
     #[arg(long, conflicts_with_all = ["weather", "overlay", "stage"])]
@@ -164,13 +163,7 @@ fn with_decoder(_: &Args, stage: Stage, watch: Watch) -> anyhow::Result<Watch> {
         let why = "--stage latent needs libtorch, and this build has none; build with the feature `learn`";
         return Err(Exit::Input.because(anyhow::anyhow!(why)));
     }
-<<<<<<< HEAD
     Ok(watch)
-=======
-    let detector =
-        perception::detector(&args.detector, perception::MIN_SCORE).map_err(|e| Exit::Input.because(e))?;
-    Watch::new(detector, config).map_err(|e| Exit::Input.because(e))
->>>>>>> main
 }
 
 async fn take(args: Args, mut camera: Camera, mut watch: Option<Watch>) -> anyhow::Result<Exit> {

@@ -20,7 +20,7 @@ mod route_tests;
 mod smooth;
 mod spatial;
 #[cfg(test)]
-mod testing;
+pub(crate) mod testing;
 mod xml;
 
 pub use error::NetworkError;

@@ -186,3 +186,101 @@ impl Track {
         self.missed = 0;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::CameraConfig;
+    use crate::perception::testing::{LENGTH, Road};
+
+    /// The box of something `near` m ahead of the ego's centre, `y` m to the left, on level ground.
+    fn seen(class: ObjectClass, near: f32, y: f32, breadth: f32, height: f32) -> Detection {
+        let ground = GroundPlane::new(&CameraConfig::default());
+        let [l, b] = ground.pixel([near, y + 0.5 * breadth]).unwrap();
+        let [r, _] = ground.pixel([near, y - 0.5 * breadth]).unwrap();
+        let t = b - 256.0 * height / (near - 0.7);
+        Detection { class, bounds: [l, t, r, b], score: 1.0 }
+    }
+
+    fn gap(found: &[Detection], s: f64, d: f64, turn: f64) -> Option<f64> {
+        let road = Road::new("GGG");
+        let ground = GroundPlane::new(&CameraConfig::default());
+        nearest(found, &ground, &road.facts(s, d, turn, 8.0)).map(|candidate| candidate.gap)
+    }
+
+    #[test]
+    fn the_nearest_in_the_path_counts() {
+        let car = seen(ObjectClass::Car, 20.0, 0.1, 1.8, 1.5);
+        let person = seen(ObjectClass::Person, 12.0, -0.4, 0.5, 1.7);
+        // The car's wheels are 0.7 m behind its bumper.
+        let far = gap(&[car], 60.0, 0.0, 0.0).unwrap();
+        assert!((far - (20.0 - 0.5 * LENGTH - 0.7)).abs() < 0.1, "{far}");
+        let near = gap(&[car, person], 60.0, 0.0, 0.0).unwrap();
+        assert!((near - (12.0 - 0.5 * LENGTH)).abs() < 0.1, "{near}");
+        assert!(gap(&[seen(ObjectClass::Car, 70.0, 0.0, 1.8, 1.5)], 60.0, 0.0, 0.0).is_none(), "too far");
+    }
+
+    #[test]
+    fn those_beside_the_path_do_not() {
+        for (y, breadth) in [(3.3, 1.8), (-3.3, 1.8), (2.6, 3.0)] {
+            assert!(gap(&[seen(ObjectClass::Car, 15.0, y, breadth, 1.5)], 60.0, 0.0, 0.0).is_none(), "{y}");
+        }
+        let lamp = seen(ObjectClass::TrafficLight, 15.0, 0.0, 0.5, 3.0);
+        assert!(gap(&[lamp], 60.0, 0.0, 0.0).is_none());
+        // Straight ahead of an ego that is turned away from its route: off the path.
+        assert!(gap(&[seen(ObjectClass::Car, 25.0, 0.0, 1.8, 1.5)], 60.0, 0.0, 0.2).is_none());
+        // And on the path, though to the right of the picture's middle.
+        assert!(gap(&[seen(ObjectClass::Car, 25.0, -5.0, 1.8, 1.5)], 60.0, 0.0, 0.2).is_some());
+        // Half of it in the way.
+        assert!(gap(&[seen(ObjectClass::Car, 15.0, 1.8, 1.8, 1.5)], 60.0, 0.0, 0.0).is_some());
+    }
+
+    #[test]
+    fn the_closing_speed_is_learnt_within_a_second_and_a_half() {
+        let (road, ground) = (Road::new("GGG"), GroundPlane::new(&CameraConfig::default()));
+        let mut tracker = LeadTracker::default();
+        let (mut true_gap, closing) = (25.0, 4.0);
+        let mut state = None;
+        for tick in 0..9 {
+            let near = (true_gap + 0.5 * LENGTH + 0.7) as f32;
+            let found = [seen(ObjectClass::Car, near, 0.0, 1.8, 1.5)];
+            let facts = road.facts(60.0 + f64::from(tick), 0.0, 0.0, 8.0);
+            let candidate = nearest(&found, &ground, &facts);
+            state = tracker.update(candidate.as_ref(), &ground, &facts);
+            true_gap -= closing * facts.tick;
+        }
+        let state = state.unwrap();
+        assert!((state.closing_speed - closing).abs() < 0.7, "{state:?}");
+        assert!((state.gap - (true_gap + closing * 0.167)).abs() < 0.4, "{state:?}, {true_gap}");
+    }
+
+    #[test]
+    fn a_missed_detection_is_bridged_for_two_ticks_only() {
+        let (road, ground) = (Road::new("GGG"), GroundPlane::new(&CameraConfig::default()));
+        let facts = road.facts(60.0, 0.0, 0.0, 0.0);
+        let found = [seen(ObjectClass::Car, 15.0, 0.0, 1.8, 1.5)];
+        let candidate = nearest(&found, &ground, &facts);
+        let mut tracker = LeadTracker::default();
+        tracker.update(candidate.as_ref(), &ground, &facts);
+        let bridged: Vec<bool> = (0..4).map(|_| tracker.update(None, &ground, &facts).is_some()).collect();
+        assert_eq!(bridged, [true, true, false, false]);
+        tracker.update(candidate.as_ref(), &ground, &facts);
+        tracker.reset();
+        assert_eq!(tracker.update(None, &ground, &facts), None);
+    }
+
+    #[test]
+    fn another_vehicle_in_front_is_not_taken_for_a_jump_of_the_old_one() {
+        let (road, ground) = (Road::new("GGG"), GroundPlane::new(&CameraConfig::default()));
+        let facts = road.facts(60.0, 0.0, 0.0, 8.0);
+        let mut tracker = LeadTracker::default();
+        let mut look = |near: f32| {
+            let found = [seen(ObjectClass::Car, near, 0.0, 1.8, 1.5)];
+            tracker.update(nearest(&found, &ground, &facts).as_ref(), &ground, &facts).unwrap()
+        };
+        look(30.0);
+        look(30.0);
+        let cut_in = look(12.0);
+        assert!((cut_in.gap - 9.1).abs() < 0.2 && cut_in.closing_speed.abs() < 1.0, "{cut_in:?}");
+    }
+}

@@ -38,3 +38,39 @@ impl LightAhead {
         self.state.is_red() && self.distance <= AT_INTERSECTION
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::perception::testing::{LENGTH, Road};
+
+    fn ahead(state: &str, before: f64) -> Option<LightAhead> {
+        let road = Road::new(state);
+        let stop = road.route.links[0].stop_s;
+        LightAhead::find(&road.facts(stop - before - 0.5 * LENGTH, 0.0, 0.0, 5.0))
+    }
+
+    #[test]
+    fn red_is_painted_within_20_m_of_the_stop_line_only() {
+        let near = ahead("rGG", 19.5).unwrap();
+        assert!(near.is_red_here() && (near.distance - 19.5).abs() < 1e-6);
+        assert!(!ahead("rGG", 20.5).unwrap().is_red_here());
+        assert!(ahead("uGG", 5.0).unwrap().is_red_here());
+        assert!(!ahead("GGG", 5.0).unwrap().is_red_here());
+        let yellow = ahead("yGG", 5.0).unwrap();
+        assert!(yellow.stops() && !yellow.is_red_here());
+        // Past the line it is no more the ego's.
+        assert!(ahead("rGG", -0.5).is_none());
+    }
+
+    #[test]
+    fn a_light_out_of_sight_or_of_another_program_says_nothing() {
+        let mut road = Road::new("rGG");
+        road.signals = vec![None];
+        assert!(LightAhead::find(&road.facts(250.0, 0.0, 0.0, 5.0)).is_none());
+        road.signals = vec![Some("".into())];
+        assert!(LightAhead::find(&road.facts(250.0, 0.0, 0.0, 5.0)).is_none());
+        road.signals.clear();
+        assert!(LightAhead::find(&road.facts(250.0, 0.0, 0.0, 5.0)).is_none());
+    }
+}

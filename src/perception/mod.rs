@@ -25,6 +25,8 @@ mod pipeline;
 pub mod score;
 pub mod sight_score;
 pub mod stages;
+#[cfg(test)]
+pub(crate) mod testing;
 mod tour;
 mod truth;
 

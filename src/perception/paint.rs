@@ -209,3 +209,108 @@ fn stroke(pixels: &mut [u8], [p, q]: [[f32; 2]; 2]) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::CameraConfig;
+    use crate::perception::LaneBoundary;
+
+    fn grey(width: usize, height: usize) -> Frame {
+        Frame { width, height, rgb: vec![100; 3 * width * height], ..Frame::default() }
+    }
+
+    fn paint(frame: &Frame, found: &[Detection], lanes: &LaneEstimate, red: bool) -> TransformedImage {
+        let ground = GroundPlane::new(&CameraConfig::sized(frame.width, frame.height));
+        let mut image = TransformedImage::default();
+        Painter::default().paint(frame, &ground, found, lanes, red, &mut image).unwrap();
+        image
+    }
+
+    fn boxed(class: ObjectClass, bounds: [f32; 4]) -> Detection {
+        Detection { class, bounds, score: 1.0 }
+    }
+
+    fn pixel(image: &TransformedImage, x: usize, y: usize) -> [u8; 3] {
+        let at = 3 * (y * SIDE + x);
+        [image.bytes()[at], image.bytes()[at + 1], image.bytes()[at + 2]]
+    }
+
+    fn count(image: &TransformedImage, colour: [u8; 3]) -> usize {
+        image.bytes().chunks_exact(3).filter(|p| *p == colour).count()
+    }
+
+    #[test]
+    fn shrinking_is_the_mean_of_what_falls_together() {
+        let mut frame = grey(512, 512);
+        for (i, value) in frame.rgb.iter_mut().enumerate() {
+            *value = (i * 37 % 251) as u8;
+        }
+        let image = paint(&frame, &[], &LaneEstimate::default(), false);
+        for (x, y) in [(0, 0), (17, 90), (127, 127)] {
+            for c in 0..3 {
+                let block = (0..16).map(|k| frame.rgb[3 * ((4 * y + k / 4) * 512 + 4 * x + k % 4) + c]);
+                let mean = block.map(f32::from).sum::<f32>() / 16.0;
+                assert!((f32::from(pixel(&image, x, y)[c]) - mean).abs() <= 0.51);
+            }
+        }
+        // The same by shares, for sizes that do not divide.
+        let mut by_shares = vec![0; TransformedImage::BYTES];
+        shrink_any(&frame, &mut by_shares);
+        assert!(by_shares.iter().zip(image.bytes()).all(|(a, b)| a.abs_diff(*b) <= 1));
+        assert_eq!(pixel(&paint(&grey(300, 200), &[], &LaneEstimate::default(), false), 64, 64), [100; 3]);
+    }
+
+    #[test]
+    fn boxes_are_blue_and_far_ones_keep_a_wholly_blue_pixel() {
+        let near = boxed(ObjectClass::Car, [200.0, 240.0, 260.0, 300.0]);
+        let image = paint(&grey(512, 512), &[near], &LaneEstimate::default(), false);
+        assert_eq!(count(&image, BLUE), 15 * 15);
+        for class in [ObjectClass::Person, ObjectClass::Bench, ObjectClass::Bus, ObjectClass::Bicycle] {
+            let far = boxed(class, [301.0, 255.0, 303.0, 259.0]);
+            let image = paint(&grey(512, 512), &[far], &LaneEstimate::default(), false);
+            assert!((1..=4).contains(&count(&image, BLUE)), "{class:?}");
+        }
+        let lamp = boxed(ObjectClass::TrafficLight, [300.0, 100.0, 340.0, 180.0]);
+        assert_eq!(count(&paint(&grey(512, 512), &[lamp], &LaneEstimate::default(), false), BLUE), 0);
+        // Over the border.
+        let beside = boxed(ObjectClass::Truck, [-40.0, 200.0, 8.0, 600.0]);
+        assert_eq!(count(&paint(&grey(512, 512), &[beside], &LaneEstimate::default(), false), BLUE), 2 * 78);
+    }
+
+    #[test]
+    fn lanes_are_green_and_lie_under_boxes() {
+        let line = LaneBoundary { offset: 1.5, slope: 0.0, bend: 0.0, reach: [3.0, 20.0] };
+        let lanes = LaneEstimate { left: Some(line), right: None };
+        let image = paint(&grey(512, 512), &[], &lanes, false);
+        let ground = GroundPlane::new(&CameraConfig::default());
+        for x in [4.0, 8.0, 15.0] {
+            let [px, py] = ground.pixel([x, 1.5]).unwrap();
+            let [r, g, b] = pixel(&image, (px / 4.0) as usize, (py / 4.0) as usize);
+            assert!(g > 190 && r < 60 && b < 60, "{:?} at {x} m", [r, g, b]);
+        }
+        let [px, py] = ground.pixel([8.0, 1.5]).unwrap();
+        let over = boxed(ObjectClass::Car, [px - 30.0, py - 30.0, px + 30.0, py + 30.0]);
+        let image = paint(&grey(512, 512), &[over], &lanes, false);
+        assert_eq!(pixel(&image, (px / 4.0) as usize, (py / 4.0) as usize), BLUE);
+    }
+
+    #[test]
+    fn a_red_light_is_a_red_band_and_nothing_else() {
+        let image = paint(&grey(512, 512), &[], &LaneEstimate::default(), true);
+        assert_eq!(count(&image, RED), SIDE * RED_ROWS);
+        assert_eq!(pixel(&image, 60, RED_ROWS), [100; 3]);
+    }
+
+    #[test]
+    fn a_picture_too_small_or_missing_is_an_error_that_names_the_size() {
+        let ground = GroundPlane::new(&CameraConfig::sized(100, 100));
+        let mut image = TransformedImage::default();
+        let lanes = LaneEstimate::default();
+        let mut paint = |frame: &Frame| {
+            Painter::default().paint(frame, &ground, &[], &lanes, false, &mut image).unwrap_err().to_string()
+        };
+        assert!(paint(&grey(100, 100)).contains("(100, 100)"));
+        assert!(paint(&Frame { width: 512, height: 512, ..Frame::default() }).contains("RGB"));
+    }
+}

@@ -176,3 +176,45 @@ impl Perception {
         &self.ground
     }
 }
+
+#[cfg(all(test, feature = "vision"))]
+mod tests {
+    use super::*;
+    use crate::perception::testing::{Road, picture};
+    use crate::perception::{LaneBoundary, TruthDetector};
+
+    fn perception() -> Perception {
+        Perception::new(Box::new(TruthDetector::new()), CameraConfig::default()).unwrap()
+    }
+
+    #[test]
+    fn a_frame_of_another_camera_is_refused() {
+        let road = Road::new("GGG");
+        let frame = picture(&CameraConfig::sized(256, 256), &[]);
+        let error = perception().perceive(&frame, &road.facts(60.0, 0.0, 0.0, 5.0)).unwrap_err().to_string();
+        assert!(error.contains("(512, 512)") && error.contains("(256, 256)"), "{error}");
+    }
+
+    #[test]
+    fn an_episode_leaves_nothing_to_the_next() {
+        let road = Road::new("rGG");
+        let line = |offset| LaneBoundary { offset, slope: 0.02, bend: 0.0, reach: [3.0, 25.0] };
+        let frames: Vec<Frame> = [[1.4, -1.6], [1.3, -1.7], [1.2, -1.8]]
+            .map(|sides| picture(&CameraConfig::default(), &sides.map(line)))
+            .into();
+        let mut one = perception();
+        let mut episode = |one: &mut Perception| -> Vec<_> {
+            one.reset(3);
+            let facts = |i: usize| road.facts(240.0 + i as f64, 0.1, 0.0, 6.0);
+            let look = |(i, frame): (usize, &Frame)| {
+                let percept = one.perceive(frame, &facts(i)).unwrap();
+                (percept.transformed.clone(), percept.lanes, percept.raw, percept.light_red)
+            };
+            frames.iter().enumerate().map(look).collect()
+        };
+        let first = episode(&mut one);
+        assert_eq!(first, episode(&mut one));
+        assert_eq!(first, episode(&mut perception()));
+        assert!(first[0].3 && first[0].2.stop_light.is_some_and(|d| d < 20.0));
+    }
+}

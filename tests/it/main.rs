@@ -11,3 +11,5 @@ mod network;
 mod run;
 mod traci;
 mod traffic;
+#[cfg(feature = "vision")]
+mod watch;
