@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 static TOWNS: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/sumo_nets");
 static ENCODERS: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/models/encoder");
+static DETECTORS: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/models/detector");
 
 /// Why a CONFIG argument does not name a file.
 #[derive(Debug, thiserror::Error)]
@@ -44,6 +45,11 @@ pub fn encoders() -> Vec<String> {
 /// The bundled encoder of that name.
 pub fn encoder(name: &str) -> Option<&'static [u8]> {
     ENCODERS.get_file(format!("{name}.safetensors")).map(|file| file.contents())
+}
+
+/// The bundled detector of that name (`models/detector/NAME.safetensors`).
+pub fn detector(name: &str) -> Option<&'static [u8]> {
+    DETECTORS.get_file(format!("{name}.safetensors")).map(|file| file.contents())
 }
 
 /// The user's cache folder of this project: `$XDG_CACHE_HOME/wad-cosim` or `~/.cache/wad-cosim`.

@@ -1,6 +1,12 @@
 //! Training: the encoder-decoder here; detectors and agents beside it.
 
 #[cfg(feature = "learn")]
+pub mod adamw;
+#[cfg(feature = "learn")]
+pub mod detector;
+#[cfg(feature = "learn")]
+pub mod detector_data;
+#[cfg(feature = "learn")]
 pub mod encoder;
 #[cfg(feature = "learn")]
 pub mod images;
