@@ -7,6 +7,7 @@ static TOWNS: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/sumo_nets");
 static ENCODERS: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/models/encoder");
 static WAD_T: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/models/wad_t");
 static WAD_S: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/models/wad_s");
+static DETECTORS: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/models/detector");
 
 /// Why a CONFIG argument does not name a file.
 #[derive(Debug, thiserror::Error)]
@@ -56,6 +57,11 @@ pub fn agent(name: &str) -> Option<&'static [u8]> {
         _ => return None,
     };
     folder.get_file("agent.safetensors").map(|file| file.contents())
+}
+
+/// The bundled detector of that name (`models/detector/NAME.safetensors`).
+pub fn detector(name: &str) -> Option<&'static [u8]> {
+    DETECTORS.get_file(format!("{name}.safetensors")).map(|file| file.contents())
 }
 
 /// The user's cache folder of this project: `$XDG_CACHE_HOME/wad-cosim` or `~/.cache/wad-cosim`.

@@ -3,6 +3,8 @@
 #[cfg(feature = "learn")]
 pub mod agent;
 #[cfg(feature = "learn")]
+mod detector;
+#[cfg(feature = "learn")]
 mod encoder;
 
 #[cfg(feature = "learn")]
@@ -20,6 +22,9 @@ pub struct Args {
 
 #[derive(Subcommand, Debug)]
 enum Command {
+    /// Train CenterNet on the camera's pictures of a dataset.
+    #[cfg(feature = "learn")]
+    Detector(Box<detector::Args>),
     /// Train the encoder-decoder on the transformed images of a dataset.
     #[cfg(feature = "learn")]
     Encoder(Box<encoder::Args>),
@@ -31,6 +36,8 @@ enum Command {
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<Exit> {
     match args.command {
+        #[cfg(feature = "learn")]
+        Command::Detector(args) => detector::run(*args),
         #[cfg(feature = "learn")]
         Command::Encoder(args) => encoder::run(*args),
         #[cfg(feature = "learn")]

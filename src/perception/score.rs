@@ -62,19 +62,19 @@ pub struct View {
     pub found: Vec<Detection>,
 }
 
-/// How much of an object shows, 0 to 1: its visible pixels by those that its kind fills of its box.
-pub fn visible_share(object: &ObjectTruth) -> f32 {
-    let [l, t, r, b] = object.full_box;
-    let fill = match object.class {
+/// How much of an object shows, 0 to 1: its visible pixels by those that its kind fills of its whole box
+/// (left, top, right, bottom).
+pub fn visible_share(class: ObjectClass, visible_pixels: u32, [l, t, r, b]: [f32; 4]) -> f32 {
+    let fill = match class {
         ObjectClass::Car | ObjectClass::Bus | ObjectClass::Truck => 0.7,
         ObjectClass::TrafficLight => 0.6,
         ObjectClass::Person | ObjectClass::Motorcycle | ObjectClass::Bicycle | ObjectClass::Bench => 0.4,
     };
-    (object.visible_pixels as f32 / (fill * (r - l) * (b - t)).max(1.0)).min(1.0)
+    (visible_pixels as f32 / (fill * (r - l) * (b - t)).max(1.0)).min(1.0)
 }
 
 fn truth(object: &ObjectTruth, label: usize) -> Truth {
-    let ignored = visible_share(object) < LEAST_VISIBLE;
+    let ignored = visible_share(object.class, object.visible_pixels, object.full_box) < LEAST_VISIBLE;
     let bounds = if ignored { object.full_box } else { object.visible_box.map(|v| v as f32) };
     Truth { label, bounds, ignored }
 }

@@ -3,6 +3,12 @@
 #[cfg(feature = "learn")]
 pub mod agent;
 #[cfg(feature = "learn")]
+pub mod adamw;
+#[cfg(feature = "learn")]
+pub mod detector;
+#[cfg(feature = "learn")]
+pub mod detector_data;
+#[cfg(feature = "learn")]
 pub mod encoder;
 #[cfg(feature = "learn")]
 pub mod images;

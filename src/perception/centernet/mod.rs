@@ -7,6 +7,8 @@ pub mod loss;
 pub mod network;
 pub mod resnet;
 pub mod targets;
+#[cfg(test)]
+mod tests;
 
 pub use detector::CenterNetDetector;
 pub use network::{Answer, Backbone, CenterNet};

@@ -1,0 +1,222 @@
+//! `wad-cosim train detector`.
+
+use super::encoder::Device;
+use crate::cli::progress::Bar;
+use crate::cli::{Exit, dataset, print};
+use anyhow::Context;
+use clap::{ValueEnum, ValueHint};
+use std::path::PathBuf;
+use std::sync::atomic::AtomicBool;
+use wad_cosim::dataset::{self as frames, CollectOptions, collect};
+use wad_cosim::latent::weights::WeightsError;
+use wad_cosim::perception::centernet;
+use wad_cosim::train::detector::{Progress, TrainError, TrainOptions, Trained, train};
+
+const EXAMPLES: &str = "\
+Examples:
+  wad-cosim train detector --collect 8000 --out runs/detector
+  wad-cosim dataset collect --frames 8000 --every 1.5 --camera --out data/detector
+  wad-cosim train detector --data data/detector --out runs/detector --epochs 12
+  wad-cosim train detector --data data/detector --out runs/detector --epochs 20 --resume
+  wad-cosim train detector --data data/detector --out runs/paper --backbone resnet50_v2 --device cuda
+  wad-cosim eval detector --detector centernet:runs/detector/detector.safetensors
+
+The best network by validation is DIR/detector.safetensors; losses are in DIR/metrics.jsonl and for TensorBoard.";
+
+/// Train CenterNet on the camera's pictures of a dataset.
+#[derive(clap::Args, Debug)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// What finds the features.
+    #[arg(long, value_enum, default_value_t = Backbone::Light)]
+    backbone: Backbone,
+    /// The dataset's folder (`wad-cosim dataset collect --camera`).
+    #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath, required_unless_present = "collect")]
+    data: Option<PathBuf>,
+    /// Collect so many frames of town3 first, to --data or to data in --out.
+    #[arg(long, value_name = "N")]
+    collect: Option<usize>,
+    /// Folder for weights, checkpoint and losses.
+    #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
+    out: PathBuf,
+    /// Walks through the data.
+    #[arg(long, value_name = "N", default_value_t = 12)]
+    epochs: u64,
+    /// Pictures to a step.
+    #[arg(long, value_name = "N", default_value_t = 16)]
+    batch: usize,
+    /// Most steps to an epoch; validation comes after each.
+    #[arg(long, value_name = "N", default_value_t = 400)]
+    epoch_steps: usize,
+    /// Where to compute.
+    #[arg(long, value_enum, default_value_t = Device::Cpu)]
+    device: Device,
+    /// AdamW's learning rate at its highest.
+    #[arg(long, value_name = "X", default_value_t = 1.5e-3)]
+    learning_rate: f64,
+    /// AdamW's weight decay.
+    #[arg(long, value_name = "X", default_value_t = 1e-3)]
+    weight_decay: f64,
+    /// Leave light and colours of the training pictures as they are.
+    #[arg(long)]
+    no_augment: bool,
+    /// Everything random derives from it.
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    seed: u64,
+    /// Threads of libtorch on the processor.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    threads: i32,
+    /// Threads that read pictures.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    workers: usize,
+    /// Most frames that validation looks at.
+    #[arg(long, value_name = "N", default_value_t = 300)]
+    validation_frames: usize,
+    /// Go on with the training in --out.
+    #[arg(long)]
+    resume: bool,
+    /// Use a dataset that was not collected to its end.
+    #[arg(long)]
+    partial: bool,
+    /// End after this wall time.
+    #[arg(long, value_name = "MINUTES")]
+    max_minutes: Option<f64>,
+    /// Print the result as one JSON line on stdout.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Backbone {
+    /// Real time on one core.
+    Light,
+    /// The paper's.
+    #[value(name = "resnet50_v2")]
+    Resnet50V2,
+}
+
+/// Runs the command.
+pub fn run(args: Args) -> anyhow::Result<Exit> {
+    tch::set_num_threads(args.threads.max(1));
+    let device = args.device.open()?;
+    let data = args.data.clone().unwrap_or_else(|| args.out.join("data"));
+    let options = options(&args, &data)?;
+    let interrupt = wad_cosim::interrupt::flag().context("cannot listen for Ctrl-C")?;
+    if let Some(count) = args.collect
+        && !collected(count, &data, args.seed, &interrupt)?
+    {
+        return Ok(Exit::Interrupted);
+    }
+    let bar = Bar::new(0, "steps");
+    let result = train(&options, device, args.resume, &interrupt, |progress| show(&bar, progress));
+    bar.clear();
+    let trained = result.map_err(with_exit)?;
+    report(&trained, args.json)?;
+    Ok(if trained.interrupted { Exit::Interrupted } else { Exit::Done })
+}
+
+fn options(args: &Args, data: &std::path::Path) -> anyhow::Result<TrainOptions> {
+    let sane = args.epochs > 0
+        && args.batch > 0
+        && args.learning_rate > 0.0
+        && args.learning_rate.is_finite()
+        && args.weight_decay >= 0.0
+        && args.collect != Some(0);
+    if !sane {
+        return Err(Exit::Input.because(anyhow::anyhow!(
+            "--epochs, --batch, --learning-rate and --collect must be more than 0, --weight-decay 0 or more"
+        )));
+    }
+    let backbone = match args.backbone {
+        Backbone::Light => centernet::Backbone::Light,
+        Backbone::Resnet50V2 => centernet::Backbone::Resnet50V2,
+    };
+    Ok(TrainOptions {
+        epochs: args.epochs,
+        batch: args.batch,
+        epoch_steps: args.epoch_steps.max(1),
+        learning_rate: args.learning_rate,
+        weight_decay: args.weight_decay,
+        vary: !args.no_augment,
+        seed: args.seed,
+        partial: args.partial,
+        workers: args.workers.max(1),
+        validation_frames: args.validation_frames.max(1),
+        time_limit: dataset::minutes(args.max_minutes)?.map(|limit| limit.as_secs_f64()),
+        ..TrainOptions::new(backbone, data, &args.out)
+    })
+}
+
+/// Whether the frames are there.
+fn collected(
+    count: usize,
+    data: &std::path::Path,
+    seed: u64,
+    interrupt: &AtomicBool,
+) -> anyhow::Result<bool> {
+    let mut options = CollectOptions::new("town3", count, data);
+    options.seed = seed;
+    options.camera = true;
+    options.every = 1.5;
+    options.per_segment = (count / 50).clamp(10, 200);
+    let bar = Bar::new(count as u64, "frames");
+    let result = collect(&options, interrupt, |frames::Progress { frames, .. }| bar.show(frames as u64, ""));
+    bar.clear();
+    let collected = result.map_err(dataset::with_exit)?;
+    eprintln!("{}: {} frames", collected.out.display(), collected.frames);
+    Ok(!collected.interrupted)
+}
+
+fn show(bar: &Bar, progress: Progress) {
+    bar.set_total(progress.steps);
+    let message = match progress.validation {
+        Some(v) => format!(
+            "epoch {}: loss {:.3}, mAP@0.5 {:.3}, of boxes 12 to 24 px {:.3}",
+            progress.epoch + 1,
+            progress.loss,
+            v.map50,
+            v.map50_small
+        ),
+        None => format!("epoch {}: loss {:.3}", progress.epoch + 1, progress.loss),
+    };
+    if progress.validation.is_some() {
+        bar.say(&message);
+    }
+    bar.show(progress.step, &message);
+}
+
+/// The exit code that belongs to a training's error.
+fn with_exit(error: TrainError) -> anyhow::Error {
+    let exit = match &error {
+        TrainError::Weights(WeightsError::Io { .. } | WeightsError::Torch(_)) => Exit::Other,
+        TrainError::Dataset(_)
+        | TrainError::Weights(_)
+        | TrainError::Taken { .. }
+        | TrainError::NothingToResume { .. } => Exit::Input,
+        _ => Exit::Other,
+    };
+    exit.because(error)
+}
+
+fn report(t: &Trained, json: bool) -> anyhow::Result<()> {
+    let text = format!(
+        "{}: {} epochs, {} steps on {} frames in {:.0} s\n\
+         best after epoch {}: mAP@0.5 {:.3} of boxes 24 px high or more, {:.3} of 12 to 24 px, on {} frames\n{}",
+        t.detector.display(),
+        t.epochs,
+        t.steps,
+        t.frames,
+        t.wall_seconds,
+        t.best_epoch,
+        t.best.map50,
+        t.best.map50_small,
+        t.validation_frames,
+        if t.interrupted { "interrupted; --resume goes on from the last epoch\n" } else { "" },
+    );
+    if json {
+        eprint!("{text}");
+        print(&format!("{}\n", serde_json::to_string(t).context("cannot write the result as JSON")?))
+    } else {
+        print(&text)
+    }
+}

@@ -1,0 +1,449 @@
+//! Trains CenterNet on the camera's pictures (Zhou et al. 2019; losses and targets in
+//! [`crate::perception::centernet`]).
+//!
+//! An epoch shows each frame about once, those with rare classes more often, those without objects less
+//! often. After it comes validation: COCO's mAP@0.5 of boxes 24 px high or more, on shards that were not
+//! trained on. The best network so far is exported in half precision, and a checkpoint written.
+
+use super::adamw::AdamW;
+use super::detector_data::{SIDE, Sample, batches, epoch, samples};
+use super::tensorboard::EventWriter;
+use crate::dataset::{Dataset, DatasetError};
+use crate::latent::weights::{Weights, WeightsError};
+use crate::perception::PerceptionError;
+use crate::perception::centernet::loss::loss;
+use crate::perception::centernet::{Backbone, CenterNet, CenterNetDetector};
+use crate::perception::coco::class_index;
+use crate::perception::metrics::{Found, Scored, average_precision, mean};
+use crate::perception::score::{SMALL, TALL};
+use crate::{seeds, telemetry};
+use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+use tch::{Device, Kind, TchError, Tensor};
+
+/// How to train.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TrainOptions {
+    pub backbone: Backbone,
+    pub data: PathBuf,
+    pub out: PathBuf,
+    pub epochs: u64,
+    pub batch: usize,
+    /// Most batches to an epoch.
+    pub epoch_steps: usize,
+    /// AdamW's, at its highest; it rises over the first steps and falls to 0 as half a cosine.
+    pub learning_rate: f64,
+    pub weight_decay: f64,
+    /// Vary light and colours.
+    pub vary: bool,
+    pub seed: u64,
+    /// Use a dataset that was not collected to its end.
+    pub partial: bool,
+    /// Threads that make batches.
+    pub workers: usize,
+    /// Most frames that validation looks at.
+    pub validation_frames: usize,
+    /// Ends the training (s).
+    pub time_limit: Option<f64>,
+}
+
+impl TrainOptions {
+    /// The defaults of `wad-cosim train detector`.
+    pub fn new(backbone: Backbone, data: &Path, out: &Path) -> Self {
+        Self {
+            backbone,
+            data: data.to_path_buf(),
+            out: out.to_path_buf(),
+            epochs: 12,
+            batch: 16,
+            epoch_steps: 400,
+            learning_rate: 1.5e-3,
+            weight_decay: 1e-3,
+            vary: true,
+            seed: 0,
+            partial: false,
+            workers: 1,
+            validation_frames: 300,
+            time_limit: None,
+        }
+    }
+}
+
+/// Why training ended without its end.
+#[derive(Debug, thiserror::Error)]
+pub enum TrainError {
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+    #[error(transparent)]
+    Weights(#[from] WeightsError),
+    #[error(transparent)]
+    Perception(#[from] PerceptionError),
+    #[error("libtorch: {0}")]
+    Torch(#[from] TchError),
+    #[error("could not write `{}`: {source}; the last checkpoint is kept", path.display())]
+    Write { path: PathBuf, source: std::io::Error },
+    #[error("`{}` holds a training already; go on with it by --resume, or name another folder with --out", path.display())]
+    Taken { path: PathBuf },
+    #[error("`{}` holds no training to resume: expected checkpoint.safetensors in it", path.display())]
+    NothingToResume { path: PathBuf },
+    #[error(
+        "the loss became {loss} at step {step}: training stopped, `{}` is the last good one; a smaller \
+         --learning-rate may help",
+        checkpoint.display()
+    )]
+    NotFinite { loss: f64, step: u64, checkpoint: PathBuf },
+}
+
+/// What validation says.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Validation {
+    /// mAP@0.5 of boxes 24 px high or more, and of 12 to 24 px.
+    pub map50: f64,
+    pub map50_small: f64,
+}
+
+/// A line of `metrics.jsonl`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EpochRecord {
+    pub epoch: u64,
+    pub step: u64,
+    pub loss: f64,
+    pub validation: Validation,
+    pub best: bool,
+    pub wall_seconds: f64,
+    pub images_per_second: f64,
+}
+
+/// What a training came to; `summary.json`.
+#[derive(Clone, Debug, Serialize)]
+pub struct Trained {
+    pub out: PathBuf,
+    /// The best network's file.
+    pub detector: PathBuf,
+    pub epochs: u64,
+    pub steps: u64,
+    pub best_epoch: u64,
+    pub best: Validation,
+    pub frames: usize,
+    pub validation_frames: usize,
+    pub wall_seconds: f64,
+    pub interrupted: bool,
+}
+
+/// How far it is.
+#[derive(Clone, Copy, Debug)]
+pub struct Progress {
+    pub epoch: u64,
+    pub step: u64,
+    pub steps: u64,
+    pub loss: f64,
+    /// At the end of an epoch.
+    pub validation: Option<Validation>,
+}
+
+/// Steps over which the learning rate rises.
+const WARM_UP: f64 = 100.0;
+/// Longest gradient.
+const LONGEST: f64 = 10.0;
+/// Steps between looks at the loss: each look waits for the device.
+const LOOK_EVERY: u64 = 10;
+/// Lowest score that validation looks at.
+const LEAST_SCORE: f32 = 0.05;
+
+/// How far a checkpoint is.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+struct Reached {
+    epoch: u64,
+    step: u64,
+    optimiser_steps: i32,
+    best_epoch: u64,
+    best: Option<Validation>,
+    seconds: f64,
+}
+
+struct Trainer<'a> {
+    options: &'a TrainOptions,
+    device: Device,
+    network: CenterNet,
+    adam: AdamW,
+    reached: Reached,
+    training: Vec<Sample>,
+    /// Batches to an epoch.
+    epoch_steps: u64,
+    validation: Vec<Sample>,
+    /// For the metadata of the weights.
+    made_of: String,
+    began: Instant,
+}
+
+/// Trains, or goes on training with `resume`. Ends early when `interrupt` becomes true: the epoch begun
+/// is then lost. `report` is called every few steps.
+///
+/// # Errors
+/// Bad data, no memory, a full disk, or a loss that is no number. The last checkpoint is kept.
+pub fn train(
+    options: &TrainOptions,
+    device: Device,
+    resume: bool,
+    interrupt: &AtomicBool,
+    mut report: impl FnMut(Progress),
+) -> Result<Trained, TrainError> {
+    let mut trainer = Trainer::start(options, device, resume)?;
+    let write = |path: &Path| {
+        let path = path.to_path_buf();
+        move |source| TrainError::Write { path, source }
+    };
+    let log = options.out.join("metrics.jsonl");
+    let mut events = EventWriter::create(&options.out).map_err(write(&options.out))?;
+    let mut interrupted = false;
+    while trainer.reached.epoch < options.epochs && trainer.done_share() < 1.0 {
+        let Some(record) = trainer.epoch(interrupt, &mut report)? else {
+            interrupted = true;
+            break;
+        };
+        append(&log, &record).map_err(write(&log))?;
+        for (tag, value) in [
+            ("losses/train", record.loss),
+            ("charts/map50", record.validation.map50),
+            ("charts/map50_small", record.validation.map50_small),
+            ("charts/images_per_second", record.images_per_second),
+        ] {
+            events.scalar(tag, record.step, value).map_err(write(events.path()))?;
+        }
+        events.flush().map_err(write(events.path()))?;
+    }
+    let trained = trainer.summary(interrupted);
+    let path = options.out.join("summary.json");
+    telemetry::write_json(&path, &trained).map_err(|e| TrainError::Write { path, source: e.source })?;
+    Ok(trained)
+}
+
+fn append(path: &Path, record: &EpochRecord) -> std::io::Result<()> {
+    use std::io::Write;
+    let mut line = serde_json::to_vec(record)?;
+    line.push(b'\n');
+    std::fs::OpenOptions::new().create(true).append(true).open(path)?.write_all(&line)
+}
+
+impl<'a> Trainer<'a> {
+    fn start(options: &'a TrainOptions, device: Device, resume: bool) -> Result<Self, TrainError> {
+        let checkpoint = options.out.join("checkpoint.safetensors");
+        if resume && !checkpoint.is_file() {
+            return Err(TrainError::NothingToResume { path: options.out.clone() });
+        }
+        if !resume && checkpoint.exists() {
+            return Err(TrainError::Taken { path: options.out.clone() });
+        }
+        let dataset = Dataset::open(&options.data, options.partial)?;
+        dataset.require_training()?;
+        let write = |path: &Path, source| TrainError::Write { path: path.to_path_buf(), source };
+        std::fs::create_dir_all(&options.out).map_err(|e| write(&options.out, e))?;
+        let config = options.out.join("config.json");
+        telemetry::write_json(&config, options).map_err(|e| write(&config, e.source))?;
+        let (train, validate) = dataset.split();
+        let training = samples(&dataset, &train, usize::MAX)?;
+        let validation = samples(&dataset, &validate, options.validation_frames)?;
+        tch::manual_seed(seeds::derive(options.seed, "weights") as i64);
+        let (network, mut adam);
+        let mut reached = Reached::default();
+        if resume {
+            let weights = Weights::load(&checkpoint)?;
+            let text = weights.metadata.get("reached").map_or("", String::as_str);
+            reached = serde_json::from_str(text).map_err(|e| WeightsError::Format {
+                path: checkpoint.clone(),
+                why: format!("it does not say how far the training came ({e})"),
+            })?;
+            network = CenterNet::from_weights(&weights, device)?;
+            if network.backbone != options.backbone {
+                return Err(TrainError::Weights(WeightsError::Mismatch {
+                    path: checkpoint,
+                    found: format!("backbone {}", network.backbone.name()),
+                    expected: format!("backbone {}", options.backbone.name()),
+                }));
+            }
+            adam = AdamW::new(&network.store, options.weight_decay)?;
+            adam.restore(reached.optimiser_steps, |name, shape| weights.get(name, shape))?;
+        } else {
+            network = CenterNet::new(options.backbone, device)?;
+            adam = AdamW::new(&network.store, options.weight_decay)?;
+        }
+        let m = &dataset.manifest;
+        let weathers: Vec<&str> = m.weathers.iter().map(|w| w.name()).collect();
+        let made_of =
+            format!("{} frames of {} in {}, seed {}", training.len(), m.town, weathers.join(", "), m.seed);
+        let epoch_steps = batches(&training, (options.batch, options.epoch_steps)) as u64;
+        let began = Instant::now();
+        Ok(Self {
+            options,
+            device,
+            network,
+            adam,
+            reached,
+            training,
+            epoch_steps,
+            validation,
+            made_of,
+            began,
+        })
+    }
+
+    fn seconds(&self) -> f64 {
+        self.reached.seconds + self.began.elapsed().as_secs_f64()
+    }
+
+    /// Steps in all.
+    fn steps(&self) -> u64 {
+        self.options.epochs * self.epoch_steps
+    }
+
+    /// How much of the training is over, by steps or by time: 0 to 1.
+    fn done_share(&self) -> f64 {
+        let by_time = self.options.time_limit.map_or(0.0, |limit| self.seconds() / limit.max(1.0));
+        (self.reached.step as f64 / self.steps().max(1) as f64).max(by_time).min(1.0)
+    }
+
+    fn rate(&self) -> f64 {
+        let rise = ((self.reached.step + 1) as f64 / WARM_UP).min(1.0);
+        let fall = 0.5 * (1.0 + (std::f64::consts::PI * self.done_share()).cos());
+        self.options.learning_rate * rise * fall.max(0.01)
+    }
+
+    /// One epoch, validation and checkpoint; None where it was interrupted.
+    fn epoch(
+        &mut self,
+        interrupt: &AtomicBool,
+        report: &mut impl FnMut(Progress),
+    ) -> Result<Option<EpochRecord>, TrainError> {
+        let options = self.options;
+        let number = self.reached.epoch;
+        tch::manual_seed(seeds::derive(options.seed, &format!("augmentation {number}")) as i64);
+        let clock = Instant::now();
+        let steps = self.steps();
+        let samples = std::mem::take(&mut self.training);
+        let (mut sum, mut looks, mut interrupted, mut shown) = (0.0, 0_u64, false, 0_usize);
+        let result = epoch(
+            options.backbone,
+            &samples,
+            (options.batch, options.epoch_steps),
+            (options.seed, number),
+            options.workers,
+            |batch| -> Result<bool, TrainError> {
+                if interrupt.load(Ordering::Relaxed) {
+                    interrupted = true;
+                    return Ok(false);
+                }
+                let (pictures, target) = batch.load(options.backbone, self.device, options.vary)?;
+                let answer = self.network.forward(&pictures, true)?;
+                let total = loss(&answer, &target)?.total()?;
+                let rate = self.rate();
+                let is_good = self.adam.step(&total, rate, LONGEST)?;
+                let look = self.reached.step.is_multiple_of(LOOK_EVERY) || !is_good;
+                if look {
+                    let value = total.f_double_value(&[])?;
+                    if !value.is_finite() || !is_good {
+                        return Err(TrainError::NotFinite {
+                            loss: value,
+                            step: self.reached.step,
+                            checkpoint: options.out.join("checkpoint.safetensors"),
+                        });
+                    }
+                    sum += value;
+                    looks += 1;
+                    let step = self.reached.step;
+                    report(Progress { epoch: number, step, steps, loss: value, validation: None });
+                }
+                shown += options.batch;
+                self.reached.step += 1;
+                Ok(self.options.time_limit.is_none_or(|limit| self.seconds() < limit))
+            },
+        );
+        self.training = samples;
+        result?;
+        if interrupted {
+            return Ok(None);
+        }
+        let train_seconds = clock.elapsed().as_secs_f64();
+        let validation = self.validate()?;
+        self.reached.epoch += 1;
+        let is_best = self.reached.best.is_none_or(|best| validation.map50 >= best.map50);
+        if is_best {
+            self.reached.best = Some(validation);
+            self.reached.best_epoch = self.reached.epoch;
+            self.export(validation)?;
+        }
+        self.checkpoint()?;
+        let (step, mean_loss) = (self.reached.step, sum / looks.max(1) as f64);
+        report(Progress { epoch: number, step, steps, loss: mean_loss, validation: Some(validation) });
+        Ok(Some(EpochRecord {
+            epoch: self.reached.epoch,
+            step,
+            loss: mean_loss,
+            validation,
+            best: is_best,
+            wall_seconds: self.seconds(),
+            images_per_second: shown as f64 / train_seconds.max(1e-9),
+        }))
+    }
+
+    /// The network as it would be shipped: in half precision, folded.
+    fn validate(&self) -> Result<Validation, TrainError> {
+        let copy = CenterNet::from_weights(&self.network.weights(&[])?, self.device)?;
+        let mut detector = CenterNetDetector::new("validation".into(), copy, self.device, LEAST_SCORE)?;
+        let mut scored: Vec<Scored> = Vec::with_capacity(self.validation.len());
+        for sample in &self.validation {
+            let mut one = sample.truths();
+            let found = detector.detect_rgb(&sample.rgb()?, SIDE, SIDE)?;
+            one.found =
+                found.into_iter().map(|d| Found { label: class_index(d.class), detection: d }).collect();
+            scored.push(one);
+        }
+        let map = |counts: &dyn Fn(f32) -> bool| {
+            mean((0..8).map(|class| average_precision(&scored, class, 0.5, counts))).unwrap_or(0.0)
+        };
+        Ok(Validation { map50: map(&|h| h >= TALL), map50_small: map(&|h| (SMALL..TALL).contains(&h)) })
+    }
+
+    /// The best network, as it ships.
+    fn export(&self, validation: Validation) -> Result<(), TrainError> {
+        let score = serde_json::to_string(&validation).unwrap_or_default();
+        let weights = self.network.weights(&[
+            ("made_of", self.made_of.clone()),
+            ("epochs", self.reached.epoch.to_string()),
+            ("validation", score),
+            ("program", env!("WAD_COSIM_VERSION").to_string()),
+        ])?;
+        Ok(weights.save(&self.options.out.join("detector.safetensors"))?)
+    }
+
+    fn checkpoint(&mut self) -> Result<(), TrainError> {
+        self.reached.optimiser_steps = self.adam.steps();
+        let reached = Reached { seconds: self.seconds(), ..self.reached.clone() };
+        let mut metadata: HashMap<String, String> = self.network.weights(&[])?.metadata;
+        metadata.insert("reached".to_string(), serde_json::to_string(&reached).unwrap_or_default());
+        let mut tensors: Vec<(String, Tensor)> = Vec::new();
+        for (name, tensor) in self.network.store.variables() {
+            tensors.push((name, tensor.f_detach()?.f_to_kind(Kind::Float)?));
+        }
+        tensors.extend(self.adam.tensors());
+        let path = self.options.out.join("checkpoint.safetensors");
+        Ok(Weights { path: path.clone(), tensors, metadata }.save(&path)?)
+    }
+
+    fn summary(&self, interrupted: bool) -> Trained {
+        Trained {
+            out: self.options.out.clone(),
+            detector: self.options.out.join("detector.safetensors"),
+            epochs: self.reached.epoch,
+            steps: self.reached.step,
+            best_epoch: self.reached.best_epoch,
+            best: self.reached.best.unwrap_or_default(),
+            frames: self.training.len(),
+            validation_frames: self.validation.len(),
+            wall_seconds: self.seconds(),
+            interrupted,
+        }
+    }
+}

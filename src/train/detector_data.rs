@@ -1,0 +1,262 @@
+//! Batches of camera pictures and targets for CenterNet, made ahead by threads of their own.
+
+use crate::camera::model::ObjectClass;
+use crate::dataset::{BoxRecord, CameraCodec, Dataset, DatasetError, decode_camera};
+use crate::perception::centernet::targets::{Centre, Wanted, encode};
+use crate::perception::centernet::{Backbone, loss::Target};
+use crate::perception::coco::class_index;
+use crate::perception::metrics::{Scored, Truth};
+use crate::perception::score::{LEAST_VISIBLE, visible_share};
+use crate::seeds;
+use rand::RngExt;
+use rand::seq::SliceRandom;
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use tch::{Device, Kind, TchError, Tensor};
+
+/// Lowest box that is taught (pixels): lower ones are neither object nor background.
+const LEAST_HEIGHT: f32 = 8.0;
+/// A class that is in a smaller share of the frames is shown more often (Gupta et al. 2019, "LVIS":
+/// repeat factor sampling), but no frame more often than this.
+const COMMON: f64 = 0.25;
+const MOST_REPEATS: f64 = 4.0;
+/// How often a frame without objects is shown, per epoch.
+const EMPTY: f64 = 0.25;
+
+/// The side of a camera picture (pixels).
+pub const SIDE: usize = 512;
+
+/// A frame: the picture as it lies in the shard, and its objects.
+#[derive(Clone, Debug)]
+pub struct Sample {
+    codec: CameraCodec,
+    picture: Vec<u8>,
+    objects: Vec<BoxRecord>,
+}
+
+impl Sample {
+    /// The picture's RGB bytes.
+    ///
+    /// # Errors
+    /// It is damaged, or has another size than the camera's.
+    pub fn rgb(&self) -> Result<Vec<u8>, DatasetError> {
+        decode_camera(self.codec, &self.picture, SIDE, SIDE)
+    }
+
+    /// What the network is taught.
+    fn wanted(&self) -> impl Iterator<Item = Wanted> {
+        self.objects.iter().map(|object| {
+            let hidden = is_hidden(object);
+            let bounds = if hidden { object.full } else { object.visible.map(|v| v as f32) };
+            let ignored = hidden || bounds[3] - bounds[1] < LEAST_HEIGHT;
+            Wanted { class: class_index(object.class), bounds, ignored }
+        })
+    }
+
+    /// What a detector is judged by; its detections are to be added.
+    pub fn truths(&self) -> Scored {
+        let truths = self.objects.iter().map(|object| {
+            let ignored = is_hidden(object);
+            let bounds = if ignored { object.full } else { object.visible.map(|v| v as f32) };
+            Truth { label: class_index(object.class), bounds, ignored }
+        });
+        Scored { truths: truths.collect(), found: Vec::new() }
+    }
+}
+
+fn is_hidden(object: &BoxRecord) -> bool {
+    visible_share(object.class, object.pixels, object.full) < LEAST_VISIBLE
+}
+
+/// The frames of these shards, at most `most`, spread evenly.
+///
+/// # Errors
+/// A shard cannot be read, or holds no camera pictures.
+pub fn samples(dataset: &Dataset, shards: &[usize], most: usize) -> Result<Vec<Sample>, DatasetError> {
+    let all: usize = shards.iter().map(|&s| dataset.shards[s].2).sum();
+    let every = all.div_ceil(most.max(1)).max(1);
+    let (mut found, mut seen) = (Vec::new(), 0_usize);
+    for &shard in shards {
+        let mut reader = dataset.reader(shard)?;
+        let Some(codec) = reader.header().camera_codec else {
+            return Err(DatasetError::Empty {
+                path: dataset.folder.clone(),
+                hint: " with camera pictures; collect it with --camera",
+            });
+        };
+        while let Some(frame) = reader.next_frame()? {
+            if seen.is_multiple_of(every) {
+                found.push(Sample { codec, picture: frame.camera, objects: frame.record.boxes });
+            }
+            seen += 1;
+        }
+    }
+    Ok(found)
+}
+
+/// How often each sample is shown per epoch.
+fn repeats(samples: &[Sample]) -> Vec<f64> {
+    let present = |sample: &Sample| {
+        let mut classes = [false; 8];
+        for wanted in sample.wanted().filter(|w| !w.ignored) {
+            classes[wanted.class] = true;
+        }
+        classes
+    };
+    let present: Vec<[bool; 8]> = samples.iter().map(present).collect();
+    let share =
+        |class: usize| present.iter().filter(|p| p[class]).count() as f64 / samples.len().max(1) as f64;
+    // A traffic light in every frame is no reason to show the frame.
+    let light = class_index(ObjectClass::TrafficLight);
+    let factors: Vec<f64> =
+        (0..8).map(|c| (COMMON / share(c).max(1e-9)).sqrt().clamp(1.0, MOST_REPEATS)).collect();
+    present
+        .iter()
+        .map(|p| {
+            let best = (0..8).filter(|&c| p[c] && c != light).map(|c| factors[c]).fold(0.0, f64::max);
+            if best > 0.0 { best } else { EMPTY }
+        })
+        .collect()
+}
+
+/// The samples of an epoch, shuffled.
+fn order(repeats: &[f64], seed: u64, epoch: u64) -> Vec<(usize, bool)> {
+    let mut rng = seeds::rng(seed, &format!("detector epoch {epoch}"));
+    let mut order = Vec::new();
+    for (index, &times) in repeats.iter().enumerate() {
+        let count = times as usize + usize::from(rng.random::<f64>() < times.fract());
+        order.extend((0..count).map(|_| (index, rng.random::<bool>())));
+    }
+    order.shuffle(&mut rng);
+    order
+}
+
+/// A batch on the processor.
+#[derive(Debug)]
+pub struct Batch {
+    count: usize,
+    /// count x rows x 512 x 3.
+    pixels: Vec<u8>,
+    /// count x 8 x h x w.
+    heat: Vec<f32>,
+    centres: Vec<(usize, Centre)>,
+    flips: Vec<bool>,
+}
+
+impl Batch {
+    fn new(backbone: Backbone, samples: &[Sample], picked: &[(usize, bool)]) -> Result<Self, DatasetError> {
+        let (first, rows) = backbone.rows(SIDE);
+        let (bytes, cells) = (rows * SIDE * 3, rows / 4 * (SIDE / 4) * 8);
+        let mut batch = Self {
+            count: picked.len(),
+            pixels: Vec::with_capacity(picked.len() * bytes),
+            heat: vec![0.0; picked.len() * cells],
+            centres: Vec::new(),
+            flips: picked.iter().map(|p| p.1).collect(),
+        };
+        for (n, &(index, flip)) in picked.iter().enumerate() {
+            let sample = &samples[index];
+            batch.pixels.extend(&sample.rgb()?[first * SIDE * 3..][..bytes]);
+            let mut wanted: Vec<Wanted> = sample.wanted().collect();
+            if flip {
+                for one in &mut wanted {
+                    let [l, t, r, b] = one.bounds;
+                    one.bounds = [SIDE as f32 - r, t, SIDE as f32 - l, b];
+                }
+            }
+            let heat = &mut batch.heat[n * cells..][..cells];
+            let centres = encode(backbone, &wanted, (SIDE, SIDE), heat);
+            batch.centres.extend(centres.into_iter().map(|c| (n, c)));
+        }
+        Ok(batch)
+    }
+
+    /// Pictures (n, 3, rows, 512) from 0 to 1, mirrored and with their colours and light varied on the
+    /// device, and what is wanted of them.
+    ///
+    /// # Errors
+    /// torch fails.
+    pub fn load(&self, backbone: Backbone, device: Device, vary: bool) -> Result<(Tensor, Target), TchError> {
+        let (n, rows, side) = (self.count as i64, backbone.rows(SIDE).1 as i64, SIDE as i64);
+        let pixels = Tensor::f_from_data_size(&self.pixels, &[n, rows, side, 3], Kind::Uint8)?;
+        let mut x = pixels.f_to_device(device)?.f_to_kind(Kind::Float)?.f_mul_scalar(1.0 / 255.0)?;
+        x = x.f_permute([0, 3, 1, 2])?;
+        let flips = Tensor::f_from_slice(&self.flips)?.f_to_device(device)?.f_view([n, 1, 1, 1])?;
+        x = x.f_flip([3])?.f_where_self(&flips, &x)?;
+        if vary {
+            x = varied(&x)?;
+        }
+        let (h, w) = (rows / 4, side / 4);
+        let heat = Tensor::f_from_slice(&self.heat)?.f_view([n, 8, h, w])?.f_to_device(device)?;
+        let cells: Vec<i64> = self.centres.iter().map(|(p, c)| *p as i64 * h * w + c.cell as i64).collect();
+        let pairs = |f: &dyn Fn(&Centre) -> [f32; 2]| -> Result<Tensor, TchError> {
+            let flat: Vec<f32> = self.centres.iter().flat_map(|(_, c)| f(c)).collect();
+            Tensor::f_from_slice(&flat)?.f_view([-1, 2])?.f_to_device(device)
+        };
+        let cells = Tensor::f_from_slice(&cells)?.f_to_device(device)?;
+        Ok((x, Target { heat, cells, size: pairs(&|c| c.size)?, offset: pairs(&|c| c.offset)? }))
+    }
+}
+
+/// Other light, other colours, less contrast, some noise: towards the weathers that training never sees.
+fn varied(x: &Tensor) -> Result<Tensor, TchError> {
+    let n = x.size()[0];
+    let options = (Kind::Float, x.device());
+    let between = |shape: [i64; 4], low: f64, high: f64| {
+        Tensor::f_rand(shape, options)?.f_mul_scalar(high - low)?.f_add_scalar(low)
+    };
+    let gamma = between([n, 1, 1, 1], -0.5, 0.5)?.f_exp()?;
+    let gain = between([n, 1, 1, 1], 0.7, 1.25)?.f_mul(&between([n, 3, 1, 1], 0.85, 1.15)?)?;
+    let contrast = between([n, 1, 1, 1], 0.5, 1.2)?;
+    let noise = between([n, 1, 1, 1], 0.0, 0.03)?;
+    let mean = x.f_mean_dim([2_i64, 3].as_slice(), true, Kind::Float)?;
+    let y = x.f_sub(&mean)?.f_mul(&contrast)?.f_add(&mean)?.f_clamp(1e-3, 1.0)?;
+    let y = y.f_pow(&gamma)?.f_mul(&gain)?;
+    y.f_add(&y.f_randn_like()?.f_mul(&noise)?)?.f_clamp(0.0, 1.0)
+}
+
+/// Makes the batches of an epoch on `workers` threads and hands each to `take`, in an order that does not
+/// depend on their number. `take` says whether to go on.
+///
+/// # Errors
+/// A picture is damaged, or what `take` says.
+pub fn epoch<E: From<DatasetError>>(
+    backbone: Backbone,
+    samples: &[Sample],
+    (batch, most): (usize, usize),
+    (seed, epoch): (u64, u64),
+    workers: usize,
+    mut take: impl FnMut(Batch) -> Result<bool, E>,
+) -> Result<(), E> {
+    let order = order(&repeats(samples), seed, epoch);
+    let picks: Vec<&[(usize, bool)]> = order.chunks_exact(batch.min(order.len()).max(1)).take(most).collect();
+    let workers = workers.clamp(1, picks.len().max(1));
+    std::thread::scope(|scope| {
+        let mut queues: Vec<Receiver<Result<Batch, DatasetError>>> = Vec::new();
+        for worker in 0..workers {
+            let (send, receive): (SyncSender<_>, _) = sync_channel(2);
+            queues.push(receive);
+            let picks = &picks;
+            scope.spawn(move || {
+                for picked in picks.iter().skip(worker).step_by(workers) {
+                    if send.send(Batch::new(backbone, samples, picked)).is_err() {
+                        return; // nobody listens any more
+                    }
+                }
+            });
+        }
+        for n in 0..picks.len() {
+            let Ok(batch) = queues[n % workers].recv() else { break };
+            if !take(batch?)? {
+                break;
+            }
+        }
+        drop(queues);
+        Ok(())
+    })
+}
+
+/// Batches of one epoch over these samples, at most `most`.
+pub fn batches(samples: &[Sample], (batch, most): (usize, usize)) -> usize {
+    let shown: f64 = repeats(samples).iter().sum();
+    ((shown as usize / batch.max(1)).max(1)).min(most)
+}
