@@ -329,7 +329,8 @@ mod tests {
     #[test]
     fn a_film_has_a_place_that_can_hold_it() {
         let folder = tempfile::tempdir().unwrap();
-        let at = |name: &str| Recorder::create(&folder.path().join(name), RecordView::Front, 6.0, Codec::Auto, 0);
+        let at =
+            |name: &str| Recorder::create(&folder.path().join(name), RecordView::Front, 6.0, Codec::Auto, 0);
         assert!(at("frames/").is_ok() && at("new/film.png").is_ok());
         let error = at("film.avi").err().map(|e| e.to_string()).unwrap_or_default();
         assert!(error.contains("film.avi") && error.contains(".mp4"), "{error}");

@@ -233,11 +233,12 @@ impl Picture {
     fn jpeg(&self) -> io::Result<Vec<u8>> {
         use opencv::core::{Mat, Vec3b, Vector};
         use opencv::imgcodecs::{IMWRITE_JPEG_QUALITY, imencode};
-        let pixels: Vec<Vec3b> =
-            self.rgb.chunks_exact(3).map(|p| Vec3b::from([p[2], p[1], p[0]])).collect();
+        let pixels: Vec<Vec3b> = self.rgb.chunks_exact(3).map(|p| Vec3b::from([p[2], p[1], p[0]])).collect();
         let mut bytes = Vector::new();
         Mat::new_rows_cols_with_data(self.height as i32, self.width as i32, &pixels)
-            .and_then(|mat| imencode(".jpg", &mat, &mut bytes, &Vector::from_slice(&[IMWRITE_JPEG_QUALITY, 85])))
+            .and_then(|mat| {
+                imencode(".jpg", &mat, &mut bytes, &Vector::from_slice(&[IMWRITE_JPEG_QUALITY, 85]))
+            })
             .map_err(|e| io::Error::other(format!("OpenCV cannot encode JPEG: {}", e.message)))?;
         Ok(bytes.into())
     }

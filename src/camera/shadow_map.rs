@@ -136,9 +136,7 @@ impl ShadowMap {
             let r = instance.pose.position - chunk.origin;
             let at = [r.x as f32, r.y as f32, r.z as f32];
             // Can its own shadow fall into the cell?
-            let size = |i: usize| {
-                model.bounds[0][i].abs().max(model.bounds[1][i].abs()) * instance.scale[i]
-            };
+            let size = |i: usize| model.bounds[0][i].abs().max(model.bounds[1][i].abs()) * instance.scale[i];
             let (reach, height) = (size(0).hypot(size(1)), size(2) + (at[2] + base[2]).max(0.0));
             let beside = |i: usize| {
                 let (middle, shift) = (at[i] + base[i], throw[i] * height);

@@ -15,8 +15,8 @@ use wad_cosim::drive::{Drive, DriveError, DriveOptions, Status, Summary};
 #[cfg(feature = "learn")]
 use wad_cosim::env::EnvOptions;
 use wad_cosim::learned_driver::LearnedDriver;
-use wad_cosim::record::{Codec, RecordView, Recorder};
 use wad_cosim::perception::{self, Percept};
+use wad_cosim::record::{Codec, RecordView, Recorder};
 use wad_cosim::sight;
 use wad_cosim::telemetry::FolderError;
 use wad_cosim::traffic::TrafficSpec;
@@ -48,9 +48,6 @@ pub struct Args {
     /// The encoder that the agent sees through [default: the one that it was trained with].
     #[arg(long, value_name = "NAME", value_hint = ValueHint::AnyPath)]
     encoder: Option<String>,
-    /// The detector that the agent sees with.
-    #[arg(long, value_name = "NAME", default_value = "truth")]
-    detector: String,
     /// Stop after N ticks [default: at the config's end time, or at Ctrl-C].
     #[arg(long, value_name = "N")]
     ticks: Option<u64>,

@@ -135,7 +135,8 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
 }
 
 fn watch(args: &Args, stage: Stage, config: CameraConfig) -> anyhow::Result<Watch> {
-    let detector = perception::detector(&args.detector, perception::MIN_SCORE).map_err(|e| Exit::Input.because(e))?;
+    let detector =
+        perception::detector(&args.detector, perception::MIN_SCORE).map_err(|e| Exit::Input.because(e))?;
     let watch = Watch::new(detector, config).map_err(|e| Exit::Input.because(e))?;
     with_decoder(args, stage, watch)
 }

@@ -1,9 +1,9 @@
 //! Judges an encoder on frames that it has not seen.
 
+use super::LatentError;
 use super::encoder::TchEncoder;
 use super::probe::{Probe, auc};
 use super::score::{ObjectScore, psnr, ssim};
-use super::LatentError;
 use crate::bench::median;
 use crate::camera::{CameraConfig, Preset};
 use crate::cpu_time;

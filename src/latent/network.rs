@@ -253,7 +253,12 @@ impl Autoencoder {
     ///
     /// # Errors
     /// torch fails.
-    pub fn encode(&self, views: &Views, pictures: &Tensor, mut train: Option<&mut ChaCha8Rng>) -> Result<Tensor, TchError> {
+    pub fn encode(
+        &self,
+        views: &Views,
+        pictures: &Tensor,
+        mut train: Option<&mut ChaCha8Rng>,
+    ) -> Result<Tensor, TchError> {
         let mut x = pictures.shallow_clone();
         for i in 0..self.architecture.encoder.len() {
             let normed = NORMED.contains(&i);

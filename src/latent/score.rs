@@ -104,7 +104,8 @@ impl ObjectScore {
         boxes: &[BoxRecord],
         (width, height): (usize, usize),
     ) {
-        let blue = |image: &TransformedImage| -> Vec<bool> { image.bytes().chunks_exact(3).map(is_blue).collect() };
+        let blue =
+            |image: &TransformedImage| -> Vec<bool> { image.bytes().chunks_exact(3).map(is_blue).collect() };
         let (wanted, made) = (blue(wanted), blue(made));
         for (w, m) in wanted.iter().zip(&made) {
             self.both += u64::from(*w && *m);

@@ -203,7 +203,7 @@ mod tests {
             .map(|sides| picture(&CameraConfig::default(), &sides.map(line)))
             .into();
         let mut one = perception();
-        let mut episode = |one: &mut Perception| -> Vec<_> {
+        let episode = |one: &mut Perception| -> Vec<_> {
             one.reset(3);
             let facts = |i: usize| road.facts(240.0 + i as f64, 0.1, 0.0, 6.0);
             let look = |(i, frame): (usize, &Frame)| {

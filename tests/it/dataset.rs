@@ -45,7 +45,8 @@ fn collecting_goes_on_where_it_stopped() {
     assert_eq!(result["frames_before"].as_u64(), Some(8));
     assert!(shards(&first) == whole, "shards differ");
     // Another seed is another dataset.
-    let output = wad(&["dataset", "collect", "--town", "town5", "--frames", "24", "--per-shard", "8"], &first);
+    let output =
+        wad(&["dataset", "collect", "--town", "town5", "--frames", "24", "--per-shard", "8"], &first);
     let error = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(2));
     assert!(error.contains("the seed") && error.contains('3'), "{error}");

@@ -94,7 +94,8 @@ fn boxes_hold_all_pixels_of_road_users_with_a_pixels_slack() {
         place.put(std::slice::from_ref(user));
         let mut camera = Camera::new(CameraConfig::default()).unwrap();
         let weather = Preset::ClearNoon.into();
-        checked += check_boxes(camera.render(&bare, place.town.actors(), &pose, &weather, Outputs::ALL), true);
+        checked +=
+            check_boxes(camera.render(&bare, place.town.actors(), &pose, &weather, Outputs::ALL), true);
     }
     assert!(checked >= users.len(), "{checked}");
 }

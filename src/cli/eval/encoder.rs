@@ -83,7 +83,10 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
 fn text(j: &Judgement) -> String {
     let probe = |name: &str, p: &ProbeScore| {
         let auc = p.auc.map_or("  -  ".to_string(), |auc| format!("{auc:.3}"));
-        format!("  {name:34} AUC {auc}  ({} of the fitted, {} of the measured)\n", p.fitted_positives, p.measured_positives)
+        format!(
+            "  {name:34} AUC {auc}  ({} of the fitted, {} of the measured)\n",
+            p.fitted_positives, p.measured_positives
+        )
     };
     let kept = |name: &str, share: f64, n: u64| format!("  {name:34} {:.1} % of {n}\n", 100.0 * share);
     let weathers: Vec<String> = j.psnr_by_weather.iter().map(|(w, db)| format!("{w} {db:.1}")).collect();

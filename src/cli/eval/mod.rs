@@ -1,9 +1,9 @@
 //! `wad-cosim eval`: one file per thing that is judged.
 
 mod detector;
-mod sight;
 #[cfg(feature = "learn")]
 mod encoder;
+mod sight;
 mod suites;
 
 use super::Exit;

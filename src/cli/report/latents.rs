@@ -48,8 +48,7 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
     })?;
     let side = TRANSFORMED_SIZE;
     let height = 2 * side + GAP;
-    let mut page =
-        Picture::new(columns * (side + GAP) - GAP, rows * (height + ROW_GAP) - ROW_GAP);
+    let mut page = Picture::new(columns * (side + GAP) - GAP, rows * (height + ROW_GAP) - ROW_GAP);
     page.rgb.fill(255);
     let picture =
         |image: &TransformedImage| Picture { width: side, height: side, rgb: image.bytes().to_vec() };
@@ -58,9 +57,9 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
         page.paste(&picture(wanted), x, y);
         page.paste(&picture(made), x, y + side + GAP);
     }
-    page.save(&args.out).map_err(|e| Exit::Other.because(e)).with_context(|| {
-        format!("cannot write the picture {}", args.out.display())
-    })?;
+    page.save(&args.out)
+        .map_err(|e| Exit::Other.because(e))
+        .with_context(|| format!("cannot write the picture {}", args.out.display()))?;
     print(&format!("{}\n", args.out.display()))?;
     Ok(Exit::Done)
 }

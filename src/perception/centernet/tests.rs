@@ -51,7 +51,8 @@ fn overfit(backbone: Backbone, steps: usize, rate: f64) {
     }
     let (n, h, w) = (pictures.len() as i64, h as i64, w as i64);
     let shape = [n, HEIGHT as i64, WIDTH as i64, 3];
-    let x = Tensor::from_data_size(&pixels, &shape, Kind::Uint8).to_kind(Kind::Float).permute([0, 3, 1, 2]) / 255.0;
+    let x = Tensor::from_data_size(&pixels, &shape, Kind::Uint8).to_kind(Kind::Float).permute([0, 3, 1, 2])
+        / 255.0;
     let target = Target {
         heat: Tensor::from_slice(&heat).view([n, 8, h, w]),
         cells: Tensor::from_slice(&cells),
@@ -75,7 +76,8 @@ fn overfit(backbone: Backbone, steps: usize, rate: f64) {
     for (rgb, wanted) in &pictures {
         let found = detector.detect_rgb(rgb, WIDTH, HEIGHT).unwrap();
         for one in wanted {
-            let is_found = found.iter().any(|d| class_index(d.class) == one.class && d.iou(&one.bounds) > 0.5);
+            let is_found =
+                found.iter().any(|d| class_index(d.class) == one.class && d.iou(&one.bounds) > 0.5);
             assert!(is_found, "{one:?} in {found:?}");
         }
         assert_eq!(found.len(), wanted.len(), "{found:?}");
