@@ -278,6 +278,9 @@ pub fn find_encoder(name: &str) -> Result<Box<dyn Encoder>, LatentError> {
     })
 }
 
+/// A trained agent, and the encoder that it sees through.
+pub type Opened = (Box<dyn Agent>, Box<dyn Encoder>);
+
 /// The trained agent that `name` means ([`Policy::find`]), and the encoder that it sees through:
 /// `encoder`, or the one that it was trained with.
 ///
@@ -287,7 +290,7 @@ pub fn open(
     name: &str,
     encoder: Option<&str>,
     camera: &CameraConfig,
-) -> Result<(Box<dyn Agent>, Box<dyn Encoder>), PolicyError> {
+) -> Result<Opened, PolicyError> {
     tch::set_num_threads(1);
     let (policy, path) = Policy::find(name)?;
     let trained_with = policy.card.config.get("encoder").and_then(|name| name.as_str());

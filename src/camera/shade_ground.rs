@@ -248,8 +248,8 @@ fn ground_run<L: Lane, const KIND: u8>(run: &Run<'_>, g: &Ground<'_>, row: &mut 
                 (albedo[i] * light[i]).store(&mut row.posts[i][k..]);
             }
             if KIND <= SLABS {
-                for i in 0..3 {
-                    light[i].store(&mut row.posts[4 + i][k..]);
+                for (light, posts) in light.iter().zip(&mut row.posts[4..]) {
+                    light.store(&mut posts[k..]);
                 }
                 n_mid.store(&mut row.posts[7][k..]);
             }
@@ -271,8 +271,8 @@ fn ground_run<L: Lane, const KIND: u8>(run: &Run<'_>, g: &Ground<'_>, row: &mut 
             let part = v((x - from) as f32) + L::ramp();
             let grain = n_fine.fma(v(GRAIN[KIND as usize]), one);
             let mut colour = [one; 3];
-            for i in 0..3 {
-                colour[i] = between(&row.posts[i], k, part) * grain;
+            for (colour, posts) in colour.iter_mut().zip(&row.posts) {
+                *colour = between(posts, k, part) * grain;
             }
             if painted {
                 let n_mid = between(&row.posts[7], k, part);

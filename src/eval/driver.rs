@@ -102,7 +102,7 @@ impl DriverSpec {
 /// A driver at work.
 pub enum Driver {
     Autopilot,
-    Random(ChaCha8Rng),
+    Random(Box<ChaCha8Rng>),
     Constant(Control),
     Agent(Box<dyn Agent>),
 }
@@ -111,7 +111,7 @@ impl Driver {
     /// Begins an episode.
     pub fn reset(&mut self, seed: u64) {
         match self {
-            Self::Random(rng) => *rng = seeds::rng(seed, "driver"),
+            Self::Random(rng) => **rng = seeds::rng(seed, "driver"),
             Self::Agent(agent) => agent.reset(seed),
             Self::Autopilot | Self::Constant(_) => {}
         }

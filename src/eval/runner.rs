@@ -132,7 +132,7 @@ impl Worker<'_> {
         let mut encoder: Box<dyn Encoder> = Box::new(PooledEncoder);
         let driver = match &case.agent {
             DriverSpec::Autopilot => Driver::Autopilot,
-            DriverSpec::Random => Driver::Random(seeds::rng(0, "driver")),
+            DriverSpec::Random => Driver::Random(Box::new(seeds::rng(0, "driver"))),
             DriverSpec::Constant(control) => Driver::Constant(*control),
             DriverSpec::Agent(name) => {
                 let (agent, its) = (self.evaluation.make_agent)(name)?;

@@ -49,7 +49,7 @@ impl Learning {
                 observations: (0..31).map(|_| numbers(10)).collect(),
                 actions: (0..30).map(|_| [numbers(1)[0], 0.3, 0.1]).collect(),
                 rewards: numbers(30),
-                terminated: seed % 2 == 0,
+                terminated: seed.is_multiple_of(2),
                 ..Segment::default()
             });
         }

@@ -5,7 +5,7 @@ use std::sync::atomic::AtomicBool;
 
 /// A dataset of 24 + 8 frames with a blue box on a grey road, one shard of each.
 fn data(folder: &Path, town: &str) {
-    let picture = |n: usize| Picture { red: n % 3 == 0, object: [30 + n % 40, 60, 20, 14] };
+    let picture = |n: usize| Picture { red: n.is_multiple_of(3), object: [30 + n % 40, 60, 20, 14] };
     write(folder, town, &[24, 8], Preset::ClearNoon, picture);
 }
 
