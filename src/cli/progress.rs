@@ -49,8 +49,7 @@ impl Bar {
     }
 
     /// Prints a line of its own.
-    #[cfg(feature = "learn")]
-    pub fn say(&self, text: &str) {
+        pub fn say(&self, text: &str) {
         match &self.bar {
             Some(bar) => bar.suspend(|| eprintln!("{text}")),
             None => eprintln!("{text}"),

@@ -1,6 +1,9 @@
 //! A road, an ego on it, and pictures of it, for the unit tests.
 
-use super::{EgoFacts, GroundPlane, LaneBoundary};
+use super::EgoFacts;
+#[cfg(feature = "vision")]
+use super::{GroundPlane, LaneBoundary};
+#[cfg(feature = "vision")]
 use crate::camera::{CameraConfig, Frame};
 use crate::criteria::EgoOnRoute;
 use crate::geometry::Vector;
@@ -57,6 +60,7 @@ impl Road {
 }
 
 /// A picture of a grey road with white lines, a line 0.12 m broad.
+#[cfg(feature = "vision")]
 pub fn picture(camera: &CameraConfig, lines: &[LaneBoundary]) -> Frame {
     let ground = GroundPlane::new(camera);
     let mut rgb = Vec::with_capacity(3 * camera.width * camera.height);
