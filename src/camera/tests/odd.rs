@@ -107,7 +107,6 @@ fn hills_render_with_sun_on_the_road_and_paint_on_it() {
                 _ => {}
             }
         }
-        crate::camera::Picture::rgb(frame).save(Path::new(&format!("/tmp/cd/hill{x}.png"))).unwrap();
         light.sort_unstable();
         assert!(light.len() > 1500, "{x}: {} pixels of road", light.len());
         // In the shade it would be below 70.
