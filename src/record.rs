@@ -77,8 +77,8 @@ pub enum RecordError {
     Kind { path: PathBuf },
     #[error(
         "{path}: this OpenCV cannot encode {tried}. Install its FFmpeg backend (Debian, Ubuntu: apt-get install \
-         libopencv-videoio-dev libavcodec-extra), ask for another codec (--record-codec mp4v), or give a \
-         folder such as film/ for numbered pictures"
+         libopencv-videoio-dev libavcodec-extra){}, or give a folder such as film/ for numbered pictures",
+        other_codec(tried)
     )]
     Codec { path: PathBuf, tried: String },
     #[error(
@@ -88,6 +88,11 @@ pub enum RecordError {
     NoEncoder { path: PathBuf },
     #[error("cannot encode {path}: {why}")]
     Encode { path: PathBuf, why: String },
+}
+
+/// What to try in place of the codecs that were `tried`.
+fn other_codec(tried: &str) -> &'static str {
+    if tried.contains("mp4v") { "" } else { ", ask for another codec (--record-codec mp4v)" }
 }
 
 /// A film under way.
