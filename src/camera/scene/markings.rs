@@ -345,7 +345,7 @@ fn arrow(tiles: &mut Tiles, pose: &Pose, [left, straight, right]: [bool; 3], str
         quad([[0.0, -0.075], [shaft, -0.075], [shaft, 0.075], [0.0, 0.075]]);
     }
     if straight {
-        quad([[2.6, -0.32], [4.0, 0.0], [4.0, 0.0], [2.6, 0.32]]);
+        quad([[2.6, 0.32], [2.6, -0.32], [4.0, 0.0], [4.0, 0.0]]);
     }
     for (wanted, side) in [(left, 1.0), (right, -1.0)] {
         if wanted {
