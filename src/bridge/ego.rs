@@ -1,7 +1,7 @@
 //! The ego vehicle: its physics, its route, what it sees, and its shadow in SUMO.
 
 use crate::criteria::EgoOnRoute;
-use crate::geometry::{Point, Pose, Vector};
+use crate::geometry::{Pose, Vector};
 use crate::network::{EdgeKind, LaneId, Network, Route};
 use crate::traci::{Batch, Color, CommandError, Replies, Ticket, route, vehicle, vehicle_type};
 use crate::vehicle::{Contact, Control, EgoParams, EgoState, EgoVehicle, MovingBody, PartnerKind};
@@ -199,12 +199,6 @@ impl Ego {
         self.vehicle.set_elevation(Some(self.route.at(self.s).pose.position.z));
         let bumper = pose.advanced(0.5 * self.params().length);
         self.front_s = self.route.project_near(bumper.xy(), self.s, 0.0, AHEAD).s;
-    }
-
-    /// Where SUMO is told that it is: its front bumper.
-    pub(super) fn front(&self) -> Point {
-        let (front, _) = self.state().pose.to_sumo(self.params().length);
-        Point::new(front.x, front.y)
     }
 
     /// The lane under its centre on its route.
