@@ -5,6 +5,8 @@
 mod agents;
 mod autopilot;
 mod bridge;
+#[cfg(feature = "vision")]
+mod camera;
 mod dataset;
 mod doctor;
 mod network;

@@ -222,6 +222,14 @@ fn text(report: &Report) -> String {
     let goals: Vec<String> = goals.chain([format!("< {FALSE_ALARM_GOAL:.0}")]).collect();
     let _ = writeln!(out, "| goal | {} |\n", goals.join(" | "));
 
+    out += "Of what is there, found as any class of its group, by class:";
+    for (n, (class, score)) in report.realism.classes.iter().enumerate() {
+        let recall = score.hits as f64 / score.truths.max(1) as f64;
+        let comma = if n == 0 { "" } else { "," };
+        let _ = write!(out, "{comma} {class} {recall:.2} ({}/{})", score.hits, score.truths);
+    }
+    out += "\n\n";
+
     let cell = |v: Option<f64>| v.map_or("-".to_string(), |v| format!("{v:.3}"));
     out += "Average precision of boxes 24 px high or more, and of 12 to 24 px\n";
     out += "| class | truths | AP@0.5 | AP@[.5:.95] | truths 12-24 | AP@0.5 12-24 |\n|---|---|---|---|---|---|\n";
