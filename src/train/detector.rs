@@ -154,8 +154,8 @@ pub struct Progress {
 const WARM_UP: f64 = 100.0;
 /// Longest gradient.
 const LONGEST: f64 = 10.0;
-/// Steps between looks at the loss: each look waits for the device.
-const LOOK_EVERY: u64 = 10;
+/// Steps between reports.
+const REPORT_EVERY: u64 = 10;
 /// Lowest score that validation looks at.
 const LEAST_SCORE: f32 = 0.05;
 
@@ -325,13 +325,17 @@ impl<'a> Trainer<'a> {
     ) -> Result<Option<EpochRecord>, TrainError> {
         let options = self.options;
         let number = self.reached.epoch;
-        tch::manual_seed(seeds::derive(options.seed, &format!("augmentation {number}")) as i64);
         let clock = Instant::now();
         let steps = self.steps();
         let samples = std::mem::take(&mut self.training);
         let (mut sum, mut looks, mut interrupted, mut shown) = (0.0, 0_u64, false, 0_usize);
         let result = epoch(
-            Show { backbone: options.backbone, batch: options.batch, window: options.window },
+            Show {
+                backbone: options.backbone,
+                batch: options.batch,
+                window: options.window,
+                vary: options.vary,
+            },
             &samples,
             self.epoch_steps as usize,
             (options.seed, number),
@@ -341,26 +345,21 @@ impl<'a> Trainer<'a> {
                     interrupted = true;
                     return Ok(false);
                 }
-                let (pictures, target) = batch.load(self.device, options.vary)?;
+                let (pictures, target) = batch.load(self.device)?;
                 let precision = if options.bfloat16 { Kind::BFloat16 } else { Kind::Float };
                 let pictures = pictures.f_to_kind(precision)?;
                 let answer = self.network.forward(&pictures, true)?;
                 let total = loss(&answer, &target)?.total()?;
                 let rate = self.rate();
                 let is_good = self.adam.step(&total, rate, LONGEST)?;
-                let look = self.reached.step.is_multiple_of(LOOK_EVERY) || !is_good;
-                if look {
-                    let value = total.f_double_value(&[])?;
-                    if !value.is_finite() || !is_good {
-                        return Err(TrainError::NotFinite {
-                            loss: value,
-                            step: self.reached.step,
-                            checkpoint: options.out.join("checkpoint.safetensors"),
-                        });
-                    }
-                    sum += value;
-                    looks += 1;
-                    let step = self.reached.step;
+                let (value, step) = (total.f_double_value(&[])?, self.reached.step);
+                if !value.is_finite() || !is_good {
+                    let checkpoint = options.out.join("checkpoint.safetensors");
+                    return Err(TrainError::NotFinite { loss: value, step, checkpoint });
+                }
+                sum += value;
+                looks += 1;
+                if step.is_multiple_of(REPORT_EVERY) {
                     report(Progress { epoch: number, step, steps, loss: value, validation: None });
                 }
                 shown += batch.count();
@@ -455,3 +454,6 @@ impl<'a> Trainer<'a> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -142,14 +142,23 @@ pub struct Show {
     pub batch: usize,
     /// Width and height of the small windows; None: whole pictures only.
     pub window: Option<(usize, usize)>,
+    /// Vary light and colours.
+    pub vary: bool,
 }
 
 /// Share of an epoch's steps that show whole pictures.
 const WHOLE: f64 = 0.25;
 /// Share of small windows that lie anywhere, not round an object.
 const ANYWHERE: f64 = 0.2;
+/// Small windows cut from a picture once it is decoded, which costs a tenth as much as a training step.
+const WINDOWS: usize = 2;
 
 impl Show {
+    /// Windows per picked sample, for windows of this size.
+    fn per_sample(&self, size: (usize, usize)) -> usize {
+        if size.1 < self.whole().height { WINDOWS } else { 1 }
+    }
+
     fn whole(&self) -> Window {
         Window::whole(self.backbone, (SIDE, SIDE))
     }
@@ -203,11 +212,11 @@ pub struct Batch {
 }
 
 impl Batch {
-    /// Windows of the picked samples, mirrored at random.
+    /// `count` windows of the picked samples, mirrored at random, their light and colours varied.
     fn new(
         show: &Show,
         samples: &[Sample],
-        picked: &[usize],
+        (picked, count): (&[usize], usize),
         size: (usize, usize),
         rng: &mut impl RngExt,
     ) -> Result<Self, DatasetError> {
@@ -215,19 +224,24 @@ impl Batch {
         let (bytes, shape) = (width * height * 3, (width / STRIDE, height / STRIDE));
         let cells = shape.0 * shape.1 * 8;
         let mut batch = Self {
-            count: picked.len(),
+            count,
             size,
-            pixels: Vec::with_capacity(picked.len() * bytes),
-            heat: vec![0.0; picked.len() * cells],
+            pixels: Vec::with_capacity(count * bytes),
+            heat: vec![0.0; count * cells],
             centres: Vec::new(),
         };
         let cuts_rows = height < show.whole().height;
-        for (n, &index) in picked.iter().enumerate() {
-            let sample = &samples[index];
-            let wanted: Vec<Wanted> = sample.wanted().collect();
+        let mut rgb = Vec::new();
+        let mut decoded = None;
+        for n in 0..count {
+            let index = picked[n / show.per_sample(size)];
+            if decoded != Some(index) {
+                (rgb, decoded) = (samples[index].rgb()?, Some(index));
+            }
+            let wanted: Vec<Wanted> = samples[index].wanted().collect();
             let window = show.place(size, &wanted, rng);
             let mirrored = rng.random::<bool>();
-            let rgb = sample.rgb()?;
+            let start = batch.pixels.len();
             for y in window.top..window.top + height {
                 let row = &rgb[(y * SIDE + window.left) * 3..][..width * 3];
                 if mirrored {
@@ -235,6 +249,9 @@ impl Batch {
                 } else {
                     batch.pixels.extend(row);
                 }
+            }
+            if show.vary {
+                vary(&mut batch.pixels[start..], rng);
             }
             let shown = wanted.iter().filter_map(|one| window.view(one, cuts_rows)).map(|mut one| {
                 if mirrored {
@@ -255,21 +272,17 @@ impl Batch {
         self.count
     }
 
-    /// Pictures (n, 3, height, width) from 0 to 1, with their colours and light varied on the device, and
-    /// what is wanted of them.
+    /// Pictures (n, 3, height, width) from 0 to 1, and what is wanted of them.
     ///
     /// # Errors
     /// torch fails.
-    pub fn load(&self, device: Device, vary: bool) -> Result<(Tensor, Target), TchError> {
+    pub fn load(&self, device: Device) -> Result<(Tensor, Target), TchError> {
         let n = self.count as i64;
         let (width, height) = (self.size.0 as i64, self.size.1 as i64);
         let pixels = Tensor::f_from_data_size(&self.pixels, &[n, height, width, 3], Kind::Uint8)?;
         let x = pixels.f_to_device(device)?.f_to_kind(Kind::Float)?.f_mul_scalar(1.0 / 255.0)?;
         // The permuted view keeps the channels innermost: convolutions on the processor like it so.
-        let mut x = x.f_permute([0, 3, 1, 2])?;
-        if vary {
-            x = varied(&x)?;
-        }
+        let x = x.f_permute([0, 3, 1, 2])?;
         let (h, w) = (height / STRIDE as i64, width / STRIDE as i64);
         let heat = Tensor::f_from_slice(&self.heat)?.f_view([n, 8, h, w])?.f_to_device(device)?;
         let cells: Vec<i64> = self.centres.iter().map(|(p, c)| *p as i64 * h * w + c.cell as i64).collect();
@@ -283,21 +296,31 @@ impl Batch {
 }
 
 /// Other light, other colours, less contrast, some noise: towards the weathers that training never sees.
-fn varied(x: &Tensor) -> Result<Tensor, TchError> {
-    let n = x.size()[0];
-    let options = (Kind::Float, x.device());
-    let between = |shape: [i64; 4], low: f64, high: f64| {
-        Tensor::f_rand(shape, options)?.f_mul_scalar(high - low)?.f_add_scalar(low)
-    };
-    let gamma = between([n, 1, 1, 1], -0.5, 0.5)?.f_exp()?;
-    let gain = between([n, 1, 1, 1], 0.7, 1.25)?.f_mul(&between([n, 3, 1, 1], 0.85, 1.15)?)?;
-    let contrast = between([n, 1, 1, 1], 0.5, 1.2)?;
-    let noise = between([n, 1, 1, 1], 0.0, 0.03)?;
-    let mean = x.f_mean_dim([2_i64, 3].as_slice(), true, Kind::Float)?;
-    let y = x.f_sub(&mean)?.f_mul(&contrast)?.f_add(&mean)?.f_clamp(1e-3, 1.0)?;
-    let y = y.f_pow(&gamma)?.f_mul(&gain)?;
-    y.f_add(&y.f_randn_like()?.f_mul(&noise)?)?.f_clamp(0.0, 1.0)
+/// A table per colour, since a picture has many pixels and a byte few values.
+fn vary(rgb: &mut [u8], rng: &mut impl RngExt) {
+    let gamma = rng.random_range(-0.45_f32..0.45).exp();
+    let (gain, contrast) = (rng.random_range(0.7..1.25), rng.random_range(0.55..1.2));
+    let tables: [[f32; 256]; 3] = std::array::from_fn(|_| {
+        let gain: f32 = gain * rng.random_range(0.88..1.12);
+        std::array::from_fn(|v| {
+            let value: f32 = (v as f32 / 255.0 - MIDDLE) * contrast + MIDDLE;
+            255.0 * gain * value.clamp(0.0, 1.0).powf(gamma)
+        })
+    });
+    let noise = rng.random_range(0.0_f32..NOISE) / 128.0;
+    for pixel in rgb.as_chunks_mut::<3>().0 {
+        let dice = rng.random::<u32>().to_le_bytes();
+        for c in 0..3 {
+            let off = noise * (f32::from(dice[c]) - 127.5);
+            pixel[c] = (tables[c][usize::from(pixel[c])] + off + 0.5) as u8;
+        }
+    }
 }
+
+/// What contrast is varied about.
+const MIDDLE: f32 = 0.45;
+/// The most that noise changes a byte by.
+const NOISE: f32 = 10.0;
 
 /// Makes the batches of an epoch on `workers` threads and hands each to `take`, in an order that does not
 /// depend on their number. `take` says whether to go on.
@@ -320,7 +343,8 @@ pub fn epoch<E: From<DatasetError>>(
     let mut next = order.iter().copied().cycle();
     for step in 0..steps {
         let (size, count) = show.step(step, steps);
-        picks.push((size, next.by_ref().take(count).collect::<Vec<usize>>()));
+        let samples = count.div_ceil(show.per_sample(size));
+        picks.push((size, count, next.by_ref().take(samples).collect::<Vec<usize>>()));
     }
     let workers = workers.clamp(1, picks.len().max(1));
     std::thread::scope(|scope| {
@@ -330,9 +354,9 @@ pub fn epoch<E: From<DatasetError>>(
             queues.push(receive);
             let (picks, show) = (&picks, &show);
             scope.spawn(move || {
-                for (n, (size, picked)) in picks.iter().enumerate().skip(worker).step_by(workers) {
+                for (n, (size, count, picked)) in picks.iter().enumerate().skip(worker).step_by(workers) {
                     let mut rng = seeds::rng(seed, &format!("detector epoch {epoch} step {n}"));
-                    if send.send(Batch::new(show, samples, picked, *size, &mut rng)).is_err() {
+                    if send.send(Batch::new(show, samples, (picked, *count), *size, &mut rng)).is_err() {
                         return; // nobody listens any more
                     }
                 }
@@ -354,3 +378,6 @@ pub fn steps(samples: &[Sample], batch: usize, most: usize) -> usize {
     let shown: f64 = repeats(samples).iter().sum();
     ((shown as usize / batch.max(1)).max(1)).min(most)
 }
+
+#[cfg(test)]
+mod tests;
