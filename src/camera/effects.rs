@@ -90,8 +90,9 @@ lanes! {
             let neighbours = [&ids[x + 1..], &ids_below[x..]];
             if L::differ(&ids[x..], neighbours) {
                 let own = (&ids[x..], &colours[x..]);
-                for (axis, other) in [(neighbours[0], &colours[x + 1..]), (neighbours[1], &colours_below[x..])].into_iter().enumerate() {
-                    let mut found = L::borders(own, other);
+                let beside = L::borders(own, (neighbours[0], &colours[x + 1..]));
+                let beneath = L::borders(own, (neighbours[1], &colours_below[x..]));
+                for (axis, mut found) in [(0, beside), (1, beneath)] {
                     while found != 0 {
                         let at = x + found.trailing_zeros() as usize;
                         if at + 1 - axis < width {

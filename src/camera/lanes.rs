@@ -418,7 +418,7 @@ mod avx {
         }
         #[inline(always)]
         fn differ(ids: &[u32], neighbours: [&[u32]; 2]) -> bool {
-            let [ids, right, below] = [ids, neighbours[0], neighbours[1]].map(load_words);
+            let (ids, right, below) = (load_words(ids), load_words(neighbours[0]), load_words(neighbours[1]));
             unsafe {
                 let gaps = _mm256_or_si256(_mm256_xor_si256(ids, right), _mm256_xor_si256(ids, below));
                 _mm256_testz_si256(gaps, gaps) == 0
