@@ -50,8 +50,9 @@ pub struct Batch {
     pub reward: Tensor,
     /// gamma^n, or 0 where the episode terminated, [B].
     pub discount: Tensor,
-    /// 1 where the action was demonstrated, [B].
-    pub demonstration: Tensor,
+    /// 1 where an expert's action is known, [B], and that action, [B, A].
+    pub is_shown: Tensor,
+    pub shown: Tensor,
     /// Standard normal, [B, A]: all the chance that an update takes.
     pub noise: Tensor,
 }
@@ -61,7 +62,7 @@ pub struct Batch {
 pub struct Batches {
     /// [K, 2, B, D]: now and next.
     observations: Tensor,
-    /// [K, B, 2 A + 3]: action, noise, reward, discount, demonstration.
+    /// [K, B, 3 A + 3]: action, noise, reward, discount, whether shown, the shown action.
     rest: Tensor,
     actions: i64,
 }
@@ -80,7 +81,7 @@ impl Batches {
         let latents = latents.to_device(device).to_kind(Kind::Float);
         let raw = Tensor::from_slice(&sampled.raw).view([k, 2, b, dims.raw]).to_device(device);
         let observations = scale.apply(&Tensor::cat(&[latents, raw], 3));
-        let rest = Tensor::from_slice(&sampled.rest).view([k, b, 2 * dims.actions + 3]).to_device(device);
+        let rest = Tensor::from_slice(&sampled.rest).view([k, b, 3 * dims.actions + 3]).to_device(device);
         Self { observations, rest, actions: dims.actions }
     }
 
@@ -96,7 +97,8 @@ impl Batches {
             noise: rest.narrow(1, a, a),
             reward: rest.select(1, 2 * a),
             discount: rest.select(1, 2 * a + 1),
-            demonstration: rest.select(1, 2 * a + 2),
+            is_shown: rest.select(1, 2 * a + 2),
+            shown: rest.narrow(1, 2 * a + 3, a),
         }
     }
 }

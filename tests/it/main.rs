@@ -7,6 +7,8 @@ mod autopilot;
 mod bridge;
 mod dataset;
 mod doctor;
+#[cfg(feature = "vision")]
+mod env;
 mod network;
 mod run;
 mod traci;
