@@ -29,8 +29,8 @@ impl Default for Imitation {
 }
 
 /// An error in steering counts as this many of the same share of a pedal's travel: at 10 m/s a hundredth
-/// of full lock is felt, and a hundredth of a pedal is not.
-pub const STEERING: f64 = 10.0;
+/// of full lock is felt, and a tenth of a pedal is not.
+pub const STEERING: f64 = 50.0;
 
 impl Imitation {
     /// The weight at an update.

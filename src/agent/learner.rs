@@ -129,14 +129,15 @@ impl InputScale {
     }
 
     /// From means and standard deviations of the latent; the raw vector is scaled by definition. Numbers
-    /// that hardly vary are not blown up: the smallest deviation taken is a tenth of the mean one.
-    pub fn measured(mean: &[f32], deviation: &[f32], dims: Dims, inputs: Inputs) -> Self {
+    /// that hardly vary are not blown up: the smallest deviation taken is a tenth of the mean one. `gain` is the deviation
+    /// that the latent is given.
+    pub fn measured(mean: &[f32], deviation: &[f32], dims: Dims, inputs: Inputs, gain: f64) -> Self {
         let (latent, n) = (dims.latent as usize, dims.observation() as usize);
         let floor = 0.1 * deviation[..latent].iter().sum::<f32>() / (latent as f32).max(1.0);
         let mut scale = Self::identity(dims);
         scale.offset[..latent].copy_from_slice(&mean[..latent]);
         for (factor, deviation) in scale.factor[..latent].iter_mut().zip(deviation) {
-            *factor = 1.0 / deviation.max(floor).max(1e-6);
+            *factor = gain as f32 / deviation.max(floor).max(1e-6);
         }
         match inputs {
             Inputs::Both => {}

@@ -132,6 +132,9 @@ pub struct Args {
     /// What the networks see (ablation).
     #[arg(long, value_enum, default_value_t = InputChoice::Both)]
     inputs: InputChoice,
+    /// Standard deviation that the latent's numbers are scaled to.
+    #[arg(long, value_name = "X", default_value_t = 1.0)]
+    latent_gain: f64,
     /// Environment steps between validations; 0: never.
     #[arg(long, value_name = "N", default_value_t = 50_000)]
     validate_every: u64,
@@ -262,6 +265,7 @@ fn config(args: &Args) -> anyhow::Result<TrainConfig> {
     let hash = find_encoder(&args.encoder).map_err(|e| Exit::Input.because(e))?.hash().to_string();
     let mut config = TrainConfig::new(algorithm, curriculum, &args.encoder, &hash);
     config.seed = args.seed;
+    config.latent_gain = args.latent_gain;
     config.env.detector.clone_from(&args.detector);
     config.update_ratio = args.update_ratio;
     config.batch_size = args.batch;

@@ -207,6 +207,7 @@ impl Collector<'_> {
                 return Err(Stop::Over);
             }
             let autopilot = matches!(job.purpose, Purpose::Demonstrate { .. });
+            let speed = env.speed();
             let asks = autopilot || !validating && (recording.is_some() || self.config.asks());
             let shown = if asks { Some(action::from_control(env.expert()?)) } else { None };
             let action = self.act(&job.purpose, shown, &segment, &mut noise, &mut rng)?;
@@ -227,7 +228,7 @@ impl Collector<'_> {
                 recording.act(action, shown, step.reward as f32);
             }
             segment.actions.push(action);
-            segment.shown.push(shown);
+            segment.shown.push(shown.map(|a| action::shown(a, speed)));
             segment.rewards.push(step.reward as f32);
             segment.observations.push(finite(step.observation.concat())?);
             segment.terminated = step.terminated;

@@ -16,6 +16,9 @@ pub struct TrainConfig {
     pub algorithm: Algorithm,
     /// Which part of the observation the networks see.
     pub inputs: Inputs,
+    /// Standard deviation that the latent's numbers are scaled to; less than 1 lets the raw states lead
+    /// where little has been seen yet.
+    pub latent_gain: f64,
     /// Everything random derives from it.
     pub seed: u64,
     pub curriculum: Curriculum,
@@ -74,6 +77,7 @@ impl TrainConfig {
         Self {
             algorithm,
             inputs: Inputs::Both,
+            latent_gain: 1.0,
             seed: 0,
             curriculum,
             env: EnvOptions::training(),

@@ -339,7 +339,13 @@ impl<'a> Learning<'a> {
         }
         if self.scale.is_none() {
             let (mean, deviation) = self.buffer.moments(MEASURED);
-            let scale = InputScale::measured(&mean, &deviation, Dims::DRIVING, self.config.inputs);
+            let scale = InputScale::measured(
+                &mean,
+                &deviation,
+                Dims::DRIVING,
+                self.config.inputs,
+                self.config.latent_gain,
+            );
             let tensors = scale.tensors(self.limits.device);
             self.scale = Some((scale, tensors));
         }

@@ -8,12 +8,12 @@
 //! Numbers are little-endian `f32` and `u32`. About 4 kB per step.
 
 use super::TrainError;
-use crate::agent::action::{ACTION_SIZE, Action};
+use crate::agent::action::{self, ACTION_SIZE, Action};
 use crate::agent::replay_buffer::{SEGMENT, Segment};
 use crate::agent::replay_files::write_whole;
 use crate::dataset::image_codec::{decode_png, encode_png};
 use crate::latent::Encoder;
-use crate::observation::RAW_SIZE;
+use crate::observation::{LATENT_SIZE, RAW_SIZE, RawState};
 use crate::perception::{TRANSFORMED_SIZE, TransformedImage};
 use crate::tasks::TaskKind;
 use serde::{Deserialize, Serialize};
@@ -143,10 +143,12 @@ pub fn load(
     let mut segment = Segment::default();
     for i in 0..header.transitions {
         let numbers = floats(&mut rest, 2 * ACTION_SIZE + 2).map_err(failed)?;
-        let action = |at: usize| -> Action { std::array::from_fn(|i| numbers[at + i]) };
+        let action_at = |at: usize| -> Action { std::array::from_fn(|i| numbers[at + i]) };
         segment.observations.push(observations[i].clone());
-        segment.actions.push(action(0));
-        segment.shown.push((numbers[ACTION_SIZE] > 0.5).then(|| action(ACTION_SIZE + 1)));
+        segment.actions.push(action_at(0));
+        let speed = RawState::speed_of(&observations[i][LATENT_SIZE..]);
+        let asked = numbers[ACTION_SIZE] > 0.5;
+        segment.shown.push(asked.then(|| action::shown(action_at(ACTION_SIZE + 1), speed)));
         segment.rewards.push(numbers[2 * ACTION_SIZE + 1]);
         let last = i + 1 == header.transitions;
         if last || segment.len() == SEGMENT {
