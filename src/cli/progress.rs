@@ -49,7 +49,7 @@ impl Bar {
     }
 
     /// Prints a line of its own.
-        pub fn say(&self, text: &str) {
+    pub fn say(&self, text: &str) {
         match &self.bar {
             Some(bar) => bar.suspend(|| eprintln!("{text}")),
             None => eprintln!("{text}"),

@@ -37,7 +37,8 @@ const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00
 impl Chart {
     /// The chart as an SVG document.
     pub fn svg(&self) -> String {
-        let all = || self.lines.iter().flat_map(|line| &line.points).filter(|p| p.0.is_finite() && p.1.is_finite());
+        let all =
+            || self.lines.iter().flat_map(|line| &line.points).filter(|p| p.0.is_finite() && p.1.is_finite());
         let (x, y) = (Axis::around(all().map(|p| p.0), false), Axis::around(all().map(|p| p.1), true));
         let (plot_width, legend) = (WIDTH - LEFT - RIGHT, self.lines.len() as f64 * LEGEND_ROW);
         let height = TOP + PLOT_HEIGHT + BOTTOM + legend;
@@ -51,7 +52,8 @@ impl Chart {
         let mut text = |x: f64, y: f64, anchor: &str, more: &str, words: &str| {
             let words = words.replace('&', "&amp;").replace('<', "&lt;");
             // Writing to a String cannot fail.
-            let _ = writeln!(s, "<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\" {more}>{words}</text>");
+            let _ =
+                writeln!(s, "<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\" {more}>{words}</text>");
         };
         text(LEFT, 20.0, "start", "font-size=\"14\" font-weight=\"bold\"", &self.title);
         let foot = TOP + PLOT_HEIGHT;

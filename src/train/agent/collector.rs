@@ -194,8 +194,7 @@ impl Collector<'_> {
     fn episode(&mut self, env: &mut Env, job: &Job) -> Result<Report, Stop> {
         let mut rng = ChaCha8Rng::seed_from_u64(crate::seeds::derive(job.seed, "exploration"));
         let mut noise = Exploration::new(self.config.exploration, &mut rng);
-        let begin =
-            |observation: Vec<f32>| Segment { observations: vec![observation], ..Segment::default() };
+        let begin = |observation: Vec<f32>| Segment { observations: vec![observation], ..Segment::default() };
         let first = env.reset(&job.task, job.seed)?;
         let validating = matches!(job.purpose, Purpose::Validate(_));
         let mut recording = self.record.filter(|_| !validating).map(|folder| (folder, Recording::default()));

@@ -288,11 +288,7 @@ impl<'a> Learning<'a> {
 
     fn ready(&self) -> bool {
         let c = self.config;
-        if c.is_warm() {
-            self.demonstrated >= c.demonstrations
-        } else {
-            self.steps >= c.learning_starts
-        }
+        if c.is_warm() { self.demonstrated >= c.demonstrations } else { self.steps >= c.learning_starts }
     }
 
     fn run(
