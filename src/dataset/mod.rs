@@ -12,7 +12,7 @@ mod collect;
 mod drive;
 mod error;
 mod folder;
-mod image_codec;
+pub(crate) mod image_codec;
 mod noise;
 mod plan;
 mod record;

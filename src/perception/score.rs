@@ -1,4 +1,4 @@
-//! Detectors judged by the camera's ground truth: the score of docs/detectors.md.
+//! Detectors judged by the camera's ground truth: the score of docs/detector.md.
 //!
 //! Two judgements over the same frames. The *realism score* asks how much of our pictures a detector
 //! trained elsewhere believes: recall at a score of 0.3 in groups of classes, since a van is a car to one

@@ -9,6 +9,8 @@ mod bridge;
 mod camera;
 mod dataset;
 mod doctor;
+#[cfg(feature = "vision")]
+mod env;
 mod network;
 mod run;
 mod traci;
