@@ -38,7 +38,8 @@ fn lane_borders_of_the_map_fall_on_painted_pixels() {
             lanes += 1;
             for side in [-0.5, 0.5] {
                 let paint = |ahead: f64| -> Option<(Option<f32>, f32)> {
-                    let p = pose.advanced(0.7 + ahead).to_world(Vector::new(0.0, side * lane.width));
+                    // Along the lane: even one that passes for straight leaves its heading by a pixel.
+                    let p = lane.shape.at(25.7 + ahead).to_world(Vector::new(0.0, side * lane.width));
                     let ([x, y], depth) = view.pixel(&Point3::new(p.x, p.y, pose.position.z))?;
                     Some((nearest_paint(&frame.rgb, x, y as usize, 7), depth))
                 };
@@ -68,7 +69,7 @@ fn lane_borders_of_the_map_fall_on_painted_pixels() {
         println!(
             "{town}: {lanes} places, paint at {painted} of {points}, median {median:.2} px, 98 % {most:.2} px"
         );
-        assert!(lanes >= 10, "{lanes} places");
+        assert!(lanes >= 10 && off.len() > 150, "{lanes} places, {} points", off.len());
         // Dashes cover a third of a border between lanes, lines all of the others.
         assert!(2 * painted > points, "{town}: paint at {painted} of {points} points");
         assert!(most <= 1.5, "{town}: {most} px");
