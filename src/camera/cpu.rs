@@ -3,8 +3,9 @@
 //! ```text
 //! gather: cull, transform, draw into the visibility buffer (nearest triangle per pixel)
 //! marks:  paint and road users' shadows, into buffers of their own
-//! shade:  row by row, runs of one triangle; haze and display curve
-//! effects: wet ground mirrors, outlines smoothed, glows, rain
+//! rows:   one after the other, while they are in the fastest cache: runs of one triangle are shaded;
+//!         haze and display curve; wet ground mirrors; outlines smoothed; rain; bytes
+//! glows of lamps and drops on the glass at last
 //! ```
 
 use super::effects;
@@ -12,7 +13,7 @@ use super::frame::{Frame, ObjectTruth, Outputs};
 use super::gather::{Gather, Geometry};
 use super::ground_marks::Marks;
 use super::model::{Scene, SemanticTag};
-use super::raster::{CamVertex, PAD, Visibility, draw_ground};
+use super::raster::{CamVertex, Visibility, settle};
 use super::shade::{self, Row, Run, Wall};
 use super::shade_ground::{Ground, ground};
 use super::shadow_map::ShadowMap;
@@ -41,8 +42,10 @@ pub struct CpuRenderer {
     facades: Vec<FacadeNumbers>,
     grounds: Vec<GroundNumbers>,
     row: Row,
+    /// Packed colours of rows as in the visibility buffer: of all of them where wet ground mirrors them,
+    /// else of this and the last one in turn.
     pixels: Vec<u32>,
-    mirrors: Vec<u8>,
+    line: Vec<u32>,
     foot: Vec<i32>,
     seen: Vec<Extent>,
 }
@@ -103,12 +106,7 @@ impl Renderer for CpuRenderer {
         }
         self.rows(&geometry, shot, ground, frame);
         if outputs.rgb {
-            self.finish(&geometry, shot, frame);
-        }
-        if outputs.depth {
-            depths(&self.visibility.iz, view.width, self.visibility.stride, &mut frame.depth);
-        } else {
-            frame.depth.clear();
+            add_lights(&geometry, shot, &self.visibility, &mut frame.rgb);
         }
         self.objects(&geometry, view, outputs, frame);
     }
@@ -117,16 +115,16 @@ impl Renderer for CpuRenderer {
 impl CpuRenderer {
     /// Draws the ground under everything; its material.
     fn ground_plane(&mut self, scene: &Scene, view: &View, tris: usize) -> Option<u16> {
-        let (material, z) = scene.ground?;
-        let below = (view.eye.z - z) as f32;
-        if below < 0.1 {
+        let plane = scene.ground.map(|(material, z)| (material, (view.eye.z - z) as f32));
+        let Some((material, below)) = plane.filter(|(_, below)| *below >= 0.1) else {
+            settle(&mut self.visibility, 0, [0.0; 3], f32::MAX);
             return None;
-        }
+        };
         // 1 / depth of the plane: its normal over its distance.
         let n = view.direction([0.0, 0.0, 1.0]);
         let (dx, dy) = (-n[0] / (below * view.focal), n[1] / (below * view.focal));
         let iz = [dx, dy, -n[2] / below - dx * view.centre[0] - dy * view.centre[1]];
-        draw_ground(&mut self.visibility, tris as u32 + 1, iz, 1.0 / 1500.0);
+        settle(&mut self.visibility, tris as u32 + 1, iz, 1.0 / 1500.0);
         Some(material.0)
     }
 
@@ -170,18 +168,27 @@ impl CpuRenderer {
         self.seen.clear();
         self.seen.resize(geometry.items.len(), NOTHING);
         self.row.resize(width);
-        self.pixels.resize(width * height + 2 * PAD, 0);
         let wet = weather.wetness > 0.0;
-        if wet {
-            self.mirrors.resize(width * height, 0);
-        }
+        self.pixels.resize(if wet { height.max(2) } else { 2 } * stride, 0);
+        self.line.resize(stride, 0);
+        let mirrored = wet && view.ahead[2].abs() < 0.3;
+        let horizon = (view.centre[1] + view.focal * view.ahead[2] / view.up[2].max(0.1)) as i32;
+        self.foot.clear();
+        self.foot.resize(width, horizon);
+        let rain = (weather.rain > 0.0).then(|| {
+            let [r, g, b] = weather.horizon.map(|c| tone(c * 0.9));
+            effects::Rain::new(weather.rain, shot.actors.time, pack(r, g, b))
+        });
         let plane_height = scene.ground.map_or(0.0, |g| g.1);
         let still = Still {
             eye: [ShadowMap::wrap(view.eye.x), ShadowMap::wrap(view.eye.y)],
             height: ((view.eye.z - plane_height) as f32).max(0.3),
         };
-        size(&mut frame.semantic, outputs.semantic, width * height, SemanticTag::Sky as u8);
-        size(&mut frame.instance, outputs.instance, width * height, 0);
+        let size = |wanted: bool| if wanted { width * height } else { 0 };
+        frame.rgb.resize(3 * size(outputs.rgb), 0);
+        frame.depth.resize(size(outputs.depth), 0.0);
+        frame.semantic.resize(size(outputs.semantic), 0);
+        frame.instance.resize(size(outputs.instance), 0);
         if let (Some(sky), true) = (&self.sky, outputs.rgb) {
             sky.look(view, &mut self.look);
         }
@@ -191,8 +198,18 @@ impl CpuRenderer {
             let ids = &self.visibility.id[y * stride..][..stride];
             let iz = &self.visibility.iz[y * stride..][..stride];
             let at = y * width;
+            let line = if wet { y } else { y & 1 } * stride;
             if outputs.rgb && wet {
                 row.mirror.fill(0);
+            }
+            if outputs.depth {
+                depths(&iz[..width], &mut frame.depth[at..at + width]);
+            }
+            if outputs.semantic {
+                frame.semantic[at..at + width].fill(SemanticTag::Sky as u8);
+            }
+            if outputs.instance {
+                frame.instance[at..at + width].fill(0);
             }
             // The first and the end of the pixels that show something.
             let (mut x, mut any, mut last) = (0, width, 0);
@@ -202,7 +219,7 @@ impl CpuRenderer {
                 x = run_end(ids, x, id, width);
                 let Some(index) = (id as usize).checked_sub(1) else {
                     if let (true, Some(sky)) = (outputs.rgb, &self.sky) {
-                        sky.row(view, &self.look, y, (x0, x), &mut self.pixels[at..]);
+                        sky.row(view, &self.look, y, (x0, x), &mut self.pixels[line..line + stride]);
                     }
                     continue;
                 };
@@ -249,16 +266,51 @@ impl CpuRenderer {
             }
             if outputs.rgb {
                 if any < last {
-                    // The last lanes write into the next row, which is yet to come.
-                    let pixels = &mut self.pixels[at..];
+                    let pixels = &mut self.pixels[line..line + stride];
                     shade::finish(&row, iz, &self.look.haze, weather.fog, (any, last), pixels);
                 }
-                if wet {
-                    self.mirrors[at..at + width].copy_from_slice(&row.mirror[..width]);
+                if mirrored && y as i32 >= horizon {
+                    effects::mirror(&mut self.pixels, &row.mirror, y, stride, &mut self.foot);
+                }
+                if let Some(above) = y.checked_sub(1) {
+                    self.develop(above, wet, rain.as_ref(), &mut frame.rgb);
                 }
             }
         }
+        if outputs.rgb {
+            self.develop(height - 1, wet, rain.as_ref(), &mut frame.rgb);
+        }
         self.row = row;
+    }
+
+    /// Smooths a row's outlines, when the row below it has its colours too, and puts it into the picture.
+    fn develop(&mut self, y: usize, wet: bool, rain: Option<&effects::Rain>, rgb: &mut [u8]) {
+        let Visibility { width, height, stride, .. } = self.visibility;
+        let row = |y: usize| {
+            let from = y * stride;
+            (&self.visibility.id[from..from + stride], &self.visibility.iz[from..from + stride])
+        };
+        let (own, below) = (row(y), row((y + 1).min(height - 1)));
+        let at = |y: usize| if wet { y } else { y & 1 } * stride;
+        let (upper, lower) = if y + 1 == height {
+            // Nothing is below it: neighbours of the same triangles are not smoothed.
+            (&mut self.pixels[at(y)..at(y) + stride], &mut self.line[..])
+        } else if at(y) < at(y + 1) {
+            let (upper, lower) = self.pixels.split_at_mut(at(y + 1));
+            (&mut upper[at(y)..], &mut lower[..stride])
+        } else {
+            let (lower, upper) = self.pixels.split_at_mut(at(y));
+            (&mut upper[..stride], &mut lower[at(y + 1)..])
+        };
+        let outline = effects::Outline { looks: &self.looks, surfaces: &self.surfaces };
+        let seam = |pixels, (ids, iz)| effects::Seam { pixels, ids, iz };
+        effects::smooth_edges(seam(upper, own), seam(lower, below), (y, width), &outline, &mut self.borders);
+        let mut colours = &self.pixels[at(y)..at(y) + width];
+        if let Some(rain) = rain {
+            effects::fall(colours, y, rain, &mut self.line[..width]);
+            colours = &self.line[..width];
+        }
+        effects::unpack(colours, &mut rgb[3 * y * width..][..3 * width]);
     }
 
     /// The colours of a run.
@@ -303,27 +355,6 @@ impl CpuRenderer {
                 shade::facade(run, &wall, row);
             }
         }
-    }
-
-    fn finish(&mut self, geometry: &Geometry<'_>, shot: &Shot<'_>, frame: &mut Frame) {
-        let &Shot { scene, actors, view, weather, .. } = shot;
-        let pixels = &mut self.pixels[..view.width * view.height];
-        if weather.wetness > 0.0 && view.ahead[2].abs() < 0.3 {
-            let horizon = view.centre[1] + view.focal * view.ahead[2] / view.up[2].max(0.1);
-            effects::mirror(pixels, &self.mirrors, view.width, horizon as i32, &mut self.foot);
-        }
-        let outline = effects::Outline { looks: &self.looks, surfaces: &self.surfaces };
-        effects::smooth_edges(&mut self.pixels, &self.visibility, &outline, &mut self.borders);
-        let pixels = &mut self.pixels[..view.width * view.height];
-        if weather.lamps {
-            let gain = weather.lamp_gain * 0.6;
-            effects::glow(pixels, &geometry.seen, &scene.library, view, &self.visibility, gain);
-        }
-        if weather.rain > 0.0 {
-            let [r, g, b] = weather.horizon.map(|c| tone(c * 0.9));
-            effects::rain(pixels, view, weather.rain, actors.time, pack(r, g, b));
-        }
-        effects::unpack(pixels, &mut frame.rgb);
     }
 
     fn objects(&self, geometry: &Geometry<'_>, view: &View, outputs: Outputs, frame: &mut Frame) {
@@ -375,21 +406,22 @@ fn run_end(ids: &[u32], mut x: usize, id: u32, width: usize) -> usize {
     x.min(width)
 }
 
-/// Fills a buffer that is wanted, and empties one that is not.
-fn size<T: Clone>(buffer: &mut Vec<T>, wanted: bool, length: usize, value: T) {
-    buffer.clear();
-    if wanted {
-        buffer.resize(length, value);
+/// What lies over the whole picture: glows of lamps, drops on the glass.
+fn add_lights(geometry: &Geometry<'_>, shot: &Shot<'_>, visibility: &Visibility, rgb: &mut [u8]) {
+    let &Shot { scene, actors, view, weather, .. } = shot;
+    if weather.lamps {
+        let gain = weather.lamp_gain * 0.6;
+        effects::glow(rgb, &geometry.seen, &scene.library, view, visibility, gain);
+    }
+    if weather.rain > 0.0 {
+        effects::drops(rgb, view, weather.rain, actors.time);
     }
 }
 
 multiversion! {
-    fn depths(iz: &[f32], width: usize, stride: usize, out: &mut Vec<f32>) {
-        out.resize(iz.len() / stride * width, 0.0);
-        for (out, iz) in out.chunks_exact_mut(width).zip(iz.chunks_exact(stride)) {
-            for (depth, iz) in out.iter_mut().zip(iz) {
-                *depth = 1.0 / iz;
-            }
+    fn depths(iz: &[f32], out: &mut [f32]) {
+        for (depth, iz) in out.iter_mut().zip(iz) {
+            *depth = 1.0 / iz;
         }
     }
 }

@@ -12,71 +12,70 @@ use std::sync::OnceLock;
 
 multiversion! {
     /// Wet ground shows what stands behind it, upside down: each column is mirrored at the foot of what
-    /// stands on the ground.
-    pub fn mirror(pixels: &mut [u32], share: &[u8], width: usize, horizon: i32, foot: &mut Vec<i32>) {
+    /// stands on the ground. Row `y` of pixels whose rows are `pitch` apart; `foot` tells by column where
+    /// that is, and is kept from row to row, from the horizon's on.
+    pub fn mirror(pixels: &mut [u32], share: &[u8], y: usize, pitch: usize, foot: &mut [i32]) {
         const AT_ONCE: usize = 8;
-        foot.clear();
-        foot.resize(width, horizon);
-        let height = pixels.len() / width.max(1);
-        for y in horizon.clamp(0, height as i32) as usize..height {
-            let (above, rest) = pixels.split_at_mut(y * width);
-            let share = &share[y * width..][..width];
-            let wobble = (hash(y as u32 >> 1) & 3) as i32;
-            let blocks = rest[..width].chunks_mut(AT_ONCE).zip(share.chunks(AT_ONCE)).zip(foot.chunks_mut(AT_ONCE));
-            for (block, ((pixels, share), foot)) in blocks.enumerate() {
-                if share.iter().all(|&s| s == 0) {
-                    foot.fill(y as i32);
-                    continue;
-                }
-                let (mut first, mut second) = ([0; AT_ONCE], [0; AT_ONCE]);
-                for (((first, second), foot), &s) in first.iter_mut().zip(&mut second).zip(foot.iter_mut()).zip(share) {
-                    *foot = if s == 0 { y as i32 } else { *foot };
-                    let depth = y as i32 - *foot;
-                    // Rough water smears upward.
-                    *first = (*foot - depth - wobble).max(0) * width as i32;
-                    *second = (*foot - depth - depth / 4 - 3).max(0) * width as i32;
-                }
-                let (mut a, mut b) = ([0; AT_ONCE], [0; AT_ONCE]);
-                for i in 0..pixels.len() {
-                    let x = (block * AT_ONCE + i) as i32;
-                    a[i] = above.get((first[i] + x) as usize).copied().unwrap_or(pixels[i]);
-                    b[i] = above.get((second[i] + x) as usize).copied().unwrap_or(pixels[i]);
-                }
-                for (((pixel, &s), a), b) in pixels.iter_mut().zip(share).zip(a).zip(b) {
-                    *pixel = mix_packed(*pixel, mix_packed(a, b, 112), u32::from(s));
-                }
+        let width = foot.len();
+        let (above, rest) = pixels.split_at_mut(y * pitch);
+        let wobble = (hash(y as u32 >> 1) & 3) as i32;
+        let blocks = rest[..width].chunks_mut(AT_ONCE).zip(share[..width].chunks(AT_ONCE)).zip(foot.chunks_mut(AT_ONCE));
+        for (block, ((pixels, share), foot)) in blocks.enumerate() {
+            if share.iter().all(|&s| s == 0) {
+                foot.fill(y as i32);
+                continue;
+            }
+            let (mut first, mut second) = ([0; AT_ONCE], [0; AT_ONCE]);
+            for (((first, second), foot), &s) in first.iter_mut().zip(&mut second).zip(foot.iter_mut()).zip(share) {
+                *foot = if s == 0 { y as i32 } else { *foot };
+                let depth = y as i32 - *foot;
+                // Rough water smears upward.
+                *first = (*foot - depth - wobble).max(0) * pitch as i32;
+                *second = (*foot - depth - depth / 4 - 3).max(0) * pitch as i32;
+            }
+            let (mut a, mut b) = ([0; AT_ONCE], [0; AT_ONCE]);
+            for i in 0..pixels.len() {
+                let x = (block * AT_ONCE + i) as i32;
+                a[i] = above.get((first[i] + x) as usize).copied().unwrap_or(pixels[i]);
+                b[i] = above.get((second[i] + x) as usize).copied().unwrap_or(pixels[i]);
+            }
+            for (((pixel, &s), a), b) in pixels.iter_mut().zip(share).zip(a).zip(b) {
+                *pixel = mix_packed(*pixel, mix_packed(a, b, 112), u32::from(s));
             }
         }
     }
 }
 
-/// Smooths the outlines: the share of a pixel that the nearer surface covers follows from its edge.
-/// `borders` is scratch.
+/// A row of the picture and of the visibility buffer; padded.
+pub struct Seam<'a> {
+    pub pixels: &'a mut [u32],
+    pub ids: &'a [u32],
+    pub iz: &'a [f32],
+}
+
+/// Smooths the outlines in row `y` and between it and the row below: the share of a pixel that the
+/// nearer surface covers follows from its edge. `borders` is scratch.
 pub fn smooth_edges(
-    pixels: &mut [u32],
-    visibility: &Visibility,
+    own: Seam<'_>,
+    below: Seam<'_>,
+    (y, width): (usize, usize),
     outline: &Outline<'_>,
     borders: &mut Vec<u32>,
 ) {
-    let (width, height, stride) = (visibility.width, visibility.height, visibility.stride);
-    for y in 0..height {
-        let row = |y: usize| (&visibility.id[y * stride..][..stride], &visibility.iz[y * stride..][..stride]);
-        let below = (y + 1).min(height - 1);
-        let ((ids, iz), (ids_below, iz_below)) = (row(y), row(below));
-        borders.clear();
-        find_borders([ids, ids_below], [&pixels[y * width..], &pixels[below * width..]], width, borders);
-        for &border in borders.iter() {
-            let (x, down) = ((border >> 1) as usize, border & 1 == 1);
-            let at = y * width + x;
-            let centre = (x as f32 + 0.5, y as f32 + 0.5);
-            let own = (ids[x], iz[x]);
-            if down {
-                if let Some(cut) = outline.cut(own, (ids_below[x], iz_below[x]), 1, centre) {
-                    blend(pixels, at, at + width, cut - (y as f32 + 1.0));
-                }
-            } else if let Some(cut) = outline.cut(own, (ids[x + 1], iz[x + 1]), 0, centre) {
-                blend(pixels, at, at + 1, cut - (x as f32 + 1.0));
+    borders.clear();
+    find_borders([own.ids, below.ids], [&*own.pixels, &*below.pixels], width, borders);
+    for &border in borders.iter() {
+        let (x, down) = ((border >> 1) as usize, border & 1 == 1);
+        let centre = (x as f32 + 0.5, y as f32 + 0.5);
+        let near = (own.ids[x], own.iz[x]);
+        if down {
+            if let Some(cut) = outline.cut(near, (below.ids[x], below.iz[x]), 1, centre) {
+                blend(&mut own.pixels[x], &mut below.pixels[x], cut - (y as f32 + 1.0));
             }
+        } else if let Some(cut) = outline.cut(near, (own.ids[x + 1], own.iz[x + 1]), 0, centre)
+            && let [first, second] = &mut own.pixels[x..x + 2]
+        {
+            blend(first, second, cut - (x as f32 + 1.0));
         }
     }
 }
@@ -91,8 +90,9 @@ lanes! {
             let neighbours = [&ids[x + 1..], &ids_below[x..]];
             if L::differ(&ids[x..], neighbours) {
                 let own = (&ids[x..], &colours[x..]);
-                for (axis, other) in [(neighbours[0], &colours[x + 1..]), (neighbours[1], &colours_below[x..])].into_iter().enumerate() {
-                    let mut found = L::borders(own, other);
+                let beside = L::borders(own, (neighbours[0], &colours[x + 1..]));
+                let beneath = L::borders(own, (neighbours[1], &colours_below[x..]));
+                for (axis, mut found) in [(0, beside), (1, beneath)] {
                     while found != 0 {
                         let at = x + found.trailing_zeros() as usize;
                         if at + 1 - axis < width {
@@ -108,12 +108,12 @@ lanes! {
 }
 
 /// The border between two neighbours really lies `shift` beyond the middle between them.
-fn blend(pixels: &mut [u32], first: usize, second: usize, shift: f32) {
+fn blend(first: &mut u32, second: &mut u32, shift: f32) {
     let t = (shift.abs().min(0.5) * 256.0) as u32;
     if shift > 0.0 {
-        pixels[second] = mix_packed(pixels[second], pixels[first], t);
+        *second = mix_packed(*second, *first, t);
     } else {
-        pixels[first] = mix_packed(pixels[first], pixels[second], t);
+        *first = mix_packed(*first, *second, t);
     }
 }
 
@@ -169,9 +169,9 @@ impl Outline<'_> {
     }
 }
 
-/// Lamps that shine spread a glow.
+/// Lamps that shine spread a glow over the picture's bytes.
 pub fn glow(
-    pixels: &mut [u32],
+    rgb: &mut [u8],
     seen: &[Seen<'_>],
     library: &Library,
     view: &View,
@@ -221,12 +221,12 @@ pub fn glow(
                 _ => ([255.0, 214.0, 150.0], 0.7),
             };
             let radius = (view.focal * size / depth).min(0.12 * view.height as f32).max(1.5);
-            add_glow(pixels, view, at, radius, colour, 0.55 * gain * ahead);
+            add_glow(rgb, view, at, radius, colour, 0.55 * gain * ahead);
         }
     }
 }
 
-fn add_glow(pixels: &mut [u32], view: &View, at: [f32; 2], radius: f32, colour: [f32; 3], strength: f32) {
+fn add_glow(rgb: &mut [u8], view: &View, at: [f32; 2], radius: f32, colour: [f32; 3], strength: f32) {
     let range = |v: f32, limit: usize| {
         ((v - radius).max(0.0) as usize, ((v + radius + 1.0).max(0.0) as usize).min(limit))
     };
@@ -236,15 +236,13 @@ fn add_glow(pixels: &mut [u32], view: &View, at: [f32; 2], radius: f32, colour: 
             let (dx, dy) = (x as f32 + 0.5 - at[0], y as f32 + 0.5 - at[1]);
             let t = 1.0 - (dx * dx + dy * dy) / (radius * radius);
             if t > 0.0 {
-                let pixel = &mut pixels[y * view.width + x];
                 let share = t * t * strength;
-                let mut c = 0;
-                for (i, &add) in colour.iter().enumerate() {
-                    let old = (*pixel >> (8 * i) & 255) as f32;
+                let at = 3 * (y * view.width + x);
+                for (byte, &add) in rgb[at..at + 3].iter_mut().zip(&colour) {
+                    let old = f32::from(*byte);
                     // Screen: never beyond white.
-                    c |= ((old + (255.0 - old) * add / 255.0 * share) as u32).min(255) << (8 * i);
+                    *byte = (old + (255.0 - old) * add / 255.0 * share) as u8;
                 }
-                *pixel = c;
             }
         }
     }
@@ -273,28 +271,43 @@ fn streaks() -> &'static [u8; TILE * TILE] {
     })
 }
 
+/// The rain of a moment between the things and the camera.
+pub struct Rain {
+    offset: [usize; 2],
+    strength: u32,
+    colour: u32,
+    streaks: &'static [u8; TILE * TILE],
+}
+
+impl Rain {
+    /// Rain of an `amount` (0..1) at a time (s), in a packed colour.
+    pub fn new(amount: f32, time: f64, colour: u32) -> Self {
+        let moment = hash((time * 1000.0) as i64 as u32) as usize;
+        let strength = (60.0 + 120.0 * amount) as u32;
+        Self { offset: [moment & 255, moment >> 8 & 255], strength, colour, streaks: streaks() }
+    }
+}
+
 multiversion! {
-    fn fall(pixels: &mut [u32], width: usize, offset: (usize, usize), strength: u32, colour: u32, tile: &[u8; TILE * TILE]) {
-        for (y, row) in pixels.chunks_exact_mut(width).enumerate() {
-            let line = &tile[((y + offset.1) & (TILE - 1)) * TILE..][..TILE];
-            let (mut row, mut from) = (row, offset.0 & (TILE - 1));
-            while !row.is_empty() {
-                let (part, rest) = row.split_at_mut(row.len().min(TILE - from));
-                for (pixel, &streak) in part.iter_mut().zip(&line[from..]) {
-                    *pixel = mix_packed(*pixel, colour, (u32::from(streak) * strength) >> 8);
-                }
-                (row, from) = (rest, 0);
+    /// The picture's row `y` behind the rain.
+    pub fn fall(row: &[u32], y: usize, rain: &Rain, out: &mut [u32]) {
+        let line = &rain.streaks[((y + rain.offset[1]) & (TILE - 1)) * TILE..][..TILE];
+        let (mut row, mut out, mut from) = (row, out, rain.offset[0] & (TILE - 1));
+        while !row.is_empty() {
+            let count = row.len().min(TILE - from);
+            let (part, rest) = row.split_at(count);
+            let (into, further) = out.split_at_mut(count);
+            for ((out, pixel), &streak) in into.iter_mut().zip(part).zip(&line[from..]) {
+                *out = mix_packed(*pixel, rain.colour, (u32::from(streak) * rain.strength) >> 8);
             }
+            (row, out, from) = (rest, further, 0);
         }
     }
 }
 
-/// Rain between the things and the camera, and drops on its glass.
-pub fn rain(pixels: &mut [u32], view: &View, amount: f32, time: f64, colour: u32) {
+/// Drops on the camera's glass, in the picture's bytes.
+pub fn drops(rgb: &mut [u8], view: &View, amount: f32, time: f64) {
     let width = view.width;
-    let moment = hash((time * 1000.0) as i64 as u32);
-    let strength = (60.0 + 120.0 * amount) as u32;
-    fall(pixels, width, (moment as usize & 255, moment as usize >> 8 & 255), strength, colour, streaks());
     // Each drop stays for a while, then the wiper takes it.
     let scale = width as f32 / 512.0;
     let count = (4.0 + 26.0 * amount) as u32;
@@ -305,13 +318,14 @@ pub fn rain(pixels: &mut [u32], view: &View, amount: f32, time: f64, colour: u32
         let seed = hash(n * 7919 + epoch * 104_729);
         let (cx, cy) = (unit(seed) * width as f32, unit(seed ^ 1) * view.height as f32);
         let radius = (1.6 + 5.0 * unit(seed ^ 2) * unit(seed ^ 3)) * scale;
-        drop(pixels, view, cx, cy, radius, &mut under);
+        drop(rgb, view, cx, cy, radius, &mut under);
     }
 }
 
 /// A drop shows the scene upside down, with a dark rim.
-fn drop(pixels: &mut [u32], view: &View, cx: f32, cy: f32, radius: f32, under: &mut Vec<(usize, u32)>) {
+fn drop(rgb: &mut [u8], view: &View, cx: f32, cy: f32, radius: f32, under: &mut Vec<(usize, u32)>) {
     under.clear();
+    let packed = |at: usize| u32::from_le_bytes([rgb[3 * at], rgb[3 * at + 1], rgb[3 * at + 2], 0]);
     let (w, h) = (view.width as f32, view.height as f32);
     let (x0, x1) = ((cx - radius).max(0.0) as usize, (cx + radius + 1.0).min(w) as usize);
     let (y0, y1) = ((cy - 1.25 * radius).max(0.0) as usize, (cy + 1.25 * radius + 1.0).min(h) as usize);
@@ -325,20 +339,19 @@ fn drop(pixels: &mut [u32], view: &View, cx: f32, cy: f32, radius: f32, under: &
             let sx = (cx - dx * radius * 6.0).clamp(0.0, w - 1.0) as usize;
             let sy = (cy - dy * radius * 8.0).clamp(0.0, h - 1.0) as usize;
             let at = y * view.width + x;
-            let shown = mix_packed(pixels[sy * view.width + sx], 0x0020_2020, (d * d * 90.0) as u32);
+            let shown = mix_packed(packed(sy * view.width + sx), 0x0020_2020, (d * d * 90.0) as u32);
             let t = ((1.0 - d) * 3.0).min(1.0);
-            under.push((at, mix_packed(pixels[at], shown, (t * 170.0) as u32)));
+            under.push((at, mix_packed(packed(at), shown, (t * 170.0) as u32)));
         }
     }
     for &(at, colour) in under.iter() {
-        pixels[at] = colour;
+        rgb[3 * at..3 * at + 3].copy_from_slice(&colour.to_le_bytes()[..3]);
     }
 }
 
 multiversion! {
-    /// Packed pixels into bytes.
-    pub fn unpack(pixels: &[u32], out: &mut Vec<u8>) {
-        out.resize(pixels.len() * 3, 0);
+    /// Packed pixels into bytes, three for each.
+    pub fn unpack(pixels: &[u32], out: &mut [u8]) {
         let (fours, rest) = pixels.as_chunks::<4>();
         let (twelves, tail) = out.as_chunks_mut::<12>();
         for (bytes, &[a, b, c, d]) in twelves.iter_mut().zip(fours) {

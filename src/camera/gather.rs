@@ -322,11 +322,19 @@ multiversion! {
     fn transform(mesh: &Mesh, places: &[Place], view: &View, out: &mut Vec<CamVertex>) -> f32 {
         let mut nearest = f32::MAX;
         let last = places.len() - 1;
-        out.extend(mesh.vertices.iter().map(|vertex| {
-            let p = places[(vertex.bone as usize).min(last)].point(vertex.position);
+        let first = out.len();
+        out.resize(first + mesh.vertices.len(), CamVertex::default());
+        // No iterator's closures: they would not be compiled for the faster instructions.
+        for (vertex, out) in mesh.vertices.iter().zip(&mut out[first..]) {
+            let place = &places[(vertex.bone as usize).min(last)];
+            let [x, y, z] = vertex.position;
+            let mut p = place.origin;
+            for (k, p) in p.iter_mut().enumerate() {
+                *p += place.axes[0][k] * x + place.axes[1][k] * y + place.axes[2][k] * z;
+            }
             nearest = if p[2] < nearest { p[2] } else { nearest };
-            CamVertex { p, s: view.project(p) }
-        }));
+            *out = CamVertex { p, s: view.project(p) };
+        }
         nearest
     }
 }

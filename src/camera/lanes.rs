@@ -43,6 +43,8 @@ pub trait Lane:
     /// Puts these into the first `count` places of `depth`, and `id` into those of `ids`, where they are
     /// larger (and above 0); whether any is.
     fn nearer(self, count: i32, depth: &mut [f32], ids: &mut [u32], id: u32) -> bool;
+    /// Where `depth` is 0, puts these there and `id` into `ids` if they are above `far`, else 0 into `ids`.
+    fn fill_empty(self, far: f32, depth: &mut [f32], ids: &mut [u32], id: u32);
     /// Whether any of some ids differs from one of its neighbours.
     fn differ(ids: &[u32], neighbours: [&[u32]; 2]) -> bool;
     /// The places, as bits, where two rows of (ids, packed colours) have different ids and colours far
@@ -156,6 +158,12 @@ impl Lane for f32 {
             (depth[0], ids[0]) = (self, id);
         }
         nearer
+    }
+    #[inline(always)]
+    fn fill_empty(self, far: f32, depth: &mut [f32], ids: &mut [u32], id: u32) {
+        if depth[0] == 0.0 {
+            (depth[0], ids[0]) = if self > far { (self, id) } else { (0.0, 0) };
+        }
     }
     #[inline(always)]
     fn differ(ids: &[u32], neighbours: [&[u32]; 2]) -> bool {
@@ -391,8 +399,26 @@ mod avx {
             }
         }
         #[inline(always)]
+        fn fill_empty(self, far: f32, depth: &mut [f32], ids: &mut [u32], id: u32) {
+            let (depth, ids) = (&mut depth[..8], &mut ids[..8]);
+            unsafe {
+                let old = _mm256_loadu_ps(depth.as_ptr());
+                let empty = _mm256_cmp_ps::<_CMP_EQ_OQ>(old, _mm256_setzero_ps());
+                if _mm256_movemask_ps(empty) == 0 {
+                    return;
+                }
+                let near = _mm256_cmp_ps::<_CMP_GT_OQ>(self.0, _mm256_set1_ps(far));
+                let put = _mm256_and_ps(near, empty);
+                _mm256_storeu_ps(depth.as_mut_ptr(), _mm256_or_ps(old, _mm256_and_ps(put, self.0)));
+                let old = _mm256_loadu_si256(ids.as_ptr().cast());
+                let kept = _mm256_andnot_si256(_mm256_castps_si256(empty), old);
+                let new = _mm256_and_si256(_mm256_castps_si256(put), _mm256_set1_epi32(id as i32));
+                _mm256_storeu_si256(ids.as_mut_ptr().cast(), _mm256_or_si256(kept, new));
+            }
+        }
+        #[inline(always)]
         fn differ(ids: &[u32], neighbours: [&[u32]; 2]) -> bool {
-            let [ids, right, below] = [ids, neighbours[0], neighbours[1]].map(load_words);
+            let (ids, right, below) = (load_words(ids), load_words(neighbours[0]), load_words(neighbours[1]));
             unsafe {
                 let gaps = _mm256_or_si256(_mm256_xor_si256(ids, right), _mm256_xor_si256(ids, below));
                 _mm256_testz_si256(gaps, gaps) == 0
@@ -435,13 +461,20 @@ macro_rules! lanes {
             fn body<$lane: $crate::camera::lanes::Lane>($($arg: $ty),*) $body
             #[cfg(target_arch = "x86_64")]
             {
+                #[target_feature(enable = "avx512f,avx512vl,avx512bw,avx512dq,avx2,fma,bmi1,bmi2")]
+                fn fastest($($arg: $ty),*) {
+                    body::<$crate::camera::lanes::Eight>($($arg),*)
+                }
                 #[target_feature(enable = "avx2,fma,bmi1,bmi2")]
                 fn fast($($arg: $ty),*) {
                     body::<$crate::camera::lanes::Eight>($($arg),*)
                 }
-                if $crate::camera::simd::has_avx2() {
-                    // SAFETY: the processor has what `fast` was compiled for.
-                    return unsafe { fast($($arg),*) };
+                match $crate::camera::simd::instructions() {
+                    // SAFETY: the processor has what the function was compiled for.
+                    $crate::camera::simd::Instructions::Avx512 => return unsafe { fastest($($arg),*) },
+                    // SAFETY: as above.
+                    $crate::camera::simd::Instructions::Avx2 => return unsafe { fast($($arg),*) },
+                    $crate::camera::simd::Instructions::Plain => {}
                 }
             }
             body::<f32>($($arg),*)
@@ -484,6 +517,11 @@ mod tests {
         out.into_iter().map(|(_, bits)| bits).collect()
     }
 
+    #[target_feature(enable = "avx512f,avx512vl,avx512bw,avx512dq,avx2,fma,bmi1,bmi2")]
+    fn most(x: &[f32; 8], y: &[f32; 8], table: &[u32]) -> Vec<u32> {
+        work::<Eight>(x, y, table)
+    }
+
     #[target_feature(enable = "avx2,fma,bmi1,bmi2")]
     fn eight(x: &[f32; 8], y: &[f32; 8], table: &[u32]) -> Vec<u32> {
         work::<Eight>(x, y, table)
@@ -491,7 +529,8 @@ mod tests {
 
     #[test]
     fn eight_lanes_have_the_bits_of_single_numbers() {
-        if !crate::camera::simd::has_avx2() {
+        use crate::camera::simd::{Instructions, instructions};
+        if instructions() < Instructions::Avx2 {
             return;
         }
         let table: Vec<u32> = (0..16_u32).map(crate::camera::simd::hash).collect();
@@ -502,6 +541,10 @@ mod tests {
             let (x, y) = (numbers(round * 16), numbers(round * 16 + 8));
             // SAFETY: asked for above.
             assert_eq!(unsafe { eight(&x, &y, &table) }, work::<f32>(&x, &y, &table));
+            if instructions() == Instructions::Avx512 {
+                // SAFETY: asked for above.
+                assert_eq!(unsafe { most(&x, &y, &table) }, work::<f32>(&x, &y, &table));
+            }
         }
     }
 }

@@ -35,7 +35,7 @@ pub struct Visibility {
     pub stride: usize,
     /// 1 / depth (1/m); 0 where nothing was drawn.
     pub iz: Vec<f32>,
-    /// Index of the triangle + 1; 0 where nothing was drawn.
+    /// Index of the triangle + 1; 0 where nothing was drawn. Holds after [`settle`] only.
     pub id: Vec<u32>,
     /// Smallest 1 / depth of each tile, as of the last [`Visibility::update_tiles`].
     tiles: Vec<f32>,
@@ -52,7 +52,6 @@ impl Visibility {
         let size = self.stride * height;
         self.iz.clear();
         self.iz.resize(size, 0.0);
-        self.id.clear();
         self.id.resize(size, 0);
         self.tile_columns = width.div_ceil(TILE);
         self.tiles.clear();
@@ -273,23 +272,18 @@ fn fill<L: Lane>(
     drawn
 }
 
-multiversion! {
-    /// The ground plane, wherever nothing was drawn and 1 / depth is above `far`.
-    pub fn draw_ground(out: &mut Visibility, id: u32, iz: [f32; 3], far: f32) {
-        let (width, stride) = (out.width, out.stride);
+lanes! {
+    /// Where nothing was drawn: the ground plane `id`, whose 1 / depth is `iz`, as far as that is above
+    /// `far`; elsewhere nothing.
+    pub fn settle<L>(out: &mut Visibility, id: u32, iz: [f32; 3], far: f32) {
         for y in 0..out.height {
             let base = iz[1] * (y as f32 + 0.5) + iz[2] + iz[0] * 0.5;
-            if base.max(base + iz[0] * width as f32) < far {
-                continue;
-            }
-            let depth = &mut out.iz[y * stride..][..width];
-            let ids = &mut out.id[y * stride..][..width];
-            for (x, (depth, seen)) in depth.iter_mut().zip(ids).enumerate() {
-                let z = base + iz[0] * x as f32;
-                // By bits: blends that are stored where one side was loaded become slow masked stores.
-                let empty = u32::from((*depth == 0.0) & (z > far)).wrapping_neg();
-                *depth = f32::from_bits(depth.to_bits() | z.to_bits() & empty);
-                *seen |= id & empty;
+            let (depth, ids) = (&mut out.iz[y * out.stride..][..out.stride], &mut out.id[y * out.stride..][..out.stride]);
+            let mut x = 0;
+            while x < out.width {
+                let z = L::splat(base) + L::splat(iz[0]) * (L::splat(x as f32) + L::ramp());
+                z.fill_empty(far, &mut depth[x..], &mut ids[x..], id);
+                x += L::COUNT;
             }
         }
     }

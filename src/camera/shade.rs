@@ -84,7 +84,8 @@ pub fn flat(run: &Run<'_>, row: &mut Row) {
 lanes! {
     /// Colours that change linearly over the surface.
     pub fn smooth<L>(run: &Run<'_>, row: &mut Row) {
-        let planes = [0, 1, 2].map(|i| Linear::of(&run.surface.planes[i], run.y));
+        let [red, green, blue] = &run.surface.planes;
+        let planes = [Linear::of(red, run.y), Linear::of(green, run.y), Linear::of(blue, run.y)];
         let mut x = run.x0;
         while x < run.x1 {
             let z = L::splat(1.0) / L::load(&run.iz[x..]);
@@ -125,7 +126,10 @@ lanes! {
         let across = 1.0 / run.iz[(run.x0 + run.x1) / 2].max(1e-6) / wall.focal;
         let (fine, mid) = (fade(across, 0.035), fade(across, 0.22));
         let (s_at, t_at) = (Linear::of(&s.planes[0], run.y), Linear::of(&s.planes[1], run.y));
-        let colour: [f32; 3] = std::array::from_fn(|i| s.albedo[i] * (s.ambient[i] + s.sun[i]));
+        let mut colour = s.albedo;
+        for (i, colour) in colour.iter_mut().enumerate() {
+            *colour *= s.ambient[i] + s.sun[i];
+        }
         let v = L::splat;
         let (zero, one, half) = (v(0.0), v(1.0), v(0.5));
         let mut x = run.x0;
@@ -202,10 +206,13 @@ fn facade_run<L: Lane, const FOOT: bool>(run: &Run<'_>, wall: &Wall<'_>, tiles: 
     let (per_u, per_v) = (1.0 / size_u, 1.0 / size_v);
     let has_windows = f.window[0] > 0.0 && f.window[1] > 0.0;
     let mean = if has_windows { f.window[0] * f.window[1] / (f.bay * f.storey) } else { 0.0 };
-    let lit: [f32; 3] = std::array::from_fn(|i| s.ambient[i] + s.sun[i]);
-    let glass: [f32; 3] = std::array::from_fn(|i| 0.018 + 0.126 * w.horizon[i] + 0.067 * w.zenith[i]);
+    let (mut lit, mut glass, mut lamp) = ([0.0; 3], [0.0; 3], [1.05, 0.72, 0.36]);
+    for i in 0..3 {
+        lit[i] = s.ambient[i] + s.sun[i];
+        glass[i] = 0.018 + 0.126 * w.horizon[i] + 0.067 * w.zenith[i];
+        lamp[i] *= w.lamp_gain;
+    }
     let lamp_share = if w.lamps { f.lit_share } else { 0.0 };
-    let lamp = [1.05, 0.72, 0.36].map(|c| c * w.lamp_gain);
     let v = L::splat;
     let (zero, one, half) = (v(0.0), v(1.0), v(0.5));
     let (is_shop, is_blank) = (v(flag(f.shops)), v(flag(f.blank)));

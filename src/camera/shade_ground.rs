@@ -211,7 +211,10 @@ fn ground_run<L: Lane, const KIND: u8>(run: &Run<'_>, g: &Ground<'_>, row: &mut 
         puddle_from: 1.02 - 0.52 * g.weather.wetness,
         shadowed: g.shadow_reach > 1.0 && middle < g.shadow_reach,
     };
-    let world = [0, 1].map(|i| Linear { base: g.base[i], step: g.step[i], rest: g.eye[i] });
+    let world = [
+        Linear { base: g.base[0], step: g.step[0], rest: g.eye[0] },
+        Linear { base: g.base[1], step: g.step[1], rest: g.eye[1] },
+    ];
     let v = L::splat;
     let one = v(1.0);
     // Posts may stand as far apart (m) as what they carry varies: middle noise, shadows, large noise.
@@ -333,7 +336,5 @@ fn between<L: Lane>(posts: &[f32], k: usize, part: L) -> L {
 /// Whether a post's pixels, from `x` on, hold other words than `plain`; only those in `range` may.
 #[inline(always)]
 fn touched(range: [u32; 2], words: &[u16], x: usize, plain: u16) -> bool {
-    (x + POST) as u32 > range[0]
-        && (x as u32) < range[1]
-        && words[x..x + POST].iter().fold(0, |any, word| any | (word ^ plain)) != 0
+    (x + POST) as u32 > range[0] && (x as u32) < range[1] && words[x..x + POST] != [plain; POST]
 }

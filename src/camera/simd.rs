@@ -3,8 +3,11 @@
 //! The compiler fuses no multiply and add by itself; where the lanes do so, single numbers do too, so
 //! that every instruction set gives the same bits.
 
-/// Defines a function whose body is compiled twice, for AVX2 with FMA and for any x86-64 (or other) machine,
-/// and picked at run time.
+#[cfg(target_arch = "x86_64")]
+use std::sync::atomic::{AtomicU8, Ordering};
+
+/// Defines a function whose body is compiled for AVX-512 (on vectors of 256 bits: its masks and its many
+/// registers are what helps), for AVX2 with FMA and for any machine, and picked at run time.
 macro_rules! multiversion {
     ($(#[$meta:meta])* $vis:vis fn $name:ident($($arg:ident: $ty:ty),* $(,)?) $(-> $ret:ty)? $body:block) => {
         $(#[$meta])*
@@ -15,14 +18,22 @@ macro_rules! multiversion {
             fn body($($arg: $ty),*) $(-> $ret)? $body
             #[cfg(target_arch = "x86_64")]
             {
+                #[target_feature(enable = "avx512f,avx512vl,avx512bw,avx512dq,avx2,fma,bmi1,bmi2")]
+                #[allow(clippy::too_many_arguments)]
+                fn fastest($($arg: $ty),*) $(-> $ret)? {
+                    body($($arg),*)
+                }
                 #[target_feature(enable = "avx2,fma,bmi1,bmi2")]
                 #[allow(clippy::too_many_arguments)]
                 fn fast($($arg: $ty),*) $(-> $ret)? {
                     body($($arg),*)
                 }
-                if $crate::camera::simd::has_avx2() {
-                    // SAFETY: the processor has what `fast` was compiled for.
-                    return unsafe { fast($($arg),*) };
+                match $crate::camera::simd::instructions() {
+                    // SAFETY: the processor has what the function was compiled for.
+                    $crate::camera::simd::Instructions::Avx512 => return unsafe { fastest($($arg),*) },
+                    // SAFETY: as above.
+                    $crate::camera::simd::Instructions::Avx2 => return unsafe { fast($($arg),*) },
+                    $crate::camera::simd::Instructions::Plain => {}
                 }
             }
             body($($arg),*)
@@ -31,14 +42,43 @@ macro_rules! multiversion {
 }
 pub(super) use multiversion;
 
-/// Whether the processor has the faster instruction set.
+/// The instruction sets that functions are compiled for.
+#[cfg(target_arch = "x86_64")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Instructions {
+    Plain,
+    /// AVX2, FMA, BMI1, BMI2.
+    Avx2,
+    /// Those, and AVX-512 F, VL, BW, DQ.
+    Avx512,
+}
+
+/// The best that the processor has.
 #[cfg(target_arch = "x86_64")]
 #[inline]
-pub fn has_avx2() -> bool {
-    std::is_x86_feature_detected!("avx2")
-        && std::is_x86_feature_detected!("fma")
-        && std::is_x86_feature_detected!("bmi1")
-        && std::is_x86_feature_detected!("bmi2")
+pub fn instructions() -> Instructions {
+    static BEST: AtomicU8 = AtomicU8::new(0);
+    match BEST.load(Ordering::Relaxed) {
+        0 => detect(&BEST),
+        1 => Instructions::Plain,
+        2 => Instructions::Avx2,
+        _ => Instructions::Avx512,
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+#[cold]
+fn detect(best: &AtomicU8) -> Instructions {
+    use std::is_x86_feature_detected as has;
+    let avx2 = has!("avx2") && has!("fma") && has!("bmi1") && has!("bmi2");
+    let avx512 = has!("avx512f") && has!("avx512vl") && has!("avx512bw") && has!("avx512dq");
+    let (number, found) = match (avx2, avx512) {
+        (false, _) => (1, Instructions::Plain),
+        (true, false) => (2, Instructions::Avx2),
+        (true, true) => (3, Instructions::Avx512),
+    };
+    best.store(number, Ordering::Relaxed);
+    found
 }
 
 /// Added to a float below 2^22, it leaves the nearest integer in the low bits.

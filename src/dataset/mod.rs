@@ -14,7 +14,7 @@ mod drive;
 mod error;
 mod eye;
 mod folder;
-mod image_codec;
+pub(crate) mod image_codec;
 mod noise;
 mod plan;
 mod record;

@@ -42,7 +42,7 @@ fn overfit(backbone: Backbone, steps: usize, rate: f64) {
     for (n, (rgb, wanted)) in pictures.iter().enumerate() {
         pixels.extend(rgb);
         let mut one = vec![0.0; 8 * h * w];
-        for centre in encode(backbone, wanted, (WIDTH, HEIGHT), &mut one) {
+        for centre in encode(wanted, (w, h), &mut one) {
             cells.push((n * h * w + centre.cell) as i64);
             size.extend(centre.size);
             offset.extend(centre.offset);
