@@ -40,7 +40,6 @@ impl Bar {
     }
 
     /// How many there will be.
-    #[cfg(feature = "learn")]
     pub fn set_total(&self, total: u64) {
         self.total.set(total);
         if let Some(bar) = &self.bar {

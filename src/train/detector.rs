@@ -66,7 +66,7 @@ impl TrainOptions {
             epoch_steps: 400,
             learning_rate: 1.5e-3,
             weight_decay: 1e-3,
-            window: Some((256, 192)),
+            window: Some((320, 320)),
             bfloat16: false,
             vary: true,
             seed: 0,
@@ -161,12 +161,15 @@ const LEAST_SCORE: f32 = 0.05;
 
 /// How far a checkpoint is.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(default)]
 struct Reached {
     epoch: u64,
     step: u64,
     optimiser_steps: i32,
     best_epoch: u64,
     best: Option<Validation>,
+    /// How many frames said so: other frames give other scores.
+    validation_frames: usize,
     seconds: f64,
 }
 
@@ -275,6 +278,9 @@ impl<'a> Trainer<'a> {
         } else {
             network = CenterNet::new(options.backbone, device)?;
             adam = AdamW::new(&network.store, options.weight_decay)?;
+        }
+        if reached.validation_frames != validation.len() {
+            (reached.validation_frames, reached.best) = (validation.len(), None);
         }
         let m = &dataset.manifest;
         let weathers: Vec<&str> = m.weathers.iter().map(|w| w.name()).collect();

@@ -117,14 +117,16 @@ pub fn run(suite: Suite, args: Args) -> anyhow::Result<Exit> {
     Ok(if interrupted { Exit::Interrupted } else { Exit::Done })
 }
 
-/// A trained agent behind its encoder.
+type Opened = (Box<dyn Agent>, Box<dyn Encoder>);
+
+/// A trained agent, and the encoder that it sees through.
 #[cfg(feature = "learn")]
-fn open(name: &str, camera: &CameraConfig) -> Result<(Box<dyn Agent>, Box<dyn Encoder>), DriverError> {
+fn open(name: &str, camera: &CameraConfig) -> Result<Opened, DriverError> {
     Ok(wad_cosim::agent::policy::open(name, None, camera)?)
 }
 
 #[cfg(not(feature = "learn"))]
-fn open(name: &str, _: &CameraConfig) -> Result<(Box<dyn Agent>, Box<dyn Encoder>), DriverError> {
+fn open(name: &str, _: &CameraConfig) -> Result<Opened, DriverError> {
     Err(DriverError::Unknown { found: name.to_string() })
 }
 

@@ -49,7 +49,7 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 400)]
     epoch_steps: usize,
     /// Width and height of the windows that most steps show; 0: whole pictures only.
-    #[arg(long, value_name = "WxH", default_value = "256x192", value_parser = window)]
+    #[arg(long, value_name = "WxH", default_value = "320x320", value_parser = window)]
     window: (usize, usize),
     /// Compute in bfloat16 (twice as fast where the processor has it, a crawl where not).
     #[arg(long)]
@@ -92,7 +92,7 @@ pub struct Args {
     json: bool,
 }
 
-/// `256x192`, or 0.
+/// `320x320`, or 0.
 fn window(text: &str) -> Result<(usize, usize), String> {
     if text == "0" {
         return Ok((0, 0));
