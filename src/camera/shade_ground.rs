@@ -336,7 +336,5 @@ fn between<L: Lane>(posts: &[f32], k: usize, part: L) -> L {
 /// Whether a post's pixels, from `x` on, hold other words than `plain`; only those in `range` may.
 #[inline(always)]
 fn touched(range: [u32; 2], words: &[u16], x: usize, plain: u16) -> bool {
-    (x + POST) as u32 > range[0]
-        && (x as u32) < range[1]
-        && words[x..x + POST] != [plain; POST]
+    (x + POST) as u32 > range[0] && (x as u32) < range[1] && words[x..x + POST] != [plain; POST]
 }
