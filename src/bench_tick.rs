@@ -7,6 +7,7 @@ use crate::bench::median;
 use crate::camera::{Camera, CameraConfig, CameraError, Outputs, Town, Weather};
 use crate::cpu_time;
 use crate::drive::{Drive, DriveError, DriveOptions, Status};
+use crate::latent::{Encoder, LatentError};
 use crate::perception::{Detector, EgoFacts, Perception, PerceptionError};
 use crate::sight;
 use serde::Serialize;
@@ -53,6 +54,8 @@ pub struct TickBenchOptions {
     pub outputs: Outputs,
     /// Who detects; None: perception is left out.
     pub detector: Option<Box<dyn Detector>>,
+    /// Who makes the latent of the transformed image; None: nobody.
+    pub encoder: Option<Box<dyn Encoder>>,
     /// Ticks that are driven first and not measured.
     pub warm_up: u64,
 }
@@ -66,6 +69,8 @@ pub enum TickBenchError {
     Camera(#[from] CameraError),
     #[error(transparent)]
     Perception(#[from] PerceptionError),
+    #[error(transparent)]
+    Latent(#[from] LatentError),
 }
 
 /// A measurement under way.
@@ -76,6 +81,8 @@ pub struct TickBench {
     weather: Weather,
     outputs: Outputs,
     perception: Option<Perception>,
+    encoder: Option<Box<dyn Encoder>>,
+    latent: Vec<f32>,
     warm_up: u64,
     done: u64,
     stages: Stages,
@@ -115,6 +122,8 @@ impl TickBench {
             weather: options.weather,
             outputs,
             perception,
+            encoder: options.encoder,
+            latent: Vec::new(),
             warm_up: options.warm_up,
             done: 0,
             stages: Stages::default(),
@@ -156,7 +165,9 @@ impl TickBench {
             self.stages.record("physics", after.physics - before.physics);
             self.stages.record("camera", (rendered - driven).as_secs_f64());
             if let Some(seen) = seen {
-                for (stage, seconds) in ["detect", "lanes", "judge", "transform"].into_iter().zip(seen) {
+                for (stage, seconds) in
+                    ["detect", "lanes", "judge", "transform", "encode"].into_iter().zip(seen)
+                {
                     self.stages.record(stage, seconds);
                 }
             }
@@ -169,8 +180,8 @@ impl TickBench {
     }
 
     /// What the stages of perception took (s): detections, lanes, light and vehicle in front, transformed
-    /// image.
-    fn perceive(&mut self) -> Result<Option<[f64; 4]>, TickBenchError> {
+    /// image, and the encoder where there is one.
+    fn perceive(&mut self) -> Result<Option<Vec<f64>>, TickBenchError> {
         let Some(perception) = &mut self.perception else { return Ok(None) };
         let frame = self.camera.frame();
         let facts = EgoFacts::of(self.drive.bridge().network(), self.drive.ego(), self.drive.bridge().tick());
@@ -183,7 +194,12 @@ impl TickBench {
         let judged = clock.elapsed().as_secs_f64();
         perception.transform(frame)?;
         let transformed = clock.elapsed().as_secs_f64();
-        Ok(Some([detected, lanes - detected, judged - lanes, transformed - judged]))
+        let mut took = vec![detected, lanes - detected, judged - lanes, transformed - judged];
+        if let Some(encoder) = &mut self.encoder {
+            encoder.encode(&perception.percept().transformed, &mut self.latent)?;
+            took.push(clock.elapsed().as_secs_f64() - transformed);
+        }
+        Ok(Some(took))
     }
 
     fn cpu_seconds(&self) -> Option<f64> {

@@ -90,6 +90,11 @@ impl RawState {
         }
     }
 
+    /// The speed (m/s) in the fifteen numbers, as far as they hold it.
+    pub fn speed_of(vector: &[f32]) -> f64 {
+        vector.first().map_or(0.0, |v| f64::from(*v) * SPEED)
+    }
+
     /// The fifteen numbers, each about -1 to 1:
     ///
     /// | index | what | scaling |

@@ -17,7 +17,8 @@ pub enum RecordView {
     Chase,
     /// From above.
     Bird,
-    /// Chase view with front and bird view inset, and the transformed image as in the paper's figure 1.
+    /// Chase view with front and bird view inset, and what the agent gets to see, as in the paper's
+    /// figure 1.
     All,
 }
 
@@ -76,8 +77,8 @@ pub enum RecordError {
     Kind { path: PathBuf },
     #[error(
         "{path}: this OpenCV cannot encode {tried}. Install its FFmpeg backend (Debian, Ubuntu: apt-get install \
-         libopencv-videoio-dev libavcodec-extra), ask for another codec (--record-codec mp4v), or give a \
-         folder such as film/ for numbered pictures"
+         libopencv-videoio-dev libavcodec-extra){}, or give a folder such as film/ for numbered pictures",
+        other_codec(tried)
     )]
     Codec { path: PathBuf, tried: String },
     #[error(
@@ -87,6 +88,11 @@ pub enum RecordError {
     NoEncoder { path: PathBuf },
     #[error("cannot encode {path}: {why}")]
     Encode { path: PathBuf, why: String },
+}
+
+/// What to try in place of the codecs that were `tried`.
+fn other_codec(tried: &str) -> &'static str {
+    if tried.contains("mp4v") { "" } else { ", ask for another codec (--record-codec mp4v)" }
 }
 
 /// A film under way.
@@ -102,6 +108,8 @@ pub struct Recorder {
 
 /// Size of the large views (pixels).
 const WIDE: (usize, usize) = (1280, 720);
+/// Side of the small views in the large one (pixels).
+const INSET: usize = 288;
 
 impl Recorder {
     /// A film at `path`, `fps` pictures a second. A folder or a `.png` name gives numbered pictures.
@@ -120,7 +128,7 @@ impl Recorder {
         let camera = |wanted: &[RecordView], config: CameraConfig| {
             wanted.contains(&view).then(|| Camera::new(config)).transpose()
         };
-        let bird = if view == All { CameraConfig::bird(320, 320) } else { CameraConfig::bird(720, 720) };
+        let bird = if view == All { CameraConfig::bird(INSET, INSET) } else { CameraConfig::bird(720, 720) };
         let size = match view {
             Front => (512, 512),
             Bird => (720, 720),
@@ -157,11 +165,16 @@ impl Recorder {
         let (front, chase, bird) = (shoot(&mut self.front), shoot(&mut self.chase), shoot(&mut self.bird));
         let picture = match (self.view, front, chase, bird) {
             (RecordView::All, Some(front), Some(mut chase), Some(bird)) => {
-                chase.inset(&front.scaled(320, 320), WIDE.0 - 336, 16);
-                chase.inset(&bird.scaled(320, 320), WIDE.0 - 336, WIDE.1 - 336);
+                let (right, low) = (WIDE.0 - INSET - 16, WIDE.1 - INSET - 16);
+                let mut put = |picture: &Picture, text: &str, x, y| {
+                    let mut picture = picture.scaled(INSET, INSET);
+                    picture.label(text, 0, 0, 2);
+                    chase.inset(&picture, x, y);
+                };
+                put(&front, "front camera", right, 16);
+                put(&bird, "from above", right, low);
                 if let Some(watch) = watch {
-                    let seen = stages::transformed(&watch.percept().transformed);
-                    chase.inset(&seen.scaled(320, 320), 16, WIDE.1 - 336);
+                    put(&stages::transformed(&watch.percept().transformed), "what the agent sees", 16, low);
                 }
                 chase
             }
@@ -212,16 +225,13 @@ impl Sink {
         let text = path.to_string_lossy();
         let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
         if text.ends_with('/') || path.is_dir() {
-            std::fs::create_dir_all(path)
-                .map_err(|source| RecordError::Write { path: path.to_path_buf(), source })?;
-            return Ok(Self::Pictures { folder: path.to_path_buf(), stem: "frame".to_string(), next: 0 });
+            return Self::pictures(path.to_path_buf(), "frame".to_string());
         }
         match extension.as_deref() {
-            Some("png") => Ok(Self::Pictures {
-                folder: path.parent().map(Path::to_path_buf).unwrap_or_default(),
-                stem: path.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
-                next: 0,
-            }),
+            Some("png") => Self::pictures(
+                path.parent().map(Path::to_path_buf).unwrap_or_default(),
+                path.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
+            ),
             #[cfg(feature = "vision")]
             Some("mp4") => {
                 if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
@@ -242,10 +252,17 @@ impl Sink {
         }
     }
 
+    /// Tries whether the first of them can be written.
+    fn pictures(folder: PathBuf, stem: String) -> Result<Self, RecordError> {
+        let path = numbered(&folder, &stem, 0);
+        Picture::can_save(&path).map_err(|source| RecordError::Write { path, source })?;
+        Ok(Self::Pictures { folder, stem, next: 0 })
+    }
+
     fn write(&mut self, picture: &Picture) -> Result<(), RecordError> {
         match self {
             Self::Pictures { folder, stem, next } => {
-                let path = folder.join(format!("{stem}-{next:06}.png"));
+                let path = numbered(folder, stem, *next);
                 *next += 1;
                 picture.save(&path).map_err(|source| RecordError::Write { path, source })
             }
@@ -261,6 +278,11 @@ impl Sink {
             Self::Video(video) => video.finish(),
         }
     }
+}
+
+/// `film/frame-000012.png`.
+fn numbered(folder: &Path, stem: &str, number: u64) -> PathBuf {
+    folder.join(format!("{stem}-{number:06}.png"))
 }
 
 #[cfg(feature = "vision")]
@@ -332,6 +354,9 @@ mod tests {
         let at =
             |name: &str| Recorder::create(&folder.path().join(name), RecordView::Front, 6.0, Codec::Auto, 0);
         assert!(at("frames/").is_ok() && at("new/film.png").is_ok());
+        std::fs::write(folder.path().join("file"), "").unwrap();
+        let error = at("file/film.png").err().map(|e| e.to_string()).unwrap_or_default();
+        assert!(error.contains("cannot write") && error.contains("film-000000.png"), "{error}");
         let error = at("film.avi").err().map(|e| e.to_string()).unwrap_or_default();
         assert!(error.contains("film.avi") && error.contains(".mp4"), "{error}");
         assert_eq!("h264".parse(), Ok(Codec::Code(*b"avc1")));

@@ -36,6 +36,13 @@ pub fn from_control(control: Control) -> Action {
     [control.steer.clamp(-1.0, 1.0) as f32, control.throttle.clamp(0.0, 1.0) as f32, brake]
 }
 
+/// What is shown of an expert's `action` at `speed` (m/s): at rest its wheels may point anywhere, so its
+/// steering counts from a walking pace on, and below it the less the slower.
+pub fn shown(action: Action, speed: f64) -> Action {
+    let [steer, throttle, brake] = action;
+    [steer * (0.5 * speed).clamp(0.0, 1.0) as f32, throttle, brake]
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -58,6 +65,14 @@ mod tests {
                 assert!((found - expected).abs() < 1e-6, "{back:?}");
             }
         }
+    }
+
+    #[test]
+    fn standing_wheels_show_nothing() {
+        assert_eq!(shown([0.8, 0.3, 0.1], 0.0), [0.0, 0.3, 0.1]);
+        assert_eq!(shown([0.8, 0.3, 0.1], -3.0), [0.0, 0.3, 0.1]);
+        assert_eq!(shown([0.8, 0.3, 0.1], 1.0), [0.4, 0.3, 0.1]);
+        assert_eq!(shown([0.8, 0.3, 0.1], 9.0), [0.8, 0.3, 0.1]);
     }
 
     #[test]

@@ -50,8 +50,9 @@ pub struct Batch {
     pub reward: Tensor,
     /// gamma^n, or 0 where the episode terminated, [B].
     pub discount: Tensor,
-    /// 1 where the action was demonstrated, [B].
-    pub demonstration: Tensor,
+    /// 1 where an expert's action is known, [B], and that action, [B, A].
+    pub is_shown: Tensor,
+    pub shown: Tensor,
     /// Standard normal, [B, A]: all the chance that an update takes.
     pub noise: Tensor,
 }
@@ -61,7 +62,7 @@ pub struct Batch {
 pub struct Batches {
     /// [K, 2, B, D]: now and next.
     observations: Tensor,
-    /// [K, B, 2 A + 3]: action, noise, reward, discount, demonstration.
+    /// [K, B, 3 A + 3]: action, noise, reward, discount, whether shown, the shown action.
     rest: Tensor,
     actions: i64,
 }
@@ -80,7 +81,7 @@ impl Batches {
         let latents = latents.to_device(device).to_kind(Kind::Float);
         let raw = Tensor::from_slice(&sampled.raw).view([k, 2, b, dims.raw]).to_device(device);
         let observations = scale.apply(&Tensor::cat(&[latents, raw], 3));
-        let rest = Tensor::from_slice(&sampled.rest).view([k, b, 2 * dims.actions + 3]).to_device(device);
+        let rest = Tensor::from_slice(&sampled.rest).view([k, b, 3 * dims.actions + 3]).to_device(device);
         Self { observations, rest, actions: dims.actions }
     }
 
@@ -96,7 +97,8 @@ impl Batches {
             noise: rest.narrow(1, a, a),
             reward: rest.select(1, 2 * a),
             discount: rest.select(1, 2 * a + 1),
-            demonstration: rest.select(1, 2 * a + 2),
+            is_shown: rest.select(1, 2 * a + 2),
+            shown: rest.narrow(1, 2 * a + 3, a),
         }
     }
 }
@@ -127,14 +129,15 @@ impl InputScale {
     }
 
     /// From means and standard deviations of the latent; the raw vector is scaled by definition. Numbers
-    /// that hardly vary are not blown up: the smallest deviation taken is a tenth of the mean one.
-    pub fn measured(mean: &[f32], deviation: &[f32], dims: Dims, inputs: Inputs) -> Self {
+    /// that hardly vary are not blown up: the smallest deviation taken is a tenth of the mean one. `gain` is the deviation
+    /// that the latent is given.
+    pub fn measured(mean: &[f32], deviation: &[f32], dims: Dims, inputs: Inputs, gain: f64) -> Self {
         let (latent, n) = (dims.latent as usize, dims.observation() as usize);
         let floor = 0.1 * deviation[..latent].iter().sum::<f32>() / (latent as f32).max(1.0);
         let mut scale = Self::identity(dims);
         scale.offset[..latent].copy_from_slice(&mean[..latent]);
         for (factor, deviation) in scale.factor[..latent].iter_mut().zip(deviation) {
-            *factor = 1.0 / deviation.max(floor).max(1e-6);
+            *factor = gain as f32 / deviation.max(floor).max(1e-6);
         }
         match inputs {
             Inputs::Both => {}

@@ -7,6 +7,7 @@
 //! | [`networks`] | WAD-T's and WAD-S' actors and critics |
 //! | [`adam`] | the optimiser, with a state that can be saved |
 //! | [`td3`], [`sac`] | one learning step each, in the papers' order |
+//! | [`imitation`] | an expert's actions as a second teacher, beyond the paper |
 //! | [`replay_buffer`], [`replay_files`] | a million transitions of latents, in memory and on disk |
 //! | [`policy`] | a trained actor as a file, and as an [`Agent`] |
 
@@ -14,6 +15,8 @@ pub mod action;
 #[cfg(feature = "learn")]
 pub mod adam;
 pub mod exploration;
+#[cfg(feature = "learn")]
+pub mod imitation;
 #[cfg(feature = "learn")]
 pub mod learner;
 #[cfg(feature = "learn")]

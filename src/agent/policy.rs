@@ -286,11 +286,7 @@ pub type Opened = (Box<dyn Agent>, Box<dyn Encoder>);
 ///
 /// # Errors
 /// There is no such agent or encoder, or they do not belong together or to this camera.
-pub fn open(
-    name: &str,
-    encoder: Option<&str>,
-    camera: &CameraConfig,
-) -> Result<Opened, PolicyError> {
+pub fn open(name: &str, encoder: Option<&str>, camera: &CameraConfig) -> Result<Opened, PolicyError> {
     tch::set_num_threads(1);
     let (policy, path) = Policy::find(name)?;
     let trained_with = policy.card.config.get("encoder").and_then(|name| name.as_str());

@@ -8,9 +8,9 @@
 //! |---|---|
 //! | latent, 200 in half precision (three decimal digits) | 400 |
 //! | raw vector, 15 | 60 |
-//! | action, 3; reward; flags | 17 |
+//! | action, 3; what an expert would have done, 3; reward; flags | 29 |
 //!
-//! A million transitions take 485 MB.
+//! A million transitions take 497 MB.
 
 use super::action::{ACTION_SIZE, Action};
 use super::exploration::normals;
@@ -30,8 +30,8 @@ pub struct Segment {
     pub terminated: bool,
     /// The last transition was cut off by the clock: what comes after it is worth what it is worth.
     pub truncated: bool,
-    /// Driven by a demonstrator.
-    pub demonstration: bool,
+    /// What an expert would have done in place of each action; None or missing: nobody was asked.
+    pub shown: Vec<Option<Action>>,
 }
 
 /// Transitions per segment at most.
@@ -69,7 +69,8 @@ pub(crate) mod flag {
     pub const END: u8 = 1;
     pub const TERMINATED: u8 = 2;
     pub const TRUNCATED: u8 = 4;
-    pub const DEMONSTRATION: u8 = 8;
+    /// An expert's action is there too.
+    pub const SHOWN: u8 = 8;
 }
 
 /// How batches are drawn.
@@ -93,7 +94,7 @@ pub struct Sampled {
     pub latents: Vec<f16>,
     /// [K, 2, B, raw]
     pub raw: Vec<f32>,
-    /// [K, B, 2 A + 3]: action, noise, reward, discount, demonstration.
+    /// [K, B, 3 A + 3]: action, noise, reward, discount, whether an expert's action is there, and that.
     pub rest: Vec<f32>,
 }
 
@@ -104,6 +105,7 @@ pub struct ReplayBuffer {
     pub(crate) latents: Vec<f16>,
     pub(crate) raw: Vec<f32>,
     pub(crate) actions: Vec<f32>,
+    pub(crate) shown: Vec<f32>,
     pub(crate) rewards: Vec<f32>,
     pub(crate) flags: Vec<u8>,
     capacity: usize,
@@ -146,6 +148,7 @@ impl ReplayBuffer {
             latents: vec![f16::ZERO; capacity * dims.latent as usize],
             raw: vec![0.0; capacity * dims.raw as usize],
             actions: vec![0.0; capacity * a],
+            shown: vec![0.0; capacity * a],
             rewards: vec![0.0; capacity],
             flags: vec![flag::END; capacity],
             capacity,
@@ -155,7 +158,7 @@ impl ReplayBuffer {
 
     /// Bytes that an entry takes.
     pub fn bytes_per_entry(dims: Dims) -> u64 {
-        (2 * dims.latent + 4 * (dims.raw + dims.actions + 1) + 1) as u64
+        (2 * dims.latent + 4 * (dims.raw + 2 * dims.actions + 1) + 1) as u64
     }
 
     /// Entries that there is room for.
@@ -180,7 +183,6 @@ impl ReplayBuffer {
     pub fn push(&mut self, segment: &Segment) {
         let n = segment.len();
         assert_eq!((segment.observations.len(), segment.rewards.len()), (n + 1, n), "a segment's parts");
-        let shown = if segment.demonstration { flag::DEMONSTRATION } else { 0 };
         for i in 0..=n {
             let at = (self.written % self.capacity as u64) as usize;
             let (latent, raw) = (self.dims.latent as usize, self.dims.raw as usize);
@@ -193,7 +195,11 @@ impl ReplayBuffer {
                 debug_assert!(a <= ACTION_SIZE);
                 self.actions[at * a..][..a].copy_from_slice(&segment.actions[i][..a]);
                 self.rewards[at] = segment.rewards[i];
-                self.flags[at] = shown;
+                self.flags[at] = 0;
+                if let Some(Some(shown)) = segment.shown.get(i) {
+                    self.shown[at * a..][..a].copy_from_slice(&shown[..a]);
+                    self.flags[at] = flag::SHOWN;
+                }
                 if i + 1 == n {
                     self.flags[at] |= if segment.terminated { flag::TERMINATED } else { 0 };
                     self.flags[at] |= if segment.truncated { flag::TRUNCATED } else { 0 };
@@ -216,7 +222,7 @@ impl ReplayBuffer {
         out.size = b;
         out.latents.resize(batches * 2 * b * latent, f16::ZERO);
         out.raw.resize(batches * 2 * b * raw, 0.0);
-        let width = 2 * a + 3;
+        let width = 3 * a + 3;
         out.rest.resize(batches * b * width, 0.0);
         for k in 0..batches {
             for i in 0..b {
@@ -233,7 +239,8 @@ impl ReplayBuffer {
                 normals(rng, &mut rest[a..2 * a]);
                 rest[2 * a] = (reward * sampling.reward_scale) as f32;
                 rest[2 * a + 1] = discount as f32;
-                rest[2 * a + 2] = f32::from(u8::from(self.flags[at] & flag::DEMONSTRATION != 0));
+                rest[2 * a + 2] = f32::from(u8::from(self.flags[at] & flag::SHOWN != 0));
+                rest[2 * a + 3..].copy_from_slice(&self.shown[at * a..][..a]);
             }
         }
     }
@@ -326,7 +333,7 @@ mod tests {
             rewards: (0..n).map(value).collect(),
             terminated,
             truncated: !terminated,
-            demonstration: from == 0,
+            shown: (0..n).map(|k| (from == 0).then(|| [value(k) / 2000.0, 0.0, 0.0])).collect(),
         }
     }
 
@@ -340,8 +347,9 @@ mod tests {
                 let now = out.latents[((k * 2) * b + i) * 2].to_f32();
                 let next = out.latents[((k * 2 + 1) * b + i) * 2].to_f32();
                 assert_eq!(out.raw[(k * 2) * b + i], now / 2.0);
-                let rest = &out.rest[(k * b + i) * 9..][..9];
+                let rest = &out.rest[(k * b + i) * 12..][..12];
                 assert_eq!(rest[0], now / 1000.0);
+                assert!(rest[8] == 0.0 || rest[9] == now / 2000.0, "the expert's own action");
                 rows.push([now, next, rest[6], rest[7], rest[8]]);
             }
         }

@@ -117,6 +117,7 @@ impl ReplayBuffer {
         let mut floats = |values: &[f32]| data.extend(values.iter().flat_map(|x| x.to_le_bytes()));
         floats(&self.raw[rows.start * raw..rows.end * raw]);
         floats(&self.actions[rows.start * a..rows.end * a]);
+        floats(&self.shown[rows.start * a..rows.end * a]);
         floats(&self.rewards[rows.clone()]);
         data.extend(&self.flags[rows]);
         data
@@ -140,9 +141,11 @@ impl ReplayBuffer {
         };
         let (raws, rest) = rest.split_at(4 * n * raw);
         let (actions, rest) = rest.split_at(4 * n * a);
+        let (shown, rest) = rest.split_at(4 * n * a);
         let (rewards, flags) = rest.split_at(4 * n);
         fill(&mut self.raw[rows.start * raw..], raws);
         fill(&mut self.actions[rows.start * a..], actions);
+        fill(&mut self.shown[rows.start * a..], shown);
         fill(&mut self.rewards[rows.start..], rewards);
         self.flags[rows].copy_from_slice(flags);
         Ok(())
@@ -202,7 +205,7 @@ mod tests {
             rewards: (0..n).map(value).collect(),
             terminated: from.is_multiple_of(2),
             truncated: from % 2 == 1,
-            demonstration: from.is_multiple_of(3),
+            shown: (0..n).map(|k| from.is_multiple_of(3).then(|| [value(k), 0.1, 0.2])).collect(),
         });
     }
 
@@ -210,6 +213,7 @@ mod tests {
         assert_eq!(one.written, two.written);
         assert_eq!(one.latents, two.latents);
         assert_eq!((&one.raw, &one.actions, &one.rewards), (&two.raw, &two.actions, &two.rewards));
+        assert_eq!(one.shown, two.shown);
         assert_eq!(one.flags, two.flags);
     }
 

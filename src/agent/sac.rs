@@ -2,6 +2,7 @@
 //! WAD-S' learning step.
 
 use super::adam::Adam;
+use super::imitation::Imitation;
 use super::learner::{Batch, Metrics};
 use super::networks::{Critics, Dims, HIDDEN_S, PolicyS, Value};
 use rand::Rng;
@@ -24,6 +25,8 @@ pub struct SacParams {
     pub autotune: bool,
     /// Nats, over actions in -1..1; None: minus the number of actions.
     pub target_entropy: Option<f64>,
+    /// Beyond the paper.
+    pub imitation: Imitation,
 }
 
 impl Default for SacParams {
@@ -35,6 +38,7 @@ impl Default for SacParams {
             alpha: 0.1,
             autotune: false,
             target_entropy: None,
+            imitation: Imitation::default(),
         }
     }
 }
@@ -56,6 +60,8 @@ pub struct Sac {
     /// Updates so far.
     pub updates: u64,
     target_entropy: f64,
+    /// Half the range of each number of an action.
+    half: Tensor,
 }
 
 impl Sac {
@@ -77,6 +83,10 @@ impl Sac {
             value,
             log_alpha,
             updates: 0,
+            half: Tensor::from_slice(
+                &(0..dims.actions).map(|i| if i == 0 { 1.0 } else { 0.5 }).collect::<Vec<f32>>(),
+            )
+            .to_device(device),
             target_entropy: params.target_entropy.unwrap_or(-dims.actions as f64),
             params,
         }
@@ -98,7 +108,16 @@ impl Sac {
         // pi: alpha log pi(a|s) - min Q(s, a), with a drawn anew
         let (action, log_prob) = self.policy.sample_with_log_prob(&batch.observation, &batch.noise);
         let q_new = self.critics.forward(&batch.observation, &action).amin([0i64].as_slice(), false);
-        let policy_loss = mean(&(&log_prob * &alpha - &q_new));
+        let weight = self.params.imitation.at(self.updates);
+        let policy_loss = if weight == 0.0 {
+            mean(&(&log_prob * &alpha - &q_new))
+        } else {
+            // The drawn action is pulled, not the mean: so the spread learns how exact one must be.
+            let value = &q_new - &log_prob * &alpha;
+            let shown =
+                || self.critics.forward(&batch.observation, &batch.shown).amin([0i64].as_slice(), false);
+            self.params.imitation.loss(weight, batch, &action, &self.half, &value, shown)
+        };
 
         // V: min Q(s, a) - alpha log pi(a|s)
         let v_target = no_grad(|| q_new.detach() - log_prob.detach() * &alpha);

@@ -1,6 +1,7 @@
 //! TD3 (Fujimoto et al. 2018): WAD-T's learning step.
 
 use super::adam::Adam;
+use super::imitation::Imitation;
 use super::learner::{Batch, Metrics};
 use super::networks::{ActorT, CriticEnd, Critics, Dims};
 use rand::Rng;
@@ -26,10 +27,8 @@ pub struct Td3Params {
     /// Hidden layers of the critics.
     pub critic_hidden: Vec<i64>,
     pub critic_end: CriticEnd,
-    /// Weight of imitation on demonstrated transitions whose action Q1 prefers (0: none), and the
-    /// update at which it has faded to nothing (TD3+BC, Fujimoto and Gu 2021, with Nair's Q filter).
-    pub bc_weight: f64,
-    pub bc_updates: u64,
+    /// Beyond the paper.
+    pub imitation: Imitation,
 }
 
 impl Default for Td3Params {
@@ -44,8 +43,7 @@ impl Default for Td3Params {
             policy_frequency: 2,
             critic_hidden: vec![256, 128],
             critic_end: CriticEnd::Sigmoid { low: -60.0, high: 100.0 },
-            bc_weight: 0.0,
-            bc_updates: 200_000,
+            imitation: Imitation::default(),
         }
     }
 }
@@ -144,20 +142,12 @@ impl Td3 {
         let p = &self.params;
         let action = self.actor.forward(&batch.observation);
         let q = self.end(&self.critics.first(&batch.observation, &action));
-        if p.bc_weight == 0.0 || self.updates >= p.bc_updates {
+        let weight = p.imitation.at(self.updates);
+        if weight == 0.0 {
             return -q.mean(Kind::Float);
         }
-        let weight = p.bc_weight * (1.0 - self.updates as f64 / p.bc_updates as f64);
-        let (scale, mask) = no_grad(|| {
-            let shown = self.end(&self.critics.first(&batch.observation, &batch.action));
-            let better = shown.ge_tensor(&q).to_kind(Kind::Float);
-            // Q's own size must not decide between climbing and imitating.
-            ((q.abs().mean(Kind::Float) + 1e-6).reciprocal(), better * &batch.demonstration)
-        });
-        let apart = ((&action - &batch.action) / &self.half).square();
-        let apart = apart.mean_dim([1i64].as_slice(), false, Kind::Float);
-        let imitation = (apart * &mask).sum(Kind::Float) / (mask.sum(Kind::Float) + 1.0);
-        imitation * weight - q.mean(Kind::Float) * scale
+        let shown = || self.end(&self.critics.first(&batch.observation, &batch.shown));
+        p.imitation.loss(weight, batch, &action, &self.half, &q, shown)
     }
 
     /// The critics' last activation.

@@ -142,6 +142,12 @@ impl Autopilot {
         }
     }
 
+    /// Somebody else drove the last tick, whatever was decided: to be said before the next
+    /// [`Autopilot::control`], or the pedals' correction learns from what it did not do.
+    pub fn overruled(&mut self) {
+        self.pedals.overruled();
+    }
+
     /// One tick: from the state after the last SUMO step, the control for the next `tick_s` seconds.
     /// `route_s` is where the ego's centre is on `route` (m).
     pub fn control(

@@ -161,6 +161,11 @@ pub struct Pedals {
 }
 
 impl Pedals {
+    /// Forgets what was asked: somebody else pressed the pedals, and what came of it says nothing.
+    pub fn overruled(&mut self) {
+        (self.asked, self.correction) = (None, 0.0);
+    }
+
     /// Pedals for `acceleration` (m/s2) at `speed` (m/s) over a tick of `tick_s`; steering is left at 0.
     pub fn press(&mut self, acceleration: f64, speed: f64, tick_s: f64, model: &EgoModel) -> Control {
         if let Some((asked, before)) = self.asked {

@@ -6,6 +6,7 @@ use crate::network::{EdgeKind, LaneId, Network, Route};
 use crate::traci::{Batch, Color, CommandError, Replies, Ticket, route, vehicle, vehicle_type};
 use crate::vehicle::{Contact, Control, EgoParams, EgoState, EgoVehicle, MovingBody, PartnerKind};
 use crate::world::{Actor, VehicleSignals, WorldState};
+use std::collections::HashSet;
 
 /// Blinkers and brake light that others see.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -45,6 +46,8 @@ pub struct Ego {
     route_is_news: bool,
     /// How many of the route's edges SUMO has been told of.
     told_edges: usize,
+    /// Names of the stretches that SUMO has: it forgets none.
+    known_routes: HashSet<String>,
 }
 
 /// Claims to SUMO's answers to a report.
@@ -81,6 +84,7 @@ impl Ego {
             lamps: Lamps::default(),
             route_is_news: true,
             told_edges: 0,
+            known_routes: HashSet::new(),
         };
         ego.locate();
         ego
@@ -105,6 +109,7 @@ impl Ego {
         self.extras.clear();
         self.lamps = Lamps::default();
         self.told_edges = 0;
+        self.known_routes.clear();
     }
 
     /// Road users that stand in its world from the next step on, and that SUMO knows nothing of: it has
@@ -210,10 +215,7 @@ impl Ego {
         batch.set(vehicle_type::SET_WIDTH, &type_id, params.width);
         batch.set(vehicle_type::SET_HEIGHT, &type_id, params.height);
         batch.set(vehicle_type::SET_MAX_SPEED, &type_id, 60.0);
-        let route_id = format!("{}_route", self.id);
-        let edges = self.sumo_edges(network);
-        let edges: Vec<&str> = edges.iter().map(String::as_str).collect();
-        route::add(batch, &route_id, &edges);
+        let route_id = self.define_route(network, batch);
         vehicle::add(
             batch,
             &self.id,
@@ -230,9 +232,10 @@ impl Ego {
     pub(super) fn report(&mut self, network: &Network, batch: &mut Batch) -> Reported {
         let mut route = None;
         if self.route_is_news || self.needs_more_edges() {
-            let edges = self.sumo_edges(network);
-            let edges: Vec<&str> = edges.iter().map(String::as_str).collect();
-            route = Some(batch.set(vehicle::SET_ROUTE, &self.id, &edges));
+            let name = self.define_route(network, batch);
+            // Not SET_ROUTE: that puts the edges passed so far in front, and the cost of each tick's
+            // move_to_xy grows with them.
+            route = Some(batch.set(vehicle::SET_ROUTE_ID, &self.id, &name));
             self.route_is_news = false;
         }
         // SUMO keeps them for one step only.
@@ -269,6 +272,17 @@ impl Ego {
     fn needs_more_edges(&self) -> bool {
         let end = self.route.edges.len();
         self.told_edges < end && self.told_edges < self.route.edge_index_at(self.front_s) + KEPT_EDGES
+    }
+
+    /// Defines the next stretch of the route in SUMO, under a name that says its edges, and returns that.
+    fn define_route(&mut self, network: &Network, batch: &mut Batch) -> String {
+        let edges = self.sumo_edges(network);
+        let name = format!("{}_route {}", self.id, edges.join(" "));
+        if self.known_routes.insert(name.clone()) {
+            let edges: Vec<&str> = edges.iter().map(String::as_str).collect();
+            route::add(batch, &name, &edges);
+        }
+        name
     }
 
     /// The edges that SUMO is told of: some way along the route, so that others notice the ego at a

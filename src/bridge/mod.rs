@@ -99,6 +99,8 @@ pub struct Bridge {
     ticks: u64,
     /// Background vehicles and pedestrians in the network after the last step.
     counts: (usize, usize),
+    /// Vehicles in the network after the last step, egos included.
+    in_network: usize,
     /// Time spent waiting for SUMO's answers to steps (s).
     sumo_seconds: f64,
 }
@@ -189,6 +191,7 @@ impl Bridge {
             tick_ms,
             ticks: 0,
             counts: (0, 0),
+            in_network: 0,
             sumo_seconds: 0.0,
         })
     }
@@ -247,8 +250,10 @@ impl Bridge {
         }
         if !self.subscribed {
             self.subscribed = true;
-            // Id "" is the domain itself: how many there are.
-            self.batch.subscribe(vehicle::Vehicle, "", &[vehicle::ID_COUNT.id()]);
+            // Asked once: from then on departures and arrivals say it. SUMO's count costs it a copy of
+            // every vehicle's id.
+            let found = self.client.get(vehicle::ID_COUNT, "").await?;
+            self.in_network = usize::try_from(found).unwrap_or(0);
             StepEvents::subscribe(&mut self.batch);
             if let Some(population) = &mut self.population {
                 population.define_types(&mut self.batch);
@@ -310,12 +315,9 @@ impl Bridge {
         }
         let subscriptions = replies.subscriptions();
         self.signals.read(&self.network, &subscriptions);
-        for object in subscriptions.objects(vehicle::Vehicle) {
-            if let ("", Ok(count)) = (object.id(), object.value(vehicle::ID_COUNT)) {
-                self.counts.0 = (count.max(0) as usize).saturating_sub(egos.len());
-            }
-        }
         let events = StepEvents::read(&replies).map_err(traci::Error::from)?;
+        self.in_network = (self.in_network + events.departed.len()).saturating_sub(events.arrived.len());
+        self.counts.0 = self.in_network.saturating_sub(egos.len());
         // SUMO's own number of persons counts those who have yet to depart.
         self.counts.1 =
             (self.counts.1 + events.departed_persons.len()).saturating_sub(events.arrived_persons.len());

@@ -44,9 +44,10 @@ impl Default for CameraConfig {
     }
 }
 
-/// Most pixels along a side, and in all.
+/// Most pixels along a side.
 const MAX_SIDE: usize = 8192;
-const MAX_PIXELS: usize = 1 << 25;
+/// Most pixels of a picture in all.
+pub const MAX_PIXELS: usize = 1 << 25;
 
 impl CameraConfig {
     /// The default camera with another size in pixels.
@@ -56,7 +57,7 @@ impl CameraConfig {
 
     /// Behind and above the vehicle, for people.
     pub fn chase(width: usize, height: usize) -> Self {
-        let mount = Mount { forward: -7.5, up: 3.6, pitch: -0.16, ..Mount::default() };
+        let mount = Mount { forward: -9.0, up: 3.7, pitch: -0.17, ..Mount::default() };
         Self { width, height, fov_deg: 75.0, mount }
     }
 

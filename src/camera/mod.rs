@@ -37,7 +37,7 @@ mod weather;
 #[cfg(test)]
 mod tests;
 
-pub use config::{CameraConfig, Mount};
+pub use config::{CameraConfig, MAX_PIXELS, Mount};
 pub use cpu::CpuRenderer;
 pub use frame::{Frame, ObjectTruth, Outputs};
 pub use picture::Picture;

@@ -207,16 +207,33 @@ impl Picture {
         }
     }
 
+    /// Whether [`Picture::save`] can write there: makes the folder, and leaves a file that is there as it is.
+    ///
+    /// # Errors
+    /// The name ends in neither .png nor .jpg, the file cannot be written, or it is a JPEG file and this
+    /// build has no OpenCV.
+    pub fn can_save(path: &Path) -> io::Result<()> {
+        let kind = extension(path);
+        if path.is_dir() || !matches!(kind.as_deref(), Some("png" | "jpg" | "jpeg")) {
+            let why = "no picture's name: expected a file that ends in .png or .jpg";
+            return Err(io::Error::new(io::ErrorKind::InvalidInput, why));
+        }
+        if kind.as_deref() != Some("png") {
+            Self::new(8, 8).jpeg()?;
+        }
+        make_folder(path)?;
+        let is_new = !path.exists();
+        std::fs::OpenOptions::new().append(true).create(true).open(path)?;
+        if is_new { std::fs::remove_file(path) } else { Ok(()) }
+    }
+
     /// Writes a PNG file, or a JPEG file where the name ends in .jpg or .jpeg.
     ///
     /// # Errors
     /// The file cannot be written, or is a JPEG file and this build has no OpenCV.
     pub fn save(&self, path: &Path) -> io::Result<()> {
-        if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
-            std::fs::create_dir_all(folder)?;
-        }
-        let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
-        if matches!(extension.as_deref(), Some("jpg" | "jpeg")) {
+        make_folder(path)?;
+        if matches!(extension(path).as_deref(), Some("jpg" | "jpeg")) {
             return std::fs::write(path, self.jpeg()?);
         }
         let mut file = BufWriter::new(std::fs::File::create(path)?);
@@ -250,6 +267,16 @@ impl Picture {
             "this build writes PNG files only: end the name with .png, or build with the feature `vision`",
         ))
     }
+}
+
+/// What the name ends in, in small letters.
+fn extension(path: &Path) -> Option<String> {
+    path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase())
+}
+
+/// Makes the folder that a file belongs in.
+fn make_folder(path: &Path) -> io::Result<()> {
+    path.parent().filter(|p| !p.as_os_str().is_empty()).map_or(Ok(()), std::fs::create_dir_all)
 }
 
 /// Capital letters, 3 x 5 pixels, rows from the top.
@@ -299,6 +326,20 @@ mod tests {
         let mut bytes = vec![0; 45];
         reader.next_frame(&mut bytes).unwrap();
         assert_eq!(bytes, picture.rgb);
+    }
+
+    #[test]
+    fn a_place_that_cannot_hold_a_picture_is_known_before() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("new/p.png");
+        Picture::can_save(&path).unwrap();
+        assert!(path.parent().unwrap().is_dir() && !path.exists());
+        std::fs::write(&path, "mine").unwrap();
+        Picture::can_save(&path).unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), b"mine");
+        for wrong in ["p.bmp", "p", "new", "new/p.png/q.png"] {
+            assert!(Picture::can_save(&folder.path().join(wrong)).is_err(), "{wrong}");
+        }
     }
 
     #[test]

@@ -9,6 +9,7 @@ use wad_cosim::bridge::BridgeOptions;
 use wad_cosim::bundled;
 use wad_cosim::camera::{CameraConfig, Outputs, Preset, Weather};
 use wad_cosim::drive::DriveOptions;
+use wad_cosim::latent::Encoder;
 use wad_cosim::perception::{self, DETECTORS, MIN_SCORE};
 use wad_cosim::traffic::TrafficSpec;
 
@@ -39,8 +40,11 @@ pub struct Args {
     outputs: Made,
     #[arg(long, help = format!("Who detects: {DETECTORS}"), default_value = "truth", value_name = "NAME")]
     detector: String,
-    /// Leave perception out.
-    #[arg(long, conflicts_with = "detector")]
+    /// Who makes the latent: a .safetensors file, a folder of `train encoder`, or a bundled encoder; none.
+    #[arg(long, default_value = "default", value_name = "NAME")]
+    encoder: String,
+    /// Leave perception and encoder out.
+    #[arg(long, conflicts_with_all = ["detector", "encoder"])]
     no_perception: bool,
     /// Ticks that are measured.
     #[arg(long, default_value_t = 600)]
@@ -73,8 +77,10 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
         .then(|| perception::detector(&args.detector, MIN_SCORE))
         .transpose()
         .map_err(|e| Exit::Input.because(e))?;
+    let encoder = if detector.is_some() { encoder(&args.encoder)? } else { None };
     let options = TickBenchOptions {
         detector,
+        encoder,
         drive: DriveOptions {
             bridge: BridgeOptions {
                 seed: args.seed,
@@ -121,11 +127,27 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
     Ok(if interrupted { Exit::Interrupted } else { Exit::Done })
 }
 
+#[cfg(feature = "learn")]
+fn encoder(name: &str) -> anyhow::Result<Option<Box<dyn Encoder>>> {
+    if name == "none" {
+        return Ok(None);
+    }
+    tch::set_num_threads(1);
+    let encoder = wad_cosim::latent::TchEncoder::find(name).map_err(|e| Exit::Input.because(e))?;
+    Ok(Some(Box::new(encoder)))
+}
+
+#[cfg(not(feature = "learn"))]
+fn encoder(_: &str) -> anyhow::Result<Option<Box<dyn Encoder>>> {
+    Ok(None)
+}
+
 fn with_exit(error: TickBenchError) -> anyhow::Error {
     match error {
         TickBenchError::Drive(error) => run::with_exit(error),
         TickBenchError::Camera(error) => Exit::Input.because(error),
         TickBenchError::Perception(error) => Exit::Other.because(error),
+        TickBenchError::Latent(error) => Exit::Other.because(error),
     }
 }
 

@@ -90,6 +90,7 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
         collectors: args.collectors.unwrap_or_else(default_collectors).max(1),
         device,
         out: scratch.path().join("run"),
+        record: None,
     };
     let maker = maker(&args.encoder, &args.config)?;
     let over = AtomicBool::new(false);

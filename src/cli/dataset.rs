@@ -9,8 +9,10 @@ use std::time::Duration;
 use wad_cosim::bridge::BridgeError;
 use wad_cosim::camera::Preset;
 use wad_cosim::dataset::{
-    CollectOptions, Collected, Dataset, DatasetError, NoiseParams, Progress, Role, TRAINING_WEATHERS, collect,
+    CollectOptions, Collected, Dataset, DatasetError, NoiseParams, Progress, RecordedRun, Role,
+    TRAINING_WEATHERS, collect,
 };
+use wad_cosim::drive::DriveError;
 
 /// Training data from the autopilot's drives.
 #[derive(clap::Args, Debug)]
@@ -32,6 +34,7 @@ Examples:
   wad-cosim dataset collect --town town3 --frames 150000 --out data/town3 --jobs 2   (the paper's 100k + 50k)
   wad-cosim dataset collect --town town5 --frames 2000 --out data/town5              (for measuring only)
   wad-cosim dataset collect --frames 20000 --camera --out data/detector              (pictures for a detector)
+  wad-cosim dataset collect --from runs/mine --from runs/yours --out data/runs       (what recorded runs saw)
 
 Given again, the same command goes on where it stopped. Frames of town5 are test data: `train` refuses them.";
 
@@ -41,6 +44,10 @@ pub struct CollectArgs {
     /// A bundled town, a .sumocfg or a .net.xml.
     #[arg(long, default_value = "town3", value_hint = ValueHint::FilePath)]
     town: String,
+    /// In place of the autopilot's drives: a folder that `run` wrote, driven again in each weather with the
+    /// controls of its telemetry. Can be given several times.
+    #[arg(long, value_name = "RUN", value_hint = ValueHint::DirPath, conflicts_with_all = ["town", "frames", "per_shard", "noise_pause"])]
+    from: Vec<PathBuf>,
     /// How many frames.
     #[arg(long, value_name = "N", default_value_t = 150_000)]
     frames: usize,
@@ -100,6 +107,8 @@ pub fn with_exit(error: DatasetError) -> anyhow::Error {
         | DatasetError::DiskFull { .. }
         | DatasetError::System { .. } => Exit::Other,
         DatasetError::Bridge(_) => Exit::Sumo,
+        DatasetError::Drive(DriveError::Bridge(bridge)) if !bridge.is_input() => Exit::Sumo,
+        DatasetError::Drive(DriveError::Write(_)) => Exit::Other,
         _ => Exit::Input,
     };
     exit.because(error)
@@ -132,12 +141,17 @@ fn run_collect(args: &CollectArgs) -> anyhow::Result<Exit> {
     if !args.weather.is_empty() {
         options.weathers.clone_from(&args.weather);
     }
+    let runs = args.from.iter().map(|folder| RecordedRun::open(folder)).collect::<Result<_, _>>();
+    options.runs = runs.map_err(with_exit)?;
     if options.weathers.iter().any(|w| !TRAINING_WEATHERS.contains(w)) && !args.town.contains("town5") {
         tracing::warn!("weathers beyond the three training ones: what is trained on this has seen them");
     }
     let interrupt = wad_cosim::interrupt::flag().context("cannot listen for Ctrl-C")?;
     let bar = Bar::new(args.frames as u64, "frames");
-    let result = collect(&options, &interrupt, |Progress { frames, .. }| bar.show(frames as u64, ""));
+    let result = collect(&options, &interrupt, |Progress { frames, wanted }| {
+        bar.set_total(wanted as u64);
+        bar.show(frames as u64, "");
+    });
     bar.clear();
     let collected = result.map_err(with_exit)?;
     report(&collected, args.json)?;

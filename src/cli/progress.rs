@@ -40,7 +40,6 @@ impl Bar {
     }
 
     /// How many there will be.
-    #[cfg(feature = "learn")]
     pub fn set_total(&self, total: u64) {
         self.total.set(total);
         if let Some(bar) = &self.bar {
@@ -49,7 +48,7 @@ impl Bar {
     }
 
     /// Prints a line of its own.
-        pub fn say(&self, text: &str) {
+    pub fn say(&self, text: &str) {
         match &self.bar {
             Some(bar) => bar.suspend(|| eprintln!("{text}")),
             None => eprintln!("{text}"),

@@ -45,7 +45,8 @@ pub struct Args {
     /// Who drives: autopilot, wad-t, wad-s, or a file that `train agent` wrote.
     #[arg(long, default_value = "autopilot", value_name = "NAME|FILE", value_hint = ValueHint::FilePath)]
     agent: String,
-    /// The encoder that the agent sees through [default: the one that it was trained with].
+    /// The encoder that the agent sees through [default: the one that it was trained with], and whose
+    /// reconstruction --perception shows [default: the bundled one].
     #[arg(long, value_name = "NAME", value_hint = ValueHint::AnyPath)]
     encoder: Option<String>,
     /// Stop after N ticks [default: at the config's end time, or at Ctrl-C].
@@ -85,7 +86,7 @@ pub struct Args {
     #[arg(long, value_name = "CODEC", default_value = "auto", requires = "record")]
     record_codec: Codec,
     /// Look through the front camera too: say what is seen, and record the stages (camera, detections,
-    /// transformed image) below the film.
+    /// transformed image, reconstruction) below the film.
     #[arg(long)]
     perception: bool,
     #[arg(long, help = format!("Who detects: {}", perception::DETECTORS), default_value = "truth", value_name = "NAME")]
@@ -287,7 +288,7 @@ impl Sight {
                 let mut watch =
                     Watch::new(detector, CameraConfig::default()).map_err(|e| Exit::Input.because(e))?;
                 watch.reset(seed);
-                Ok(watch)
+                Ok(if args.perception { with_decoder(args, watch) } else { watch })
             })
             .transpose()?;
         let panels = watch.as_ref().filter(|_| args.perception).map_or(0, Watch::panels);
@@ -325,6 +326,24 @@ impl Sight {
             None => Ok(()),
         }
     }
+}
+
+/// The reconstruction among the stages, where there is an encoder.
+#[cfg(feature = "learn")]
+fn with_decoder(args: &Args, watch: Watch) -> Watch {
+    tch::set_num_threads(1);
+    match wad_cosim::latent::TchEncoder::find(args.encoder.as_deref().unwrap_or("default")) {
+        Ok(encoder) => watch.with_decoder(Box::new(encoder)),
+        Err(error) => {
+            tracing::warn!("no reconstruction: {error}");
+            watch
+        }
+    }
+}
+
+#[cfg(not(feature = "learn"))]
+fn with_decoder(_: &Args, watch: Watch) -> Watch {
+    watch
 }
 
 /// Ctrl-C and SIGTERM.

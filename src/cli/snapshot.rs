@@ -3,10 +3,10 @@
 use super::{Exit, print, run};
 use anyhow::Context;
 use clap::{ValueEnum, ValueHint};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use wad_cosim::bridge::BridgeOptions;
 use wad_cosim::bundled;
-use wad_cosim::camera::{Camera, CameraConfig, Outputs, Picture, Preset, Town, Weather};
+use wad_cosim::camera::{Camera, CameraConfig, MAX_PIXELS, Outputs, Picture, Preset, Town, Weather};
 use wad_cosim::drive::{Drive, DriveOptions};
 use wad_cosim::geometry::Pose;
 use wad_cosim::perception::{self, stages};
@@ -34,13 +34,13 @@ pub struct Args {
     #[arg(long, default_value = "ClearNoon")]
     weather: Preset,
     /// Simulation seconds to drive before the picture is taken.
-    #[arg(long, value_name = "SECONDS", default_value_t = 30.0)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 30.0, value_parser = seconds)]
     time: f64,
     /// Further pictures: N in all, one every --every seconds, numbered.
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    count: usize,
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    count: u32,
     /// Simulation seconds between the pictures.
-    #[arg(long, value_name = "SECONDS", default_value_t = 5.0)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 5.0, value_parser = seconds)]
     every: f64,
     /// PNG (or .jpg) file to write.
     #[arg(long, value_name = "FILE", default_value = "snapshot.png", value_hint = ValueHint::FilePath)]
@@ -57,7 +57,7 @@ pub struct Args {
     /// For --stage latent and all: a .safetensors file, a folder of `train encoder`, or a bundled encoder.
     #[arg(long, value_name = "NAME", default_value = "default")]
     encoder: String,
-    /// WIDTHxHEIGHT in pixels [default: 512x512; 1280x720 for chase].
+    /// WIDTHxHEIGHT in pixels [default: 512x512; 1280x720 for chase, 720x720 for bird].
     #[arg(long, value_name = "WxH", value_parser = size)]
     size: Option<(usize, usize)>,
     /// From where.
@@ -71,7 +71,7 @@ pub struct Args {
     stage: Option<Stage>,
     #[arg(long, help = format!("Who detects: {}", perception::DETECTORS), default_value = "truth", value_name = "NAME", requires = "stage")]
     detector: String,
-    /// All 14 weathers in one picture.
+    /// All 14 weathers in one picture, each in --size.
     #[arg(long, conflicts_with_all = ["weather", "overlay", "stage"])]
     sheet: bool,
 }
@@ -118,6 +118,11 @@ pub fn size(text: &str) -> Result<(usize, usize), String> {
     Ok((width.trim().parse().map_err(|_| wrong())?, height.trim().parse().map_err(|_| wrong())?))
 }
 
+fn seconds(text: &str) -> Result<f64, String> {
+    let seconds = text.parse().ok().filter(|s: &f64| s.is_finite() && *s >= 0.0);
+    seconds.ok_or_else(|| format!("`{text}` is no time: expected seconds, 0 or more"))
+}
+
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<Exit> {
     let config = match args.view {
@@ -126,6 +131,18 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
         Place::Bird => args.size.map_or(CameraConfig::bird(720, 720), |(w, h)| CameraConfig::bird(w, h)),
     };
     let camera = Camera::new(config).map_err(|e| Exit::Input.because(e))?;
+    if args.sheet {
+        let side = (MAX_PIXELS / (COLUMNS * COLUMNS)).isqrt();
+        let (width, height) = (config.width, config.height);
+        if width * height > side * side {
+            return Err(Exit::Input.because(anyhow::anyhow!(
+                "14 pictures of {width}x{height} pixels are too large for one sheet: expected at most \
+                 {side}x{side} each"
+            )));
+        }
+    }
+    // Known before anything is simulated.
+    check_place(&numbered(&args, 0))?;
     let watch = args.stage.map(|stage| watch(&args, stage, config)).transpose()?;
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
@@ -167,6 +184,22 @@ fn with_decoder(_: &Args, stage: Stage, watch: Watch) -> anyhow::Result<Watch> {
     Ok(watch)
 }
 
+/// Where picture `number` goes.
+fn numbered(args: &Args, number: u32) -> PathBuf {
+    if args.count == 1 {
+        return args.out.clone();
+    }
+    let stem = args.out.file_stem().unwrap_or_default().to_string_lossy();
+    let extension = args.out.extension().unwrap_or("png".as_ref()).to_string_lossy();
+    args.out.with_file_name(format!("{stem}-{number:03}.{extension}"))
+}
+
+fn check_place(path: &Path) -> anyhow::Result<()> {
+    Picture::can_save(path)
+        .map_err(|e| Exit::Input.because(e))
+        .with_context(|| format!("cannot write the picture {}", path.display()))
+}
+
 async fn take(args: Args, mut camera: Camera, mut watch: Option<Watch>) -> anyhow::Result<Exit> {
     let config = bundled::resolve(&args.config).map_err(|e| Exit::Input.because(e))?;
     let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
@@ -185,9 +218,9 @@ async fn take(args: Args, mut camera: Camera, mut watch: Option<Watch>) -> anyho
     let mut drive = Drive::start(options).await.map_err(run::with_exit)?;
     let mut town = sight::town(drive.bridge(), args.seed);
     let begin = drive.bridge().time();
-    for number in 0..args.count.max(1) {
+    for number in 0..args.count {
         let mut looked = false;
-        let until = begin + args.time + number as f64 * args.every;
+        let until = begin + args.time + f64::from(number) * args.every;
         while drive.bridge().time() < until {
             drive.tick().await.map_err(run::with_exit)?;
             sight::follow(&mut town, drive.ego());
@@ -212,13 +245,7 @@ async fn take(args: Args, mut camera: Camera, mut watch: Option<Watch>) -> anyho
                 picture(&args, &mut camera, &town, &drive.ego().state().pose)
             }
         };
-        let out = if args.count > 1 {
-            let stem = args.out.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-            let extension = args.out.extension().unwrap_or("png".as_ref()).to_string_lossy();
-            args.out.with_file_name(format!("{stem}-{number:03}.{extension}"))
-        } else {
-            args.out.clone()
-        };
+        let out = numbered(&args, number);
         picture
             .save(&out)
             .map_err(|e| Exit::Input.because(e))
@@ -275,9 +302,11 @@ fn words(name: &str) -> String {
     text
 }
 
+/// Pictures in a row of a sheet.
+const COLUMNS: usize = 4;
+
 /// Noon in the upper rows, sunset in the lower: four pictures to a row.
 fn sheet(mut shoot: impl FnMut(Preset) -> Picture) -> Picture {
-    const COLUMNS: usize = 4;
     const GAP: usize = 6;
     let mut pages: Option<Picture> = None;
     for (half, presets) in Preset::ALL.chunks(7).enumerate() {

@@ -6,6 +6,7 @@ use super::folder::{FORMAT_VERSION, Manifest, State, shard_path};
 use super::image_codec::CameraCodec;
 use super::noise::NoiseParams;
 use super::plan::{Segment, plan};
+use super::recorded::{RecordedRun, RunDrive};
 use super::shard::{ShardHeader, ShardReader, ShardWriter};
 use crate::bundled;
 use crate::camera::{CameraConfig, Preset};
@@ -22,6 +23,8 @@ use std::time::{Duration, Instant};
 pub struct CollectOptions {
     /// A bundled town, or whatever `run` takes.
     pub town: String,
+    /// Recorded runs to drive again; none: the autopilot drives in `town`.
+    pub runs: Vec<RecordedRun>,
     pub frames: usize,
     pub out: PathBuf,
     /// Frames to a segment, which is a shard.
@@ -47,6 +50,7 @@ impl CollectOptions {
     pub fn new(town: &str, frames: usize, out: &Path) -> Self {
         Self {
             town: town.to_string(),
+            runs: Vec::new(),
             frames,
             out: out.to_path_buf(),
             // At least twenty segments, so that all conditions and a validation share are in.
@@ -126,9 +130,15 @@ pub fn collect(
     mut report: impl FnMut(Progress),
 ) -> Result<Collected, DatasetError> {
     let began = Instant::now();
-    let config = bundled::resolve(&options.town)?;
+    let config = match options.runs.first() {
+        Some(run) => run.options.bridge.config.clone(),
+        None => bundled::resolve(&options.town)?,
+    };
     let file = config.file_name().map(|f| f.to_string_lossy().into_owned()).unwrap_or_default();
     let town = file.split('.').next().unwrap_or("net").to_string();
+    if let Some(other) = options.runs.iter().map(RecordedRun::town).find(|other| *other != town) {
+        return Err(DatasetError::Towns { first: town, other });
+    }
     std::fs::create_dir_all(&options.out).map_err(DatasetError::io("make the folder", &options.out))?;
     let mut manifest = Manifest::new(options, &town);
     if let Some(found) = Manifest::load(&options.out)? {
@@ -136,7 +146,11 @@ pub fn collect(
     }
     manifest.save(&options.out)?;
     let dense = TrafficSpec::Dense.counts(&town).unwrap_or_default();
-    let segments = plan(options.frames, options.per_segment, &options.weathers, dense, options.seed);
+    let segments = if options.runs.is_empty() {
+        plan(options.frames, options.per_segment, &options.weathers, dense, options.seed)
+    } else {
+        RecordedRun::segments(&options.runs, &options.weathers, options.every)
+    };
     let (missing, frames_before) = missing_segments(&options.out, &segments)?;
     let shared = Shared {
         options,
@@ -155,7 +169,7 @@ pub fn collect(
         interrupt,
         deadline: options.time_limit.map(|limit| began + limit),
     };
-    let wanted = options.frames;
+    let wanted = segments.iter().map(|segment| segment.frames).sum();
     std::thread::scope(|scope| {
         let jobs = options.jobs.clamp(1, shared.missing.len().max(1));
         let workers: Vec<_> = (0..jobs)
@@ -180,6 +194,10 @@ pub fn collect(
     manifest.frames = frames;
     if !interrupted {
         manifest.state = State::Complete;
+        if missing.is_empty() {
+            // A run's frames are known at its end only.
+            manifest.frames_wanted = frames;
+        }
         manifest.save(&options.out)?;
     }
     let bytes = segments
@@ -241,6 +259,9 @@ async fn collect_segment(shared: &Shared<'_>, segment: Segment) -> Result<(), Da
         .map_err(|source| DatasetError::System { what: "make a temporary folder", source })?;
     let header = ShardHeader { segment, ..shared.header.clone() };
     let mut shard = ShardWriter::create(&shard_path(&options.out, &segment), &header)?;
+    if let Some(run) = options.runs.get(segment.index / options.weathers.len().max(1)) {
+        return collect_run(shared, run, segment, shard, scratch.path()).await;
+    }
     let mut drive = SegmentDrive::start(options, &shared.config, segment, scratch.path()).await?;
     while shard.frames() < segment.frames {
         if shared.is_over() {
@@ -250,6 +271,30 @@ async fn collect_segment(shared: &Shared<'_>, segment: Segment) -> Result<(), Da
             return Ok(());
         }
         drive.next_frame(&mut shard).await?;
+        shared.frames.fetch_add(1, Ordering::Relaxed);
+    }
+    shard.finish()?;
+    drive.finish().await;
+    Ok(())
+}
+
+async fn collect_run(
+    shared: &Shared<'_>,
+    run: &RecordedRun,
+    segment: Segment,
+    mut shard: ShardWriter,
+    scratch: &Path,
+) -> Result<(), DatasetError> {
+    let options = shared.options;
+    let looks = (options.seed, options.camera);
+    let mut drive = RunDrive::start(run, segment, options.every, looks, scratch).await?;
+    while let Some(frame) = drive.next_frame().await? {
+        if shared.is_over() {
+            shared.frames.fetch_sub(shard.frames(), Ordering::Relaxed);
+            drive.finish().await;
+            return Ok(());
+        }
+        shard.add(&frame)?;
         shared.frames.fetch_add(1, Ordering::Relaxed);
     }
     shard.finish()?;

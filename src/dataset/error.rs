@@ -51,12 +51,28 @@ pub enum DatasetError {
         path.display()
     )]
     TestData { path: PathBuf, town: String },
+    #[error(
+        "`{}` is no recorded run: {why}; expected a folder that `wad-cosim run --out` wrote", path.display()
+    )]
+    NotARun { path: PathBuf, why: String },
+    #[error(
+        "the run in `{}` goes another way now: {off:.2} m off at tick {tick}; it was recorded by another version \
+         of this program, of SUMO or of the config, so record it again",
+        path.display()
+    )]
+    Drifted { path: PathBuf, tick: u64, off: f64 },
+    #[error(
+        "the recorded runs are of different towns, {first} and {other}; a dataset is of one, so collect one from each"
+    )]
+    Towns { first: String, other: String },
     #[error("image: {0}")]
     Image(String),
     #[error(transparent)]
     Bundled(#[from] crate::bundled::ResolveError),
     #[error(transparent)]
     Bridge(#[from] crate::bridge::BridgeError),
+    #[error(transparent)]
+    Drive(#[from] crate::drive::DriveError),
     #[error(transparent)]
     Destination(#[from] crate::destination::DestinationError),
     #[error(transparent)]

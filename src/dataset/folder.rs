@@ -64,6 +64,9 @@ pub struct Manifest {
     pub detector: String,
     pub keeps_camera: bool,
     pub program: String,
+    /// Recorded runs that it shows; none: the autopilot's own drives.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub runs: Vec<PathBuf>,
 }
 
 impl Manifest {
@@ -82,6 +85,7 @@ impl Manifest {
             detector: "truth".to_string(),
             keeps_camera: options.camera,
             program: env!("WAD_COSIM_VERSION").to_string(),
+            runs: options.runs.iter().map(|run| run.folder.clone()).collect(),
         }
     }
 
@@ -118,6 +122,10 @@ impl Manifest {
                 ("the seed", m.seed.to_string()),
                 ("frames per shard", m.per_segment.to_string()),
                 ("the weathers", m.weathers.iter().map(|w| w.name()).collect::<Vec<_>>().join(",")),
+                (
+                    "the recorded runs",
+                    m.runs.iter().map(|r| r.display().to_string()).collect::<Vec<_>>().join(","),
+                ),
                 ("the camera", m.camera.clone()),
                 ("whether camera pictures are kept", m.keeps_camera.to_string()),
             ]

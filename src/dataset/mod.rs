@@ -6,16 +6,19 @@
 //! ```
 //!
 //! A segment is one SUMO run and one shard; it depends on the seed and its number alone, so collecting
-//! goes on where it stopped, and any number of jobs gives the same data.
+//! goes on where it stopped, and any number of jobs gives the same data. A segment can also be a recorded
+//! run, driven again.
 
 mod collect;
 mod drive;
 mod error;
+mod eye;
 mod folder;
-mod image_codec;
+pub(crate) mod image_codec;
 mod noise;
 mod plan;
 mod record;
+mod recorded;
 mod shard;
 #[cfg(test)]
 pub mod testing;
@@ -27,4 +30,5 @@ pub use image_codec::{CameraCodec, decode_camera, decode_png, encode_png};
 pub use noise::{Disturber, NoiseParams};
 pub use plan::{Segment, plan};
 pub use record::{BoxRecord, Frame, FrameRecord, Labels};
+pub use recorded::RecordedRun;
 pub use shard::{ShardHeader, ShardReader, ShardWriter};

@@ -108,6 +108,15 @@ impl ShardWriter {
     /// # Errors
     /// As [`Self::add`].
     pub fn finish(mut self) -> Result<usize, DatasetError> {
+        let put = self.put_in_place();
+        if put.is_err() {
+            // The file may be closed already, and then dropping leaves it.
+            let _ = std::fs::remove_file(&self.staging);
+        }
+        put.map(|()| self.frames as usize)
+    }
+
+    fn put_in_place(&mut self) -> Result<(), DatasetError> {
         self.put(&END.to_le_bytes())?;
         self.put(&self.frames.to_le_bytes())?;
         if let Some(file) = self.file.take() {
@@ -115,8 +124,7 @@ impl ShardWriter {
             let file = file.into_inner().map_err(|e| failed(e.into_error()))?;
             file.sync_data().map_err(failed)?;
         }
-        std::fs::rename(&self.staging, &self.path).map_err(DatasetError::io("write", &self.path))?;
-        Ok(self.frames as usize)
+        std::fs::rename(&self.staging, &self.path).map_err(DatasetError::io("write", &self.path))
     }
 }
 

@@ -1,7 +1,10 @@
 //! Small made-up datasets for tests.
 
 use super::folder::shard_path;
-use super::{CollectOptions, Frame, FrameRecord, Labels, Manifest, Segment, ShardHeader, ShardWriter, State};
+use super::{
+    CameraCodec, CollectOptions, Frame, FrameRecord, Labels, Manifest, Segment, ShardHeader, ShardWriter,
+    State,
+};
 use crate::camera::{CameraConfig, Preset};
 use crate::geometry::{Pose, Vector};
 use crate::observation::RawState;
@@ -71,17 +74,31 @@ pub fn write(
     weather: Preset,
     picture: impl Fn(usize) -> Picture,
 ) {
+    write_frames(folder, town, shards, weather, None, |number| frame(picture(number), weather));
+}
+
+/// The same from whole frames, whose camera pictures are encoded as `codec` says.
+pub fn write_frames(
+    folder: &Path,
+    town: &str,
+    shards: &[usize],
+    weather: Preset,
+    codec: Option<CameraCodec>,
+    make: impl Fn(usize) -> Frame,
+) {
     std::fs::create_dir_all(folder).unwrap();
     let total = shards.iter().sum();
-    let mut manifest = Manifest::new(&CollectOptions::new(town, total, folder), town);
+    let mut options = CollectOptions::new(town, total, folder);
+    options.camera = codec.is_some();
+    let mut manifest = Manifest::new(&options, town);
     let mut number = 0;
     for (index, &frames) in shards.iter().enumerate() {
         let segment = Segment { index, seed: 1, weather, traffic: Counts::default(), frames };
         let camera = CameraConfig::default().hash();
-        let header = ShardHeader { version: super::FORMAT_VERSION, segment, camera, camera_codec: None };
+        let header = ShardHeader { version: super::FORMAT_VERSION, segment, camera, camera_codec: codec };
         let mut shard = ShardWriter::create(&shard_path(folder, &segment), &header).unwrap();
         for _ in 0..frames {
-            shard.add(&frame(picture(number), weather)).unwrap();
+            shard.add(&make(number)).unwrap();
             number += 1;
         }
         shard.finish().unwrap();

@@ -173,6 +173,11 @@ impl Env {
         self.world.ego()
     }
 
+    /// The ego's speed (m/s), 0 before the first reset.
+    pub fn speed(&self) -> f64 {
+        self.world.ego().map_or(0.0, |ego| ego.state().speed)
+    }
+
     /// Id of SUMO's process, None before the first reset.
     pub fn sumo_pid(&self) -> Option<u32> {
         self.world.sumo_pid()

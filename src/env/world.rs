@@ -49,8 +49,9 @@ pub struct World {
     ego: Option<Ego>,
     autopilot: Autopilot,
     episode: Option<Episode>,
-    /// The blinkers and brake lights that the expert asked for.
+    /// The blinkers and brake lights that the expert asked for, and the control that it decided on.
     lamps: Option<Lamps>,
+    decided: Option<Control>,
     folder: TempDir,
     pub stages: Stages,
 }
@@ -74,6 +75,7 @@ impl World {
             ego: None,
             episode: None,
             lamps: None,
+            decided: None,
             folder,
             stages: Stages::default(),
         })
@@ -108,7 +110,7 @@ impl World {
         let limit = task.tick_limit.unwrap_or_else(|| task.kind.tick_limit(ego.route().length(), tick));
         self.episode = Some(Episode::new(task.clone(), placement, limit, self.options.criteria));
         self.autopilot = Autopilot::new(AutopilotParams::default(), EgoModel::from(&self.options.ego));
-        self.lamps = None;
+        (self.lamps, self.decided) = (None, None);
         self.eyes.reset(task.weather, seeds::derive(seed, "detector"));
         let observation = self.eyes.look(self.assets.network(), ego, tick, &mut self.stages)?;
         self.stages.resets += 1;
@@ -249,6 +251,9 @@ impl World {
         let tick = sumo.bridge.tick();
         let before = ego.on_route();
         ego.set_lamps(self.lamps.take().unwrap_or_else(|| lamps(ego, &control)));
+        if self.decided.take().is_some_and(|decided| decided.clamped() != control) {
+            self.autopilot.overruled();
+        }
         let clock = Instant::now();
         let contacts = ego.advance(control, tick);
         let moved = clock.elapsed().as_secs_f64();
@@ -353,6 +358,7 @@ impl World {
             blinker_right: decision.blinker_right,
             brake: decision.brake_light,
         });
+        self.decided = Some(decision.control);
         Ok(decision.control)
     }
 

@@ -32,8 +32,14 @@ pub enum DriverError {
         "`{found}` is no constant control: expected constant:THROTTLE,STEER,BRAKE, e.g. constant:0.5,0,0"
     )]
     Constant { found: String },
-    #[error("no agent is called `{found}`: expected autopilot, random or constant")]
+    #[error(
+        "no agent is called `{found}`: expected autopilot, random or constant; this build cannot open trained ones"
+    )]
     Unknown { found: String },
+    /// A trained agent or its encoder that cannot be opened.
+    #[cfg(feature = "learn")]
+    #[error(transparent)]
+    Policy(#[from] crate::agent::policy::PolicyError),
     #[error(transparent)]
     Agent(#[from] AgentError),
     #[error(transparent)]

@@ -2,7 +2,7 @@
 
 use super::LatentError;
 use super::encoder::TchEncoder;
-use super::probe::{Probe, auc};
+use super::probe::{Probe, Regression, auc, explained};
 use super::score::{ObjectScore, psnr, ssim};
 use crate::bench::median;
 use crate::camera::{CameraConfig, Preset};
@@ -63,13 +63,48 @@ pub struct Judgement {
     pub pedestrian: ProbeScore,
     /// The light painted red.
     pub red: ProbeScore,
+    /// Of frames with a painted boundary found: the ego's offset from its lane's centre (m).
+    pub lateral: LinearScore,
+    /// Heading of the waypoint ahead less the ego's (rad), of the same frames.
+    pub heading: LinearScore,
+    /// Gap to the vehicle in the lane within [`LEAD`] (m).
+    pub gap: LinearScore,
+}
+
+/// A linear regression's result on the measured frames.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct LinearScore {
+    /// Share of the variance that it explains; None without frames.
+    pub r2: Option<f64>,
+    pub median_error: Option<f64>,
+    pub fitted: usize,
+    pub measured: usize,
 }
 
 /// How near counts (m).
 const LEAD: f64 = 20.0;
 const PEDESTRIAN: f64 = 15.0;
+/// An ego further from its lane's centre has left it (m).
+const NEAR_LANE: f64 = 1.75;
 /// Frames encoded at once.
 const BATCH: usize = 64;
+
+/// What probes are fitted to and measured by.
+#[derive(Clone, Copy, Debug)]
+struct Told {
+    labels: Labels,
+    /// Offset from the lane's centre (m) and heading error (rad), where a boundary is in sight.
+    on_lane: Option<[f64; 2]>,
+}
+
+impl Told {
+    fn of(record: &FrameRecord) -> Self {
+        let sees = record.lanes.left.is_some() || record.lanes.right.is_some();
+        let near = record.raw.lateral.abs() < NEAR_LANE;
+        let on_lane = (sees && near).then_some([record.raw.lateral, record.raw.heading_error]);
+        Self { labels: record.labels, on_lane }
+    }
+}
 
 /// A batch of frames with latents and reconstructions.
 struct Batch {
@@ -92,7 +127,7 @@ pub fn judge(
     let camera = CameraConfig::default();
     let (mut psnr_sum, mut ssim_sum, mut objects) = (0.0, 0.0, ObjectScore::default());
     let mut by_weather: BTreeMap<Preset, (f64, f64)> = BTreeMap::new();
-    let (mut latents, mut labels) = (Vec::new(), Vec::new());
+    let (mut latents, mut labels): (Vec<Vec<f32>>, Vec<Told>) = (Vec::new(), Vec::new());
     each(encoder, measured, frames, true, |batch| {
         for (record, (wanted, made)) in batch.records.iter().zip(&batch.images) {
             let db = psnr(wanted, made);
@@ -102,25 +137,42 @@ pub fn judge(
             *sum = (sum.0 + db, sum.1 + 1.0);
             objects.add(wanted, made, &record.boxes, (camera.width, camera.height));
         }
-        labels.extend(batch.records.iter().map(|record| record.labels));
+        labels.extend(batch.records.iter().map(Told::of));
         latents.extend(batch.latents);
         report(latents.len());
     })?;
-    let (mut known, mut known_labels) = (Vec::new(), Vec::new());
+    let (mut known, mut known_labels): (Vec<Vec<f32>>, Vec<Told>) = (Vec::new(), Vec::new());
     each(encoder, fitted, probe_frames, false, |batch| {
-        known_labels.extend(batch.records.iter().map(|record| record.labels));
+        known_labels.extend(batch.records.iter().map(Told::of));
         known.extend(batch.latents);
         report(latents.len() + known.len());
     })?;
     let probe = |what: fn(&Labels) -> bool| {
-        let told: Vec<bool> = known_labels.iter().map(what).collect();
-        let wanted: Vec<bool> = labels.iter().map(what).collect();
+        let told: Vec<bool> = known_labels.iter().map(|told| what(&told.labels)).collect();
+        let wanted: Vec<bool> = labels.iter().map(|told| what(&told.labels)).collect();
         let ranked = Probe::fit(&known, &told).and_then(|probe| {
             let scores: Vec<f64> = latents.iter().map(|latent| probe.score(latent)).collect();
             auc(&scores, &wanted)
         });
         let count = |labels: &[bool]| labels.iter().filter(|label| **label).count();
         ProbeScore { auc: ranked, fitted_positives: count(&told), measured_positives: count(&wanted) }
+    };
+    let regress = |what: fn(&Told) -> Option<f64>| {
+        let pick = |latents: &[Vec<f32>], told: &[Told]| -> (Vec<Vec<f32>>, Vec<f64>) {
+            let pairs = latents.iter().zip(told).filter_map(|(x, told)| Some((x.clone(), what(told)?)));
+            pairs.unzip()
+        };
+        let ((x, y), (unseen, wanted)) = (pick(&known, &known_labels), pick(&latents, &labels));
+        let made =
+            Regression::fit(&x, &y).map(|line| unseen.iter().map(|x| line.value(x)).collect::<Vec<_>>());
+        let errors: Vec<f64> =
+            made.iter().flatten().zip(&wanted).map(|(made, wanted)| (made - wanted).abs()).collect();
+        LinearScore {
+            r2: made.and_then(|made| explained(&made, &wanted)),
+            median_error: (!errors.is_empty()).then(|| median(errors)),
+            fitted: y.len(),
+            measured: wanted.len(),
+        }
     };
     let count = latents.len().max(1) as f64;
     Ok(Judgement {
@@ -141,6 +193,9 @@ pub fn judge(
         lead: probe(|l| l.lead.is_some_and(|gap| gap <= LEAD)),
         pedestrian: probe(|l| l.pedestrian.is_some_and(|gap| gap <= PEDESTRIAN)),
         red: probe(|l| l.red),
+        lateral: regress(|told| told.on_lane.map(|[lateral, _]| lateral)),
+        heading: regress(|told| told.on_lane.map(|[_, heading]| heading)),
+        gap: regress(|told| told.labels.lead.filter(|gap| *gap <= LEAD)),
     })
 }
 

@@ -9,13 +9,34 @@ pub struct Probe {
     weights: DVector<f64>,
 }
 
-/// Newton steps, and the square penalty on weights: small against the data, enough for separable data.
+/// Newton steps.
 const STEPS: usize = 12;
+/// Square penalties on the weights that are tried: where the positives are few, 200 weights need a strong one.
+const PENALTIES: [f64; 4] = [1.0, 10.0, 100.0, 1000.0];
+/// The regression's.
 const PENALTY: f64 = 1.0;
+/// The last share of what is fitted to is held back while the penalty is chosen.
+const HELD_BACK: f64 = 0.3;
 
 impl Probe {
-    /// Fits by Newton's method with an L2 penalty. None where all labels are equal or nothing is given.
+    /// Fits by Newton's method with an L2 penalty: the one that ranks the last part best when fitted to the
+    /// first. None where all labels are equal or nothing is given.
     pub fn fit(features: &[Vec<f32>], labels: &[bool]) -> Option<Self> {
+        if features.len() != labels.len() {
+            return None;
+        }
+        let first = features.len() - (HELD_BACK * features.len() as f64) as usize;
+        let rank = |penalty: f64| {
+            let probe = Self::fit_with(&features[..first], &labels[..first], penalty)?;
+            let scores: Vec<f64> = features[first..].iter().map(|row| probe.score(row)).collect();
+            auc(&scores, &labels[first..])
+        };
+        let ranked = PENALTIES.iter().filter_map(|&penalty| Some((rank(penalty)?, penalty)));
+        let best = ranked.max_by(|a, b| a.0.total_cmp(&b.0)).map_or(PENALTIES[0], |(_, penalty)| penalty);
+        Self::fit_with(features, labels, best)
+    }
+
+    fn fit_with(features: &[Vec<f32>], labels: &[bool], penalty: f64) -> Option<Self> {
         let size = features.first()?.len() + 1;
         let positives = labels.iter().filter(|label| **label).count();
         if positives == 0 || positives == labels.len() || labels.len() != features.len() {
@@ -27,15 +48,15 @@ impl Probe {
         let mut weights = DVector::zeros(size);
         for _ in 0..STEPS {
             let p = (&x * &weights).map(|z: f64| 1.0 / (1.0 + (-z).exp()));
-            let mut gradient = x.tr_mul(&(&p - &y)) + &weights * PENALTY;
-            gradient[size - 1] -= weights[size - 1] * PENALTY;
+            let mut gradient = x.tr_mul(&(&p - &y)) + &weights * penalty;
+            gradient[size - 1] -= weights[size - 1] * penalty;
             let mut scaled = x.clone();
             for (i, mut row) in scaled.row_iter_mut().enumerate() {
                 row *= (p[i] * (1.0 - p[i])).max(1e-6);
             }
             let mut hessian = x.tr_mul(&scaled);
             for i in 0..size {
-                hessian[(i, i)] += if i + 1 == size { 1e-6 } else { PENALTY };
+                hessian[(i, i)] += if i + 1 == size { 1e-6 } else { penalty };
             }
             let step = hessian.cholesky()?.solve(&gradient);
             weights -= &step;
@@ -48,9 +69,51 @@ impl Probe {
 
     /// The higher, the more likely.
     pub fn score(&self, features: &[f32]) -> f64 {
-        let bias = self.weights[self.weights.len() - 1];
-        bias + features.iter().zip(self.weights.iter()).map(|(x, w)| f64::from(*x) * w).sum::<f64>()
+        linear(&self.weights, features)
     }
+}
+
+/// A linear regression.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Regression {
+    /// One per feature, then the bias.
+    weights: DVector<f64>,
+}
+
+impl Regression {
+    /// Least squares with the probes' penalty. None without values.
+    pub fn fit(features: &[Vec<f32>], values: &[f64]) -> Option<Self> {
+        let size = features.first()?.len() + 1;
+        if values.len() != features.len() {
+            return None;
+        }
+        let x =
+            DMatrix::from_fn(features.len(), size, |i, j| features[i].get(j).map_or(1.0, |v| f64::from(*v)));
+        let mut normal = x.tr_mul(&x);
+        for i in 0..size {
+            normal[(i, i)] += if i + 1 == size { 1e-6 } else { PENALTY };
+        }
+        let rhs = x.tr_mul(&DVector::from_column_slice(values));
+        Some(Self { weights: normal.cholesky()?.solve(&rhs) })
+    }
+
+    /// The value that the features stand for.
+    pub fn value(&self, features: &[f32]) -> f64 {
+        linear(&self.weights, features)
+    }
+}
+
+fn linear(weights: &DVector<f64>, features: &[f32]) -> f64 {
+    let bias = weights[weights.len() - 1];
+    bias + features.iter().zip(weights.iter()).map(|(x, w)| f64::from(*x) * w).sum::<f64>()
+}
+
+/// Share of the variance of `wanted` that `made` explains; None where there is no variance.
+pub fn explained(made: &[f64], wanted: &[f64]) -> Option<f64> {
+    let mean = wanted.iter().sum::<f64>() / wanted.len().max(1) as f64;
+    let all: f64 = wanted.iter().map(|y| (y - mean).powi(2)).sum();
+    let left: f64 = made.iter().zip(wanted).map(|(x, y)| (x - y).powi(2)).sum();
+    (all > 0.0).then(|| 1.0 - left / all)
 }
 
 /// Area under the ROC curve: how often a positive scores above a negative, ties counted half. None where
@@ -85,6 +148,23 @@ mod tests {
         assert_eq!(auc(&[0.1, 0.4, 0.35, 0.8], &labels), Some(0.75));
         assert_eq!(auc(&[0.5; 4], &labels), Some(0.5));
         assert_eq!(auc(&[0.5; 4], &[true; 4]), None);
+    }
+
+    #[test]
+    fn a_regression_explains_what_is_linear_and_not_noise() {
+        let mut rng = seeds::rng(2, "regression");
+        let rows: Vec<Vec<f32>> =
+            (0..3000).map(|_| (0..20).map(|_| rng.random::<f32>() - 0.5).collect()).collect();
+        let told: Vec<f64> = rows.iter().map(|r| 3.0 + f64::from(r[4] - 2.0 * r[9])).collect();
+        let noise: Vec<f64> = rows.iter().map(|_| rng.random::<f64>()).collect();
+        let (fit, rest) = rows.split_at(2000);
+        let share = |values: &[f64]| {
+            let line = Regression::fit(fit, &values[..2000]).unwrap();
+            let made: Vec<f64> = rest.iter().map(|row| line.value(row)).collect();
+            explained(&made, &values[2000..]).unwrap()
+        };
+        assert!(share(&told) > 0.99 && share(&noise) < 0.05, "{} {}", share(&told), share(&noise));
+        assert_eq!(Regression::fit(&[], &[]), None);
     }
 
     #[test]

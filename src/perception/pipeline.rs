@@ -205,7 +205,7 @@ mod tests {
         let mut one = perception();
         let episode = |one: &mut Perception| -> Vec<_> {
             one.reset(3);
-            let facts = |i: usize| road.facts(240.0 + i as f64, 0.1, 0.0, 6.0);
+            let facts = |i: usize| road.facts(road.route.links[0].stop_s - 18.0 + i as f64, 0.1, 0.0, 6.0);
             let look = |(i, frame): (usize, &Frame)| {
                 let percept = one.perceive(frame, &facts(i)).unwrap();
                 (percept.transformed.clone(), percept.lanes, percept.raw, percept.light_red)

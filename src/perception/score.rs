@@ -1,4 +1,4 @@
-//! Detectors judged by the camera's ground truth: the score of docs/detectors.md.
+//! Detectors judged by the camera's ground truth: the score of docs/detector.md.
 //!
 //! Two judgements over the same frames. The *realism score* asks how much of our pictures a detector
 //! trained elsewhere believes: recall at a score of 0.3 in groups of classes, since a van is a car to one
@@ -73,6 +73,10 @@ pub fn visible_share(class: ObjectClass, visible_pixels: u32, [l, t, r, b]: [f32
     (visible_pixels as f32 / (fill * (r - l) * (b - t)).max(1.0)).min(1.0)
 }
 
+fn has_rider(class: ObjectClass) -> bool {
+    matches!(class, ObjectClass::Motorcycle | ObjectClass::Bicycle)
+}
+
 fn truth(object: &ObjectTruth, label: usize) -> Truth {
     let ignored = visible_share(object.class, object.visible_pixels, object.full_box) < LEAST_VISIBLE;
     let bounds = if ignored { object.full_box } else { object.visible_box.map(|v| v as f32) };
@@ -106,7 +110,7 @@ impl View {
             let low = one.bounds[3] - one.bounds[1] < GROUPS[label].height;
             one.ignored |= low;
             truths.push(one);
-            if matches!(object.class, ObjectClass::Motorcycle | ObjectClass::Bicycle) {
+            if has_rider(object.class) {
                 truths.push(Truth { label: PERSON, ignored: true, ..one });
             }
         }
@@ -122,6 +126,8 @@ pub struct Realism {
     pub frames: usize,
     /// By the names of [`GROUPS`].
     pub groups: BTreeMap<&'static str, GroupScore>,
+    /// By the class of what is there, found as any class of its group.
+    pub classes: BTreeMap<&'static str, ClassScore>,
     pub false_alarms_per_frame: f64,
 }
 
@@ -133,6 +139,13 @@ pub struct GroupScore {
     /// None without truths.
     pub recall: Option<f64>,
     pub false_alarms: usize,
+}
+
+/// How many of one class's objects were found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct ClassScore {
+    pub truths: usize,
+    pub hits: usize,
 }
 
 /// The realism score of these frames.
@@ -147,13 +160,23 @@ pub fn realism<'a>(views: impl IntoIterator<Item = &'a View>) -> Realism {
         let scored = view.by_group();
         // Low truths are ignored already; detections of any height can be wrong.
         let fates = fates(&scored, 0.5, |_| true);
-        for truth in scored.truths.iter().filter(|t| !t.ignored) {
+        // A cycle is two truths, the second of them its rider.
+        let classes = view.objects.iter().flat_map(|object| {
+            let count = if has_rider(object.class) { 2 } else { 1 };
+            std::iter::repeat_n(class_name(object.class), count)
+        });
+        let classes: Vec<&'static str> = classes.collect();
+        for (truth, class) in scored.truths.iter().zip(&classes).filter(|(t, _)| !t.ignored) {
             score.groups.entry(GROUPS[truth.label].name).or_default().truths += 1;
+            score.classes.entry(class).or_default().truths += 1;
         }
         for (found, fate) in scored.found.iter().zip(fates) {
             let group = score.groups.entry(GROUPS[found.label].name).or_default();
             match fate {
-                Fate::Hit(_) => group.hits += 1,
+                Fate::Hit(truth) => {
+                    group.hits += 1;
+                    score.classes.entry(classes[truth]).or_default().hits += 1;
+                }
                 Fate::False => {
                     group.false_alarms += 1;
                     false_alarms += 1;
@@ -253,6 +276,9 @@ mod tests {
         let score = realism([&view]);
         let cars = &score.groups["car, bus, truck"];
         assert_eq!((cars.truths, cars.hits, cars.false_alarms), (2, 1, 1));
+        assert_eq!(score.classes["car"], ClassScore { truths: 2, hits: 1 });
+        assert_eq!(score.classes["bicycle"], ClassScore { truths: 1, hits: 0 });
+        assert_eq!(score.classes.len(), 2);
         assert_eq!(score.groups["person"].false_alarms, 0);
         assert_eq!(score.false_alarms_per_frame, 1.0);
         // By class the truck is wrong, and the two cars 24 px or more are missed.

@@ -47,7 +47,7 @@ impl AdamW {
             for (_, variable, ..) in &self.parts {
                 let grad = variable.grad();
                 if grad.defined() {
-                    squares = squares.f_add(&grad.f_square()?.f_sum(Kind::Float)?)?;
+                    squares = squares.f_add(&grad.f_norm()?.f_square()?)?;
                 }
             }
             let length = squares.f_sqrt()?.f_double_value(&[])?;
@@ -58,18 +58,20 @@ impl AdamW {
             self.steps += 1;
             let (c1, c2) = (1.0 - BETA1.powi(self.steps), 1.0 - BETA2.powi(self.steps));
             for (_, variable, first, second) in &mut self.parts {
-                let grad = variable.grad();
+                let mut grad = variable.grad();
                 if !grad.defined() {
                     continue;
                 }
-                let grad = grad.f_mul_scalar(factor)?;
-                let _ = first.f_mul_scalar_(BETA1)?.f_add_(&grad.f_mul_scalar(1.0 - BETA1)?)?;
-                let _ = second.f_mul_scalar_(BETA2)?.f_addcmul_(&grad.f_mul_scalar(1.0 - BETA2)?, &grad)?;
+                // In place where it can be: large networks otherwise spend their time on getting memory.
+                let _ = grad.f_mul_scalar_(factor)?;
+                let _ = first.f_lerp_(&grad, 1.0 - BETA1)?;
+                let _ = second.f_lerp_(&grad.f_square_()?, 1.0 - BETA2)?;
                 if variable.dim() > 1 {
                     let _ = variable.f_mul_scalar_(1.0 - rate * self.weight_decay)?;
                 }
-                let root = second.f_div_scalar(c2)?.f_sqrt()?.f_add_scalar(EPSILON)?;
-                let step = first.f_div(&root)?.f_mul_scalar(-rate / c1)?;
+                let mut root = second.f_div_scalar(c2)?;
+                let _ = root.f_sqrt_()?.f_add_scalar_(EPSILON)?;
+                let step = first.f_div(&root)?.f_mul_scalar_(-rate / c1)?;
                 let _ = variable.f_add_(&step)?;
             }
             Ok(true)

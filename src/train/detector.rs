@@ -6,7 +6,7 @@
 //! trained on. The best network so far is exported in half precision, and a checkpoint written.
 
 use super::adamw::AdamW;
-use super::detector_data::{SIDE, Sample, batches, epoch, samples};
+use super::detector_data::{SIDE, Sample, Show, epoch, samples, steps};
 use super::tensorboard::EventWriter;
 use crate::dataset::{Dataset, DatasetError};
 use crate::latent::weights::{Weights, WeightsError};
@@ -37,6 +37,10 @@ pub struct TrainOptions {
     /// AdamW's, at its highest; it rises over the first steps and falls to 0 as half a cosine.
     pub learning_rate: f64,
     pub weight_decay: f64,
+    /// Width and height of the windows that most steps show; None: whole pictures only.
+    pub window: Option<(usize, usize)>,
+    /// Compute the backbone in bfloat16; weights and optimiser stay in single precision.
+    pub bfloat16: bool,
     /// Vary light and colours.
     pub vary: bool,
     pub seed: u64,
@@ -62,6 +66,8 @@ impl TrainOptions {
             epoch_steps: 400,
             learning_rate: 1.5e-3,
             weight_decay: 1e-3,
+            window: Some((320, 320)),
+            bfloat16: false,
             vary: true,
             seed: 0,
             partial: false,
@@ -148,19 +154,22 @@ pub struct Progress {
 const WARM_UP: f64 = 100.0;
 /// Longest gradient.
 const LONGEST: f64 = 10.0;
-/// Steps between looks at the loss: each look waits for the device.
-const LOOK_EVERY: u64 = 10;
+/// Steps between reports.
+const REPORT_EVERY: u64 = 10;
 /// Lowest score that validation looks at.
 const LEAST_SCORE: f32 = 0.05;
 
 /// How far a checkpoint is.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(default)]
 struct Reached {
     epoch: u64,
     step: u64,
     optimiser_steps: i32,
     best_epoch: u64,
     best: Option<Validation>,
+    /// How many frames said so: other frames give other scores.
+    validation_frames: usize,
     seconds: f64,
 }
 
@@ -270,11 +279,14 @@ impl<'a> Trainer<'a> {
             network = CenterNet::new(options.backbone, device)?;
             adam = AdamW::new(&network.store, options.weight_decay)?;
         }
+        if reached.validation_frames != validation.len() {
+            (reached.validation_frames, reached.best) = (validation.len(), None);
+        }
         let m = &dataset.manifest;
         let weathers: Vec<&str> = m.weathers.iter().map(|w| w.name()).collect();
         let made_of =
             format!("{} frames of {} in {}, seed {}", training.len(), m.town, weathers.join(", "), m.seed);
-        let epoch_steps = batches(&training, (options.batch, options.epoch_steps)) as u64;
+        let epoch_steps = steps(&training, options.batch, options.epoch_steps) as u64;
         let began = Instant::now();
         Ok(Self {
             options,
@@ -319,15 +331,19 @@ impl<'a> Trainer<'a> {
     ) -> Result<Option<EpochRecord>, TrainError> {
         let options = self.options;
         let number = self.reached.epoch;
-        tch::manual_seed(seeds::derive(options.seed, &format!("augmentation {number}")) as i64);
         let clock = Instant::now();
         let steps = self.steps();
         let samples = std::mem::take(&mut self.training);
         let (mut sum, mut looks, mut interrupted, mut shown) = (0.0, 0_u64, false, 0_usize);
         let result = epoch(
-            options.backbone,
+            Show {
+                backbone: options.backbone,
+                batch: options.batch,
+                window: options.window,
+                vary: options.vary,
+            },
             &samples,
-            (options.batch, options.epoch_steps),
+            self.epoch_steps as usize,
             (options.seed, number),
             options.workers,
             |batch| -> Result<bool, TrainError> {
@@ -335,27 +351,24 @@ impl<'a> Trainer<'a> {
                     interrupted = true;
                     return Ok(false);
                 }
-                let (pictures, target) = batch.load(options.backbone, self.device, options.vary)?;
+                let (pictures, target) = batch.load(self.device)?;
+                let precision = if options.bfloat16 { Kind::BFloat16 } else { Kind::Float };
+                let pictures = pictures.f_to_kind(precision)?;
                 let answer = self.network.forward(&pictures, true)?;
                 let total = loss(&answer, &target)?.total()?;
                 let rate = self.rate();
                 let is_good = self.adam.step(&total, rate, LONGEST)?;
-                let look = self.reached.step.is_multiple_of(LOOK_EVERY) || !is_good;
-                if look {
-                    let value = total.f_double_value(&[])?;
-                    if !value.is_finite() || !is_good {
-                        return Err(TrainError::NotFinite {
-                            loss: value,
-                            step: self.reached.step,
-                            checkpoint: options.out.join("checkpoint.safetensors"),
-                        });
-                    }
-                    sum += value;
-                    looks += 1;
-                    let step = self.reached.step;
+                let (value, step) = (total.f_double_value(&[])?, self.reached.step);
+                if !value.is_finite() || !is_good {
+                    let checkpoint = options.out.join("checkpoint.safetensors");
+                    return Err(TrainError::NotFinite { loss: value, step, checkpoint });
+                }
+                sum += value;
+                looks += 1;
+                if step.is_multiple_of(REPORT_EVERY) {
                     report(Progress { epoch: number, step, steps, loss: value, validation: None });
                 }
-                shown += options.batch;
+                shown += batch.count();
                 self.reached.step += 1;
                 Ok(self.options.time_limit.is_none_or(|limit| self.seconds() < limit))
             },
@@ -447,3 +460,6 @@ impl<'a> Trainer<'a> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -2,8 +2,8 @@
 
 use crate::camera::model::ObjectClass;
 use crate::dataset::{BoxRecord, CameraCodec, Dataset, DatasetError, decode_camera};
-use crate::perception::centernet::targets::{Centre, Wanted, encode};
-use crate::perception::centernet::{Backbone, loss::Target};
+use crate::perception::centernet::targets::{Centre, Wanted, Window, encode};
+use crate::perception::centernet::{Backbone, loss::Target, network::STRIDE};
 use crate::perception::coco::class_index;
 use crate::perception::metrics::{Scored, Truth};
 use crate::perception::score::{LEAST_VISIBLE, visible_share};
@@ -119,73 +119,171 @@ fn repeats(samples: &[Sample]) -> Vec<f64> {
 }
 
 /// The samples of an epoch, shuffled.
-fn order(repeats: &[f64], seed: u64, epoch: u64) -> Vec<(usize, bool)> {
+fn order(repeats: &[f64], seed: u64, epoch: u64) -> Vec<usize> {
     let mut rng = seeds::rng(seed, &format!("detector epoch {epoch}"));
     let mut order = Vec::new();
     for (index, &times) in repeats.iter().enumerate() {
         let count = times as usize + usize::from(rng.random::<f64>() < times.fract());
-        order.extend((0..count).map(|_| (index, rng.random::<bool>())));
+        order.extend((0..count).map(|_| index));
     }
     order.shuffle(&mut rng);
     order
+}
+
+/// The windows that an epoch's steps show, largest last.
+///
+/// Most steps show small windows round objects: a third of the work of whole pictures, and hardly any
+/// empty road. The last ones show whole pictures, fewer at a time, so that batch norm ends with the
+/// statistics of what the network sees in use.
+#[derive(Clone, Copy, Debug)]
+pub struct Show {
+    pub backbone: Backbone,
+    /// Pictures to a step with small windows.
+    pub batch: usize,
+    /// Width and height of the small windows; None: whole pictures only.
+    pub window: Option<(usize, usize)>,
+    /// Vary light and colours.
+    pub vary: bool,
+}
+
+/// Share of an epoch's steps that show whole pictures.
+const WHOLE: f64 = 0.25;
+/// Share of small windows that lie anywhere, not round an object.
+const ANYWHERE: f64 = 0.2;
+/// Small windows cut from a picture once it is decoded, which costs a tenth as much as a training step.
+const WINDOWS: usize = 2;
+
+impl Show {
+    /// Windows per picked sample, for windows of this size.
+    fn per_sample(&self, size: (usize, usize)) -> usize {
+        if size.1 < self.whole().height { WINDOWS } else { 1 }
+    }
+
+    fn whole(&self) -> Window {
+        Window::whole(self.backbone, (SIDE, SIDE))
+    }
+
+    /// Size of the windows in a step, and pictures to it.
+    fn step(&self, step: usize, steps: usize) -> ((usize, usize), usize) {
+        let whole = self.whole();
+        match self.window {
+            Some((w, h)) if (step as f64) < (1.0 - WHOLE) * steps as f64 => ((w, h), self.batch),
+            Some((w, h)) => {
+                let fewer = self.batch * w * h / (whole.width * whole.height);
+                ((whole.width, whole.height), fewer.clamp(2.min(self.batch), self.batch))
+            }
+            None => ((whole.width, whole.height), self.batch),
+        }
+    }
+
+    /// A window of this size: round one of the objects (width-wise evenly, so that it is seen near the
+    /// borders too), or anywhere.
+    fn place(&self, (width, height): (usize, usize), wanted: &[Wanted], rng: &mut impl RngExt) -> Window {
+        let whole = self.whole();
+        let taught: Vec<&Wanted> = wanted.iter().filter(|w| !w.ignored).collect();
+        let target = (!taught.is_empty() && rng.random::<f64>() >= ANYWHERE)
+            .then(|| taught[rng.random_range(0..taught.len())].bounds);
+        let mut along = |low: f32, high: f32, side: usize, first: usize, all: usize| {
+            let most = all - side;
+            let start = match target {
+                Some(_) => 0.5 * (low + high) - first as f32 - side as f32 * rng.random_range(0.1..0.9),
+                None => rng.random::<f32>() * most as f32,
+            };
+            first + (start.max(0.0) as usize).min(most)
+        };
+        let [l, t, r, b] = target.unwrap_or_default();
+        let left = along(l, r, width, whole.left, whole.width);
+        let top = along(t, b, height, whole.top, whole.height);
+        Window { left, top, width, height }
+    }
 }
 
 /// A batch on the processor.
 #[derive(Debug)]
 pub struct Batch {
     count: usize,
-    /// count x rows x 512 x 3.
+    /// Width and height of each window.
+    size: (usize, usize),
+    /// count x height x width x 3.
     pixels: Vec<u8>,
     /// count x 8 x h x w.
     heat: Vec<f32>,
     centres: Vec<(usize, Centre)>,
-    flips: Vec<bool>,
 }
 
 impl Batch {
-    fn new(backbone: Backbone, samples: &[Sample], picked: &[(usize, bool)]) -> Result<Self, DatasetError> {
-        let (first, rows) = backbone.rows(SIDE);
-        let (bytes, cells) = (rows * SIDE * 3, rows / 4 * (SIDE / 4) * 8);
+    /// `count` windows of the picked samples, mirrored at random, their light and colours varied.
+    fn new(
+        show: &Show,
+        samples: &[Sample],
+        (picked, count): (&[usize], usize),
+        size: (usize, usize),
+        rng: &mut impl RngExt,
+    ) -> Result<Self, DatasetError> {
+        let (width, height) = size;
+        let (bytes, shape) = (width * height * 3, (width / STRIDE, height / STRIDE));
+        let cells = shape.0 * shape.1 * 8;
         let mut batch = Self {
-            count: picked.len(),
-            pixels: Vec::with_capacity(picked.len() * bytes),
-            heat: vec![0.0; picked.len() * cells],
+            count,
+            size,
+            pixels: Vec::with_capacity(count * bytes),
+            heat: vec![0.0; count * cells],
             centres: Vec::new(),
-            flips: picked.iter().map(|p| p.1).collect(),
         };
-        for (n, &(index, flip)) in picked.iter().enumerate() {
-            let sample = &samples[index];
-            batch.pixels.extend(&sample.rgb()?[first * SIDE * 3..][..bytes]);
-            let mut wanted: Vec<Wanted> = sample.wanted().collect();
-            if flip {
-                for one in &mut wanted {
-                    let [l, t, r, b] = one.bounds;
-                    one.bounds = [SIDE as f32 - r, t, SIDE as f32 - l, b];
+        let cuts_rows = height < show.whole().height;
+        let mut rgb = Vec::new();
+        let mut decoded = None;
+        for n in 0..count {
+            let index = picked[n / show.per_sample(size)];
+            if decoded != Some(index) {
+                (rgb, decoded) = (samples[index].rgb()?, Some(index));
+            }
+            let wanted: Vec<Wanted> = samples[index].wanted().collect();
+            let window = show.place(size, &wanted, rng);
+            let mirrored = rng.random::<bool>();
+            let start = batch.pixels.len();
+            for y in window.top..window.top + height {
+                let row = &rgb[(y * SIDE + window.left) * 3..][..width * 3];
+                if mirrored {
+                    batch.pixels.extend(row.as_chunks::<3>().0.iter().rev().flatten());
+                } else {
+                    batch.pixels.extend(row);
                 }
             }
-            let heat = &mut batch.heat[n * cells..][..cells];
-            let centres = encode(backbone, &wanted, (SIDE, SIDE), heat);
+            if show.vary {
+                vary(&mut batch.pixels[start..], rng);
+            }
+            let shown = wanted.iter().filter_map(|one| window.view(one, cuts_rows)).map(|mut one| {
+                if mirrored {
+                    let [l, t, r, b] = one.bounds;
+                    one.bounds = [width as f32 - r, t, width as f32 - l, b];
+                }
+                one
+            });
+            let shown: Vec<Wanted> = shown.collect();
+            let centres = encode(&shown, shape, &mut batch.heat[n * cells..][..cells]);
             batch.centres.extend(centres.into_iter().map(|c| (n, c)));
         }
         Ok(batch)
     }
 
-    /// Pictures (n, 3, rows, 512) from 0 to 1, mirrored and with their colours and light varied on the
-    /// device, and what is wanted of them.
+    /// Pictures in the batch.
+    pub fn count(&self) -> usize {
+        self.count
+    }
+
+    /// Pictures (n, 3, height, width) from 0 to 1, and what is wanted of them.
     ///
     /// # Errors
     /// torch fails.
-    pub fn load(&self, backbone: Backbone, device: Device, vary: bool) -> Result<(Tensor, Target), TchError> {
-        let (n, rows, side) = (self.count as i64, backbone.rows(SIDE).1 as i64, SIDE as i64);
-        let pixels = Tensor::f_from_data_size(&self.pixels, &[n, rows, side, 3], Kind::Uint8)?;
-        let mut x = pixels.f_to_device(device)?.f_to_kind(Kind::Float)?.f_mul_scalar(1.0 / 255.0)?;
-        x = x.f_permute([0, 3, 1, 2])?;
-        let flips = Tensor::f_from_slice(&self.flips)?.f_to_device(device)?.f_view([n, 1, 1, 1])?;
-        x = x.f_flip([3])?.f_where_self(&flips, &x)?;
-        if vary {
-            x = varied(&x)?;
-        }
-        let (h, w) = (rows / 4, side / 4);
+    pub fn load(&self, device: Device) -> Result<(Tensor, Target), TchError> {
+        let n = self.count as i64;
+        let (width, height) = (self.size.0 as i64, self.size.1 as i64);
+        let pixels = Tensor::f_from_data_size(&self.pixels, &[n, height, width, 3], Kind::Uint8)?;
+        let x = pixels.f_to_device(device)?.f_to_kind(Kind::Float)?.f_mul_scalar(1.0 / 255.0)?;
+        // The permuted view keeps the channels innermost: convolutions on the processor like it so.
+        let x = x.f_permute([0, 3, 1, 2])?;
+        let (h, w) = (height / STRIDE as i64, width / STRIDE as i64);
         let heat = Tensor::f_from_slice(&self.heat)?.f_view([n, 8, h, w])?.f_to_device(device)?;
         let cells: Vec<i64> = self.centres.iter().map(|(p, c)| *p as i64 * h * w + c.cell as i64).collect();
         let pairs = |f: &dyn Fn(&Centre) -> [f32; 2]| -> Result<Tensor, TchError> {
@@ -198,21 +296,31 @@ impl Batch {
 }
 
 /// Other light, other colours, less contrast, some noise: towards the weathers that training never sees.
-fn varied(x: &Tensor) -> Result<Tensor, TchError> {
-    let n = x.size()[0];
-    let options = (Kind::Float, x.device());
-    let between = |shape: [i64; 4], low: f64, high: f64| {
-        Tensor::f_rand(shape, options)?.f_mul_scalar(high - low)?.f_add_scalar(low)
-    };
-    let gamma = between([n, 1, 1, 1], -0.5, 0.5)?.f_exp()?;
-    let gain = between([n, 1, 1, 1], 0.7, 1.25)?.f_mul(&between([n, 3, 1, 1], 0.85, 1.15)?)?;
-    let contrast = between([n, 1, 1, 1], 0.5, 1.2)?;
-    let noise = between([n, 1, 1, 1], 0.0, 0.03)?;
-    let mean = x.f_mean_dim([2_i64, 3].as_slice(), true, Kind::Float)?;
-    let y = x.f_sub(&mean)?.f_mul(&contrast)?.f_add(&mean)?.f_clamp(1e-3, 1.0)?;
-    let y = y.f_pow(&gamma)?.f_mul(&gain)?;
-    y.f_add(&y.f_randn_like()?.f_mul(&noise)?)?.f_clamp(0.0, 1.0)
+/// A table per colour, since a picture has many pixels and a byte few values.
+fn vary(rgb: &mut [u8], rng: &mut impl RngExt) {
+    let gamma = rng.random_range(-0.45_f32..0.45).exp();
+    let (gain, contrast) = (rng.random_range(0.7..1.25), rng.random_range(0.55..1.2));
+    let tables: [[f32; 256]; 3] = std::array::from_fn(|_| {
+        let gain: f32 = gain * rng.random_range(0.88..1.12);
+        std::array::from_fn(|v| {
+            let value: f32 = (v as f32 / 255.0 - MIDDLE) * contrast + MIDDLE;
+            255.0 * gain * value.clamp(0.0, 1.0).powf(gamma)
+        })
+    });
+    let noise = rng.random_range(0.0_f32..NOISE) / 128.0;
+    for pixel in rgb.as_chunks_mut::<3>().0 {
+        let dice = rng.random::<u32>().to_le_bytes();
+        for c in 0..3 {
+            let off = noise * (f32::from(dice[c]) - 127.5);
+            pixel[c] = (tables[c][usize::from(pixel[c])] + off + 0.5) as u8;
+        }
+    }
 }
+
+/// What contrast is varied about.
+const MIDDLE: f32 = 0.45;
+/// The most that noise changes a byte by.
+const NOISE: f32 = 10.0;
 
 /// Makes the batches of an epoch on `workers` threads and hands each to `take`, in an order that does not
 /// depend on their number. `take` says whether to go on.
@@ -220,25 +328,35 @@ fn varied(x: &Tensor) -> Result<Tensor, TchError> {
 /// # Errors
 /// A picture is damaged, or what `take` says.
 pub fn epoch<E: From<DatasetError>>(
-    backbone: Backbone,
+    show: Show,
     samples: &[Sample],
-    (batch, most): (usize, usize),
+    steps: usize,
     (seed, epoch): (u64, u64),
     workers: usize,
     mut take: impl FnMut(Batch) -> Result<bool, E>,
 ) -> Result<(), E> {
     let order = order(&repeats(samples), seed, epoch);
-    let picks: Vec<&[(usize, bool)]> = order.chunks_exact(batch.min(order.len()).max(1)).take(most).collect();
+    if order.is_empty() {
+        return Ok(());
+    }
+    let mut picks = Vec::with_capacity(steps);
+    let mut next = order.iter().copied().cycle();
+    for step in 0..steps {
+        let (size, count) = show.step(step, steps);
+        let samples = count.div_ceil(show.per_sample(size));
+        picks.push((size, count, next.by_ref().take(samples).collect::<Vec<usize>>()));
+    }
     let workers = workers.clamp(1, picks.len().max(1));
     std::thread::scope(|scope| {
         let mut queues: Vec<Receiver<Result<Batch, DatasetError>>> = Vec::new();
         for worker in 0..workers {
             let (send, receive): (SyncSender<_>, _) = sync_channel(2);
             queues.push(receive);
-            let picks = &picks;
+            let (picks, show) = (&picks, &show);
             scope.spawn(move || {
-                for picked in picks.iter().skip(worker).step_by(workers) {
-                    if send.send(Batch::new(backbone, samples, picked)).is_err() {
+                for (n, (size, count, picked)) in picks.iter().enumerate().skip(worker).step_by(workers) {
+                    let mut rng = seeds::rng(seed, &format!("detector epoch {epoch} step {n}"));
+                    if send.send(Batch::new(show, samples, (picked, *count), *size, &mut rng)).is_err() {
                         return; // nobody listens any more
                     }
                 }
@@ -255,8 +373,11 @@ pub fn epoch<E: From<DatasetError>>(
     })
 }
 
-/// Batches of one epoch over these samples, at most `most`.
-pub fn batches(samples: &[Sample], (batch, most): (usize, usize)) -> usize {
+/// Steps of one epoch over these samples, at most `most`.
+pub fn steps(samples: &[Sample], batch: usize, most: usize) -> usize {
     let shown: f64 = repeats(samples).iter().sum();
     ((shown as usize / batch.max(1)).max(1)).min(most)
 }
+
+#[cfg(test)]
+mod tests;

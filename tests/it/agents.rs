@@ -129,6 +129,60 @@ fn wad_t_trains_stops_on_ctrl_c_goes_on_and_drives() {
     assert!(stderr(&output).contains("is no trained agent"), "{}", stderr(&output));
 }
 
+/// A SUMO that `parent` started.
+fn sumo_of(parent: u32) -> Option<i32> {
+    std::fs::read_dir("/proc").ok()?.flatten().find_map(|entry| {
+        let stat = std::fs::read_to_string(entry.path().join("stat")).ok()?;
+        // pid (comm) state ppid ...
+        let (pid, rest) = stat.split_once(" (sumo) ")?;
+        (rest.split_whitespace().nth(1)? == parent.to_string()).then(|| pid.parse().ok())?
+    })
+}
+
+/// Whether there was such a process.
+fn kill(pid: i32) -> bool {
+    // SAFETY: sends a signal to a process that this test or its child started.
+    unsafe { libc::kill(pid, libc::SIGKILL) == 0 }
+}
+
+#[test]
+fn a_sumo_that_dies_costs_an_episode_and_a_killed_training_goes_on() {
+    let dir = tempfile::tempdir().unwrap();
+    let (out, record) = (dir.path().join("run"), dir.path().join("record"));
+    let errors = dir.path().join("stderr");
+    let mut command = train(&out, &["--algo", "td3", "--steps", "1000000", "--validate-every", "0"]);
+    command.args(SMALL).args(["--bc-weight", "1"]).arg("--record").arg(&record);
+    let mut child =
+        command.stdout(Stdio::null()).stderr(std::fs::File::create(&errors).unwrap()).spawn().unwrap();
+    let pid = child.id();
+    wait_until(&mut child, "a SUMO", || sumo_of(pid).is_some());
+    // It may still be starting: then it is started again, and nothing is lost. The first may have ended by then.
+    std::thread::sleep(Duration::from_secs(3));
+    wait_until(&mut child, "a SUMO to kill", || sumo_of(pid).is_some_and(kill));
+    wait_until(&mut child, "word of the loss", || {
+        let text = std::fs::read_to_string(&errors).unwrap();
+        text.contains("an episode is lost") || text.contains("SUMO is started again")
+    });
+    wait_until(&mut child, "a checkpoint after it", || checkpoints(&out) > 0);
+    assert!(kill(i32::try_from(pid).unwrap()));
+    child.wait().unwrap();
+    assert!(!out.join("summary.json").exists(), "nothing was said at the end");
+
+    let output = train(&out, &["--resume", "--collectors", "2", "--max-minutes", "0.1"]).output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    let resumed = json(&output);
+    assert!(resumed["steps"].as_u64().unwrap() >= 300, "{resumed}");
+
+    // What was recorded begins another agent behind another encoder or the same.
+    let other = dir.path().join("other");
+    let mut command = train(&other, &["--algo", "sac", "--steps", "1", "--pretrain", "20"]);
+    command.args(SMALL).args(["--bc-weight", "1", "--validate-every", "0"]).arg("--recorded").arg(&record);
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert!(stderr(&output).contains("recorded steps"), "{}", stderr(&output));
+    assert!(json(&output)["demonstrated"].as_u64().unwrap() > 0);
+}
+
 #[test]
 fn wad_s_learns_from_demonstrations_and_is_validated() {
     let dir = tempfile::tempdir().unwrap();

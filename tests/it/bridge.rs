@@ -8,7 +8,7 @@ use wad_cosim::destination::Destinations;
 use wad_cosim::drive::{Drive, DriveOptions};
 use wad_cosim::geometry::{Pose, Vector};
 use wad_cosim::network::{LanePosition, Network, Route, VehicleClass};
-use wad_cosim::traci::{Batch, SumoInstall, vehicle};
+use wad_cosim::traci::{Batch, SumoInstall, person, vehicle};
 use wad_cosim::traffic::{Counts, TrafficSpec};
 use wad_cosim::vehicle::{Control, EgoParams};
 use wad_cosim::world::{Actor, VehicleSignals};
@@ -341,6 +341,7 @@ async fn sumo_knows_the_egos_way_beyond_the_next_junction_all_along() {
         let at = ego.route().edge_index_at(ego.on_route().front_s);
         let current = &network.edge(ego.route().edges[at]).id;
         assert!(way.len() > index + 1, "tick {}: {way:?} ends at {current}", bridge.time());
+        assert!(way.len() <= 6, "what is behind it is kept, which move_to_xy pays for: {way:?}");
         assert!(way[index..].iter().take(2).any(|e| e == current), "{way:?} from {index} for {current}");
         if let Some(&next) = ego.route().edges.get(at + 1) {
             assert!(way[index..].contains(&network.edge(next).id), "{way:?} lacks the next edge");
@@ -356,6 +357,55 @@ async fn sumo_knows_the_egos_way_beyond_the_next_junction_all_along() {
         }
     }
     assert!(edges_seen.len() > 10 && arrivals > 0, "{edges_seen:?}, {arrivals} arrivals");
+    bridge.close().await.expect("closed");
+}
+
+/// What the bridge shows against what SUMO says of everybody, across jumps too.
+#[tokio::test]
+async fn it_sees_each_person_within_sight_and_nobody_else() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let net = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/town5/town5.net.xml");
+    let options = BridgeOptions {
+        traffic: TrafficSpec::Counts(Counts::new(0, 300)),
+        ..BridgeOptions::new(net, folder.path())
+    };
+    let mut bridge = Bridge::start(&options).await.expect("SUMO starts");
+    let network = bridge.network().clone();
+    let mut places = Destinations::new(&network, wad_cosim::seeds::rng(5, "route")).expect("places");
+    let from = places.place(&network);
+    let first = places.route_from(&network, from).expect("a route");
+    let mut ego = Ego::new("ego", EgoParams::default(), first, 0.0);
+    bridge.spawn(&mut ego).await.expect("the ego is in");
+    let mut pilot = Autopilot::new(AutopilotParams::default(), EgoModel::from(ego.params()));
+    let (mut came, mut before) = (0, std::collections::BTreeSet::new());
+    for tick in 0..900 {
+        let decision =
+            pilot.control(&network, ego.route(), ego.on_route().s, &ego.state(), ego.world(), bridge.tick());
+        ego.advance(decision.control, bridge.tick());
+        if tick % 300 == 299 {
+            // Elsewhere within a tick: nobody there is known yet.
+            let from = places.place(&network);
+            ego.respawn(places.route_from(&network, from).expect("a route"), 0.0);
+        }
+        bridge.step(&mut [&mut ego]).await.expect("a step");
+        let mut batch = Batch::new();
+        let ids = batch.get(person::ID_LIST, "");
+        let all = bridge.client_mut().send(&batch).await.expect("SUMO answers").get(ids).expect("ids");
+        let mut batch = Batch::new();
+        let tickets: Vec<_> = all.iter().map(|id| batch.get(person::POSITION, id)).collect();
+        let replies = bridge.client_mut().send(&batch).await.expect("SUMO answers");
+        let (front, _) = ego.state().pose.to_sumo(ego.params().length);
+        let near = all.iter().zip(tickets).filter(|(_, ticket)| {
+            let p = replies.get(*ticket).expect("a position");
+            (p.x - front.x).hypot(p.y - front.y) <= 100.0
+        });
+        let there: std::collections::BTreeSet<String> = near.map(|(id, _)| id.clone()).collect();
+        let seen = ego.world().pedestrians.iter().map(|actor| actor.id.to_string()).collect();
+        assert_eq!(there, seen, "tick {tick}");
+        came += there.difference(&before).count();
+        before = there;
+    }
+    assert!(came > 50, "too quiet a place: {came} came into sight");
     bridge.close().await.expect("closed");
 }
 

@@ -52,6 +52,64 @@ fn collecting_goes_on_where_it_stopped() {
     assert!(error.contains("the seed") && error.contains('3'), "{error}");
 }
 
+/// A recorded run is driven again, looked at in each weather, and it is the run that was recorded.
+#[test]
+fn a_recorded_run_becomes_data() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    let output = wad(&["run", "town5", "--traffic", "20,30", "--ticks", "60", "--seed", "5"], &run);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let data = folder.path().join("data");
+    let from = run.to_string_lossy().into_owned();
+    let args = ["--from", &from, "--weather", "ClearNoon,MidRainyNoon"];
+    let result = collect(&data, &args);
+    // 10 s less 2 s of warm-up, two frames a second at most.
+    let frames = result["frames"].as_u64().unwrap();
+    assert!((6..=32).contains(&frames) && frames.is_multiple_of(2), "{result}");
+    assert_eq!((result["shards"].as_u64(), result["complete"].as_bool()), (Some(2), Some(true)));
+    let mut info = Command::new(env!("CARGO_BIN_EXE_wad-cosim"));
+    let output = info.args(["dataset", "info"]).arg(&data).output().unwrap();
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(said.contains("test data") && said.contains("MidRainyNoon"), "{said}");
+    // Another way than the recorded one is noticed.
+    let telemetry = run.join("telemetry.jsonl");
+    let mut ticks: Vec<Value> = std::fs::read_to_string(&telemetry)
+        .unwrap()
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
+    for tick in &mut ticks[20..] {
+        tick["control"] = serde_json::json!({"throttle": 1.0, "steer": 0.0, "brake": 0.0});
+    }
+    let lines: Vec<String> = ticks.iter().map(Value::to_string).collect();
+    std::fs::write(&telemetry, lines.join("\n")).unwrap();
+    let again = folder.path().join("again");
+    let output = wad(&[&["dataset", "collect"], &args[..]].concat(), &again);
+    let error = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{error}");
+    assert!(error.contains("goes another way") && error.contains("tick"), "{error}");
+    let output = wad(&["dataset", "collect", "--from", &data.to_string_lossy()], &again);
+    let error = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2));
+    assert!(error.contains("no recorded run") && error.contains("config.json"), "{error}");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_disk_is_told_and_finished_shards_stay() {
+    let folder = tempfile::tempdir().unwrap();
+    // The second shard goes to a device that is always full.
+    std::os::unix::fs::symlink("/dev/full", folder.path().join("shard-00001.part")).unwrap();
+    let args = ["--town", "town3", "--frames", "60", "--per-shard", "30", "--seed", "3"];
+    let output = wad(&[&["dataset", "collect"], &args[..]].concat(), folder.path());
+    let error = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(1), "{error}");
+    assert!(error.contains("the disk is full") && error.contains("shard-00001"), "{error}");
+    assert_eq!(shards(folder.path()).len(), 1);
+    let result = collect(folder.path(), &args);
+    assert_eq!((result["frames_before"].as_u64(), result["frames"].as_u64()), (Some(30), Some(60)));
+}
+
 #[test]
 fn no_time_still_leaves_a_dataset_to_go_on_with() {
     let folder = tempfile::tempdir().unwrap();

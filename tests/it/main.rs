@@ -5,8 +5,12 @@
 mod agents;
 mod autopilot;
 mod bridge;
+#[cfg(feature = "vision")]
+mod camera;
 mod dataset;
 mod doctor;
+#[cfg(feature = "vision")]
+mod env;
 mod network;
 mod run;
 mod traci;

@@ -48,7 +48,8 @@ fn snapshot_shows_each_stage_and_the_same_one_again() {
     assert_eq!(take("transformed", "again.png").2, transformed);
     assert_eq!(take("detect", "d.png").0, 512);
     let (width, height, all) = take("all", "a.png");
-    assert_eq!((width, height), (3 * 512, 512));
+    let panels = if cfg!(feature = "learn") { 4 } else { 3 };
+    assert_eq!((width, height), (panels * 512, 512));
     assert!(count(&all, [0, 0, 255]) >= 12 * count(&transformed, [0, 0, 255]), "scaled by four");
 }
 
@@ -65,7 +66,8 @@ fn a_run_with_perception_says_what_it_sees_and_films_the_stages() {
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(said.contains("sees ") && said.contains("lanes "), "{said}");
     let (width, height, _) = picture(&Path::new(&film).join("frame-000019.png"));
-    assert_eq!((width, height), (512, 512 + 170));
+    // Three stages below the film, or four with the reconstruction.
+    assert_eq!((width, height), (512, 512 + if cfg!(feature = "learn") { 128 } else { 170 }));
     // Looking changes nothing.
     let mut args = common.to_vec();
     args.push(&plain);
@@ -148,6 +150,109 @@ fn the_vehicle_in_front_is_where_it_is_seen() {
     for bin in near.iter().filter(|bin| bin["frames"].as_u64() > Some(10)) {
         assert!(bin["recall"].as_f64() > Some(0.8), "{bin}");
         assert!(bin["gap_error"]["median"].as_f64() < Some(1.5), "{bin}");
+    }
+}
+
+/// The shipped encoder's reconstruction shows what the transformed image does.
+#[cfg(feature = "learn")]
+#[test]
+fn the_shipped_encoder_keeps_what_is_painted() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let take = |stage: &str| {
+        let out = dir.path().join(stage).with_extension("png").to_string_lossy().into_owned();
+        good(&["snapshot", "town5", "--stage", stage, "--time", "20", "--seed", "2", "--out", &out]);
+        picture(Path::new(&out)).2
+    };
+    let (transformed, latent) = (take("transformed"), take("latent"));
+    let blue = |image: &[u8]| -> Vec<bool> {
+        image.chunks_exact(3).map(|p| p[2] > 128 && p[0] < 100 && p[1] < 100).collect()
+    };
+    let (wanted, made) = (blue(&transformed), blue(&latent));
+    let both = wanted.iter().zip(&made).filter(|(w, m)| **w && **m).count();
+    let all = wanted.iter().filter(|w| **w).count();
+    assert!(all > 30, "nobody in sight: choose another moment");
+    assert!(both * 2 > all, "{both} of {all}");
+}
+
+/// From frames to a judged encoder by the commands alone.
+#[cfg(feature = "learn")]
+#[test]
+fn an_encoder_is_trained_judged_and_shown() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| dir.path().join(name).to_string_lossy().into_owned();
+    let (training, measuring, out) = (at("town3"), at("town5"), at("encoder"));
+    good(&[
+        "dataset",
+        "collect",
+        "--town",
+        "town3",
+        "--frames",
+        "40",
+        "--per-shard",
+        "20",
+        "--out",
+        &training,
+    ]);
+    good(&[
+        "dataset",
+        "collect",
+        "--town",
+        "town5",
+        "--frames",
+        "20",
+        "--per-shard",
+        "20",
+        "--out",
+        &measuring,
+    ]);
+    let trained = last_line(&good(&[
+        "train", "encoder", "--data", &training, "--out", &out, "--epochs", "1", "--batch", "8", "--json",
+    ]));
+    assert_eq!(trained["epochs"].as_u64(), Some(1), "{trained}");
+    assert!(
+        std::fs::metadata(dir.path().join("encoder/encoder.safetensors")).expect("weights").len()
+            < 12_000_000
+    );
+    for encoder in [out.as_str(), "default"] {
+        let judged = last_line(&good(&[
+            "eval",
+            "encoder",
+            "--encoder",
+            encoder,
+            "--data",
+            &measuring,
+            "--probe-data",
+            &training,
+            "--json",
+        ]));
+        assert_eq!((judged["frames"].as_u64(), judged["town"].as_str()), (Some(20), Some("town5")));
+        let floor = if encoder == "default" { 17.0 } else { 3.0 };
+        assert!(judged["psnr_db"].as_f64() > Some(floor), "{encoder}: {judged}");
+    }
+    let figure = at("figure.png");
+    good(&["report", "latents", "--data", &measuring, "--out", &figure]);
+    let (width, height, _) = picture(Path::new(&figure));
+    assert!(width >= 4 * 128 && height >= 2 * 128, "{width}x{height}");
+    // Test data is not trained on.
+    let output = wad(&["train", "encoder", "--data", &measuring, "--out", &at("never")]);
+    let error = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{error}");
+    assert!(error.contains("test data"), "{error}");
+    let output =
+        wad(&["snapshot", "town5", "--stage", "latent", "--encoder", "nobody", "--out", &at("no.png")]);
+    let error = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{error}");
+    assert!(error.contains("`nobody`") && error.contains("default"), "{error}");
+}
+
+#[cfg(feature = "learn")]
+#[test]
+fn the_whole_tick_is_measured_stage_by_stage() {
+    let args = ["bench", "tick", "--traffic", "10,10", "--ticks", "20", "--warm-up", "5", "--json"];
+    let report = last_line(&good(&args));
+    let names: Vec<&str> = report["stages"].as_object().expect("stages").keys().map(String::as_str).collect();
+    for stage in ["sumo", "camera", "detect", "lanes", "transform", "encode"] {
+        assert!(names.contains(&stage), "{stage} is not in {names:?}");
     }
 }
 

@@ -3,6 +3,7 @@
 //! After Adam's first step its running mean is a tenth of the gradient, which is how the gradients are
 //! looked at here.
 
+use super::super::imitation::{Imitation, STEERING};
 use super::super::learner::{Batch, Metrics};
 use super::super::networks::{CriticEnd, Dims, Params};
 use super::super::sac::{Sac, SacParams};
@@ -26,7 +27,8 @@ struct Data {
     noise: Vec<Vec<f64>>,
     reward: Vec<f64>,
     discount: Vec<f64>,
-    shown: Vec<f64>,
+    is_shown: Vec<f64>,
+    shown: Vec<Vec<f64>>,
 }
 
 impl Data {
@@ -46,7 +48,8 @@ impl Data {
             reward: matrix(1, B, -3.0, 3.0).remove(0),
             // The third terminated.
             discount: (0..B).map(|i| if i == 2 { 0.0 } else { f64::from(GAMMA as f32) }).collect(),
-            shown: vec![1.0, 0.0, 1.0, 0.0, 0.0],
+            is_shown: vec![1.0, 0.0, 1.0, 1.0, 0.0],
+            shown: matrix(B, 3, 0.1, 0.9),
         }
     }
 
@@ -63,7 +66,8 @@ impl Data {
             noise: matrix(&self.noise),
             reward: vector(&self.reward),
             discount: vector(&self.discount),
-            demonstration: vector(&self.shown),
+            is_shown: vector(&self.is_shown),
+            shown: matrix(&self.shown),
         }
     }
 }
@@ -100,14 +104,14 @@ fn mean(x: impl Iterator<Item = f64>) -> f64 {
     x.sum::<f64>() / B as f64
 }
 
-fn td3(end: CriticEnd, bc_weight: f64) -> Td3 {
+fn td3(end: CriticEnd, imitation: Imitation) -> Td3 {
     let params = Td3Params {
         gamma: GAMMA,
         policy_noise: 0.3,
         noise_clip: 0.4,
         critic_hidden: vec![9, 8],
         critic_end: end,
-        bc_weight,
+        imitation,
         ..Td3Params::default()
     };
     Td3::new(params, DIMS, &mut seeds::rng(1, "networks"), Device::Cpu)
@@ -138,7 +142,7 @@ fn td3_targets(data: &Data, actor: &[f64], critics: &[f64], end: CriticEnd) -> V
 
 fn td3_updates_as_computed_by_hand(end: CriticEnd) {
     let data = Data::new();
-    let mut td3 = td3(end, 0.0);
+    let mut td3 = td3(end, Imitation::default());
     let squash = |q: f64| if end == CriticEnd::Linear { q } else { sigmoid(q) };
     let (actor, critics) = (double(&td3.actor.params), double(&td3.critics.params));
     let y = td3_targets(&data, &actor, &critics, end);
@@ -180,10 +184,10 @@ fn td3_with_linear_critics_updates_as_computed_by_hand() {
     td3_updates_as_computed_by_hand(CriticEnd::Linear);
 }
 
-#[test]
-fn imitation_pulls_towards_demonstrated_actions_that_the_critic_prefers() {
+fn pulled_as_computed_by_hand(filter: bool) {
     let data = Data::new();
-    let mut td3 = td3(CriticEnd::Linear, 2.0);
+    let imitation = Imitation { weight: 2.0, filter, ..Imitation::default() };
+    let mut td3 = td3(CriticEnd::Linear, imitation);
     let actor = double(&td3.actor.params);
     td3.update(&data.batch(), None);
     td3.update(&data.batch(), None);
@@ -192,20 +196,30 @@ fn imitation_pulls_towards_demonstrated_actions_that_the_critic_prefers() {
     let q = |b: usize, action: &[f64]| critic(&critics, 0, &[9, 8], &data.now[b], action);
     let own: Vec<f64> = (0..B).map(|b| q(b, &actor_t(&actor, DIMS, &data.now[b]))).collect();
     let scale = 1.0 / (mean(own.iter().map(|q| q.abs())) + 1e-6);
-    let mask: Vec<f64> =
-        (0..B).map(|b| if q(b, &data.action[b]) >= own[b] { data.shown[b] } else { 0.0 }).collect();
-    let weight = 2.0 * (1.0 - 2.0 / td3.params.bc_updates as f64);
+    let preferred = |b: usize| !filter || q(b, &data.shown[b]) >= own[b];
+    let mask: Vec<f64> = (0..B).map(|b| if preferred(b) { data.is_shown[b] } else { 0.0 }).collect();
+    let weight = imitation.at(2);
     let loss = |params: &[f64]| {
         let actions: Vec<Vec<f64>> = (0..B).map(|b| actor_t(params, DIMS, &data.now[b])).collect();
         let apart = |b: usize| {
-            let d = |i: usize| (actions[b][i] - data.action[b][i]) / if i == 0 { 1.0 } else { 0.5 };
-            (0..3).map(|i| d(i).powi(2)).sum::<f64>() / 3.0
+            let d = |i: usize| (actions[b][i] - data.shown[b][i]) / if i == 0 { 1.0 } else { 0.5 };
+            (STEERING * d(0).powi(2) + d(1).powi(2) + d(2).powi(2)) / 3.0
         };
         let imitation = (0..B).map(|b| mask[b] * apart(b)).sum::<f64>() / (mask.iter().sum::<f64>() + 1.0);
         weight * imitation - scale * mean((0..B).map(|b| q(b, &actions[b])))
     };
     let picked = pick(actor.len());
     check_gradient(&td3.actor_adam.m, &picked, &slopes(&actor, &picked, loss), "actor");
+}
+
+#[test]
+fn imitation_pulls_towards_what_was_shown() {
+    pulled_as_computed_by_hand(false);
+}
+
+#[test]
+fn imitation_pulls_only_where_the_critic_prefers_what_was_shown() {
+    pulled_as_computed_by_hand(true);
 }
 
 #[test]

@@ -77,14 +77,14 @@ impl VehiclePalette {
             blink_left: m(lamp(
                 "left indicator",
                 tag,
-                srgb(196, 108, 30),
+                srgb(148, 64, 22),
                 [1.5, 0.62, 0.04],
                 Channel::BlinkLeft,
             )),
             blink_right: m(lamp(
                 "right indicator",
                 tag,
-                srgb(196, 108, 30),
+                srgb(148, 64, 22),
                 [1.5, 0.62, 0.04],
                 Channel::BlinkRight,
             )),

@@ -334,6 +334,8 @@ fn arrow(tiles: &mut Tiles, pose: &Pose, [left, straight, right]: [bool; 3], str
         let area: f64 = (0..4).map(|i| q[i].coords.perp(&q[(i + 1) % 4].coords)).sum();
         if area < 0.0 {
             q.reverse();
+            // The first three corners give the plane: a tip, which is two corners, stays behind.
+            q.rotate_left(2);
         }
         let z = pose.position.z;
         tiles.paint(q.map(|p: Point| Point3::new(p.x, p.y, z)), PaintColour::White, strength, [true, true]);
@@ -343,7 +345,7 @@ fn arrow(tiles: &mut Tiles, pose: &Pose, [left, straight, right]: [bool; 3], str
         quad([[0.0, -0.075], [shaft, -0.075], [shaft, 0.075], [0.0, 0.075]]);
     }
     if straight {
-        quad([[2.6, -0.32], [4.0, 0.0], [4.0, 0.0], [2.6, 0.32]]);
+        quad([[2.6, 0.32], [2.6, -0.32], [4.0, 0.0], [4.0, 0.0]]);
     }
     for (wanted, side) in [(left, 1.0), (right, -1.0)] {
         if wanted {

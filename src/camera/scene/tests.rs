@@ -225,13 +225,19 @@ fn static_objects_have_unique_ids_and_lie_in_the_town() {
 }
 
 #[test]
-fn paint_lies_on_the_road() {
+fn paint_lies_on_the_road_and_can_be_seen() {
     let (network, shapes) = town("town5");
     let (scene, _) = build(&network, &shapes, 1);
     let mut off = 0;
+    let mut flat = 0;
     let mut all = 0;
     for chunk in &scene.chunks {
         for paint in &chunk.paint {
+            let c = &paint.corners;
+            let twice = |a: usize, b: usize| c[a][0] * c[b][1] - c[b][0] * c[a][1];
+            let whole = twice(0, 1) + twice(1, 2) + twice(2, 3) + twice(3, 0);
+            let first_three = twice(0, 1) + twice(1, 2) + twice(2, 0);
+            flat += usize::from(whole.abs() > 0.04 && (whole < 0.0 || first_three < 0.002));
             let sum = paint.corners.iter().fold([0.0; 2], |s, c| [s[0] + c[0] / 4.0, s[1] + c[1] / 4.0]);
             let p = Point::new(chunk.origin.x + f64::from(sum[0]), chunk.origin.y + f64::from(sum[1]));
             let on = network
@@ -245,6 +251,7 @@ fn paint_lies_on_the_road() {
         }
     }
     assert!(all > 3000 && off == 0, "{off} of {all} are off the road");
+    assert_eq!(flat, 0, "of {all} show their back or begin with three corners on a line");
 }
 
 /// Nets that nobody draws on purpose.

@@ -141,14 +141,8 @@ fn crown(s: &mut Shaper, (spread, rise, middle): (f32, f32, f32), level: usize, 
     }
     let count = [7, 4][level];
     let detail = [(5, 8), (3, 6)][level];
-    lump(
-        s,
-        add(centre, [0.0, 0.0, 0.15 * rise]),
-        [0.72 * spread, 0.72 * spread, 0.82 * rise],
-        detail,
-        seed,
-        leaf,
-    );
+    let (top, radii) = (add(centre, [0.0, 0.0, 0.15 * rise]), [0.72 * spread, 0.72 * spread, 0.82 * rise]);
+    lump(s, top, radii, detail, seed, leaf);
     for i in 0..count {
         let turn = (i as f32 + noise(seed, i as u64)) / count as f32 * TAU;
         let (sin, cos) = turn.sin_cos();
@@ -162,7 +156,7 @@ fn crown(s: &mut Shaper, (spread, rise, middle): (f32, f32, f32), level: usize, 
         leaves(s, at, radii, twigs, [0.22, 0.55][level], seed + 31 * i as u64, leaf);
     }
     if level == 0 {
-        leaves(s, centre, [0.8 * spread, 0.8 * spread, 1.02 * rise], 60, 0.24, seed + 5, leaf);
+        leaves(s, top, radii, 60, 0.24, seed + 5, leaf);
     }
 }
 

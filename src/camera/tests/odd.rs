@@ -94,9 +94,16 @@ fn hills_render_with_sun_on_the_road_and_paint_on_it() {
         lane("f", 0, 4.8, true),
         lane("f", 1, 1.6, true)
     );
+    // Where there are buildings, none are grown beside the road, to shade it.
+    let building = |k: u32| {
+        let x = 20 * k;
+        let shape = format!("{x},400 {},400 {},410 {x},410", x + 10, x + 10);
+        format!(r#"<poly id="far{k}" type="building" fill="1" shape="{shape}"/>"#)
+    };
+    let far: String = (0..9).map(building).collect();
     let height = |x: f64| 100.0 + 12.0 * (x / 200.0 * std::f64::consts::PI).sin();
     for x in [12.0, 55.0, 100.0, 150.0] {
-        let frames = pictures(&net, "", &[Pose::new(x, -4.8, height(x), 0.0)]);
+        let frames = pictures(&net, &far, &[Pose::new(x, -4.8, height(x), 0.0)]);
         let frame = &frames[0];
         let mut light = Vec::new();
         let mut paint = 0;
@@ -107,7 +114,6 @@ fn hills_render_with_sun_on_the_road_and_paint_on_it() {
                 _ => {}
             }
         }
-        crate::camera::Picture::rgb(frame).save(Path::new(&format!("/tmp/cd/hill{x}.png"))).unwrap();
         light.sort_unstable();
         assert!(light.len() > 1500, "{x}: {} pixels of road", light.len());
         // In the shade it would be below 70.

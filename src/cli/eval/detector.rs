@@ -13,6 +13,7 @@ use std::time::Instant;
 use wad_cosim::bridge::BridgeOptions;
 use wad_cosim::bundled;
 use wad_cosim::camera::{Camera, CameraConfig, Outputs, Picture, Preset, Weather};
+use wad_cosim::dataset::TRAINING_WEATHERS;
 use wad_cosim::drive::DriveOptions;
 use wad_cosim::perception::score::{
     BELIEVED, FALSE_ALARM_GOAL, GROUPS, Precision, Realism, View, precision, realism,
@@ -23,6 +24,8 @@ use wad_cosim::traffic::TrafficSpec;
 const EXAMPLES: &str = "\
 Examples:
   wad-cosim eval detector --detector onnx:$(scripts/fetch-detector)
+  wad-cosim eval detector --detector centernet --frames 1400
+  wad-cosim eval detector --detector truth:faulty
   wad-cosim eval detector --detector onnx --frames 500 --weather ClearNoon --json
   wad-cosim eval detector --detector onnx --frames 28 --pictures boxes/";
 
@@ -72,6 +75,9 @@ struct Report {
     realism_by_weather: Vec<(Preset, Realism)>,
     precision: Vec<Precision>,
     precision_by_weather: Vec<(Preset, Vec<Precision>)>,
+    /// In the weathers that detectors are trained in, and in the others.
+    precision_training_weathers: Vec<Precision>,
+    precision_unseen_weathers: Vec<Precision>,
 }
 
 /// Runs the command.
@@ -88,6 +94,8 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
         runtime.block_on(look(&args, config, &weathers, detector.as_mut(), &mut times))?;
     times.sort_by(f64::total_cmp);
     let of = |weather: Preset| views.iter().filter(move |v| v.weather == weather);
+    let is_trained = |v: &&View| TRAINING_WEATHERS.contains(&v.weather);
+    let (trained, unseen): (Vec<&View>, Vec<&View>) = views.iter().partition(is_trained);
     let report = Report {
         detector: detector.name().to_string(),
         town: args.town.clone(),
@@ -99,6 +107,8 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
         realism_by_weather: weathers.iter().map(|&w| (w, realism(of(w)))).collect(),
         precision: precision(&views.iter().collect::<Vec<_>>()),
         precision_by_weather: weathers.iter().map(|&w| (w, precision(&of(w).collect::<Vec<_>>()))).collect(),
+        precision_training_weathers: precision(&trained),
+        precision_unseen_weathers: precision(&unseen),
     };
     let text = text(&report);
     if args.json {
@@ -222,6 +232,14 @@ fn text(report: &Report) -> String {
     let goals: Vec<String> = goals.chain([format!("< {FALSE_ALARM_GOAL:.0}")]).collect();
     let _ = writeln!(out, "| goal | {} |\n", goals.join(" | "));
 
+    out += "Of what is there, found as any class of its group, by class:";
+    for (n, (class, score)) in report.realism.classes.iter().enumerate() {
+        let recall = score.hits as f64 / score.truths.max(1) as f64;
+        let comma = if n == 0 { "" } else { "," };
+        let _ = write!(out, "{comma} {class} {recall:.2} ({}/{})", score.hits, score.truths);
+    }
+    out += "\n\n";
+
     let cell = |v: Option<f64>| v.map_or("-".to_string(), |v| format!("{v:.3}"));
     out += "Average precision of boxes 24 px high or more, and of 12 to 24 px\n";
     out += "| class | truths | AP@0.5 | AP@[.5:.95] | truths 12-24 | AP@0.5 12-24 |\n|---|---|---|---|---|---|\n";
@@ -238,15 +256,15 @@ fn text(report: &Report) -> String {
         );
     }
     out += "\nmAP by weather\n| weather | mAP@0.5 | mAP@[.5:.95] | mAP@0.5 12-24 |\n|---|---|---|---|\n";
-    for (weather, rows) in &report.precision_by_weather {
+    let by_weather = report.precision_by_weather.iter().map(|(w, rows)| (w.to_string(), rows));
+    let groups = [
+        ("training weathers".to_string(), &report.precision_training_weathers),
+        ("unseen weathers".to_string(), &report.precision_unseen_weathers),
+    ];
+    for (weather, rows) in by_weather.chain(groups) {
         if let Some(all) = rows.last() {
-            let _ = writeln!(
-                out,
-                "| {weather} | {} | {} | {} |",
-                cell(all.ap50),
-                cell(all.ap),
-                cell(all.ap50_small)
-            );
+            let cells = [all.ap50, all.ap, all.ap50_small].map(cell);
+            let _ = writeln!(out, "| {weather} | {} |", cells.join(" | "));
         }
     }
     out

@@ -7,7 +7,7 @@ use clap::ValueHint;
 use std::path::PathBuf;
 use wad_cosim::dataset::{Dataset, Role};
 use wad_cosim::latent::TchEncoder;
-use wad_cosim::latent::judge::{JudgeError, Judgement, ProbeScore, judge};
+use wad_cosim::latent::judge::{JudgeError, Judgement, LinearScore, ProbeScore, judge};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -88,12 +88,22 @@ fn text(j: &Judgement) -> String {
             p.fitted_positives, p.measured_positives
         )
     };
+    let linear = |name: &str, unit: &str, s: &LinearScore| {
+        let number = |x: Option<f64>| x.map_or("  -  ".to_string(), |x| format!("{x:.3}"));
+        format!(
+            "  {name:34} R2  {}, median error {} {unit}  ({} fitted, {} measured)\n",
+            number(s.r2),
+            number(s.median_error),
+            s.fitted,
+            s.measured
+        )
+    };
     let kept = |name: &str, share: f64, n: u64| format!("  {name:34} {:.1} % of {n}\n", 100.0 * share);
     let weathers: Vec<String> = j.psnr_by_weather.iter().map(|(w, db)| format!("{w} {db:.1}")).collect();
     format!(
         "encoder {} on {} frames of {}\n  PSNR {:.2} dB, SSIM {:.3}, blue IoU {:.3}; {:.2} ms CPU an image\n  PSNR by weather: {}\n\
          painted objects still there (blue IoU 0.5):\n{}{}{}\
-         linear probes, fitted on {} frames of {}:\n{}{}{}",
+         linear probes, fitted on {} frames of {}:\n{}{}{}{}{}{}",
         j.encoder,
         j.frames,
         j.town,
@@ -110,5 +120,8 @@ fn text(j: &Judgement) -> String {
         probe("vehicle in the lane within 20 m", &j.lead),
         probe("pedestrian in the lane within 15 m", &j.pedestrian),
         probe("red light", &j.red),
+        linear("lateral offset in the lane", "m", &j.lateral),
+        linear("heading error", "rad", &j.heading),
+        linear("gap within 20 m", "m", &j.gap),
     )
 }

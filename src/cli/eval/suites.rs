@@ -8,18 +8,20 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
-use wad_cosim::camera::Preset;
+use wad_cosim::agent::Agent;
+use wad_cosim::camera::{CameraConfig, Preset};
 use wad_cosim::env::EnvOptions;
 use wad_cosim::eval::{
     self, DriverError, DriverSpec, EpisodeRecord, EvalError, Evaluation, Row, Selection, Suite,
 };
+use wad_cosim::latent::Encoder;
 use wad_cosim::tasks::TaskKind;
 use wad_cosim::traffic::TrafficSpec;
 
 /// Options of `eval tasks` and `eval composite`.
 #[derive(clap::Args, Debug)]
 pub struct Args {
-    /// Who drives: autopilot, random, constant[:THROTTLE,STEER,BRAKE]. May be given several times.
+    /// Who drives: wad-t, wad-s, a trained agent's file, autopilot, random, constant[:THROTTLE,STEER,BRAKE]. May be given several times.
     #[arg(long = "agent", value_name = "NAME", default_value = "autopilot")]
     agents: Vec<DriverSpec>,
     /// Only this task; may be given several times.
@@ -80,12 +82,9 @@ pub fn run(suite: Suite, args: Args) -> anyhow::Result<Exit> {
     let stop = wad_cosim::interrupt::flag().context("cannot listen for Ctrl-C")?;
     let bar = Bar::new(plan.len() as u64, "episodes");
     let mut shown = 0u64;
-    let evaluation = Evaluation {
-        options,
-        jobs: args.jobs,
-        make_agent: &|name| Err(DriverError::Unknown { found: name.to_string() }),
-        stop: &stop,
-    };
+    let camera = options.camera;
+    let evaluation =
+        Evaluation { options, jobs: args.jobs, make_agent: &|name| open(name, &camera), stop: &stop };
     let result = eval::run(&plan, &evaluation, |record| {
         shown += 1;
         bar.show(shown, "");
@@ -118,11 +117,26 @@ pub fn run(suite: Suite, args: Args) -> anyhow::Result<Exit> {
     Ok(if interrupted { Exit::Interrupted } else { Exit::Done })
 }
 
+type Opened = (Box<dyn Agent>, Box<dyn Encoder>);
+
+/// A trained agent, and the encoder that it sees through.
+#[cfg(feature = "learn")]
+fn open(name: &str, camera: &CameraConfig) -> Result<Opened, DriverError> {
+    Ok(wad_cosim::agent::policy::open(name, None, camera)?)
+}
+
+#[cfg(not(feature = "learn"))]
+fn open(name: &str, _: &CameraConfig) -> Result<Opened, DriverError> {
+    Err(DriverError::Unknown { found: name.to_string() })
+}
+
 fn with_exit(error: EvalError) -> anyhow::Error {
     let exit = match &error {
         EvalError::Env(env) if env.is_input() => Exit::Input,
         EvalError::Env(env) if env.is_sumo() => Exit::Sumo,
         EvalError::Driver(DriverError::Unknown { .. } | DriverError::Constant { .. }) => Exit::Input,
+        #[cfg(feature = "learn")]
+        EvalError::Driver(DriverError::Policy(_)) => Exit::Input,
         EvalError::Driver(DriverError::Env(env)) if env.is_sumo() => Exit::Sumo,
         _ => Exit::Other,
     };

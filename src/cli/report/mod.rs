@@ -2,6 +2,8 @@
 
 #[cfg(feature = "learn")]
 mod latents;
+mod plot;
+mod reward;
 
 use super::Exit;
 use clap::Subcommand;
@@ -18,6 +20,8 @@ enum What {
     /// Transformed images above, their reconstructions below (the paper's figure 5).
     #[cfg(feature = "learn")]
     Latents(latents::Args),
+    /// The reward's terms over what they depend on (docs/reward.md).
+    Reward(reward::Args),
 }
 
 /// Runs the command.
@@ -25,5 +29,6 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
     match args.what {
         #[cfg(feature = "learn")]
         What::Latents(args) => latents::run(&args),
+        What::Reward(args) => reward::run(&args),
     }
 }

@@ -6,6 +6,7 @@ use crate::cli::{Exit, dataset, print};
 use anyhow::{Context, anyhow};
 use clap::{ValueEnum, ValueHint};
 use std::path::{Path, PathBuf};
+use wad_cosim::agent::imitation::Imitation;
 use wad_cosim::agent::learner::{Algorithm, Inputs};
 use wad_cosim::agent::networks::CriticEnd;
 use wad_cosim::agent::policy::find_encoder;
@@ -36,8 +37,8 @@ pub struct Args {
     /// Folder for actors, checkpoints and figures.
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     out: PathBuf,
-    /// Go on with the training in --out, as it was configured; only --steps, --max-minutes, --collectors
-    /// and --device are taken from the command line.
+    /// Go on with the training in --out, as it was configured; only --steps, --max-minutes, --collectors,
+    /// --record and --device are taken from the command line.
     #[arg(long)]
     resume: bool,
     /// The tasks in order [default: the bundled curriculum].
@@ -71,7 +72,7 @@ pub struct Args {
     /// Transitions per update.
     #[arg(long, value_name = "N", default_value_t = 256)]
     batch: usize,
-    /// Transitions in the replay buffer (485 MB per million).
+    /// Transitions in the replay buffer (497 MB per million).
     #[arg(long, value_name = "N", default_value_t = 1_000_000)]
     buffer: usize,
     /// Environment steps before the first update.
@@ -83,12 +84,24 @@ pub struct Args {
     /// Updates on the demonstrations before the agent drives.
     #[arg(long, value_name = "N", default_value_t = 0)]
     pretrain: u64,
-    /// td3: weight of imitating demonstrated actions that the critic prefers; 0: never.
+    /// Keep every episode with its images in DIR, for --recorded.
+    #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
+    record: Option<PathBuf>,
+    /// Begin with the episodes in DIR, as this encoder sees them; can be given several times.
+    #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
+    recorded: Vec<PathBuf>,
+    /// Weight of imitating what the autopilot would do (beyond the paper); 0: never.
     #[arg(long, value_name = "W", default_value_t = 0.0)]
     bc_weight: f64,
-    /// td3: updates over which imitation fades to nothing.
+    /// Updates over which imitation fades.
     #[arg(long, value_name = "N", default_value_t = 200_000)]
     bc_updates: u64,
+    /// Share of imitation's weight that stays.
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
+    bc_floor: f64,
+    /// Imitate only where the critic prefers what the autopilot would do.
+    #[arg(long)]
+    bc_filter: bool,
     /// td3: what critics end in: the paper's sigmoid, or linear.
     #[arg(long, value_enum, default_value_t = Critic::Sigmoid)]
     critic: Critic,
@@ -119,6 +132,9 @@ pub struct Args {
     /// What the networks see (ablation).
     #[arg(long, value_enum, default_value_t = InputChoice::Both)]
     inputs: InputChoice,
+    /// Standard deviation that the latent's numbers are scaled to.
+    #[arg(long, value_name = "X", default_value_t = 1.0)]
+    latent_gain: f64,
     /// Environment steps between validations; 0: never.
     #[arg(long, value_name = "N", default_value_t = 50_000)]
     validate_every: u64,
@@ -171,6 +187,7 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
         collectors: args.collectors.unwrap_or_else(default_collectors).max(1),
         device,
         out: args.out.clone(),
+        record: args.record.clone(),
     };
     let maker = maker(&config.encoder, &config.curriculum.town)?;
     let interrupt = wad_cosim::interrupt::flag().context("cannot listen for Ctrl-C")?;
@@ -192,7 +209,9 @@ pub fn default_collectors() -> usize {
 pub fn maker(name: &str, town: &str) -> anyhow::Result<Maker> {
     let assets = Assets::load(town).map_err(|e| with_exit(TrainError::Env(e)))?;
     let name = name.to_string();
+    let its = name.clone();
     Ok(Maker {
+        encoder: Box::new(move || Ok(find_encoder(&its)?)),
         env: Box::new(move |options: EnvOptions| -> Result<Env, EnvError> {
             Env::new(assets.clone(), options, find_encoder(&name)?)
         }),
@@ -215,6 +234,12 @@ fn config(args: &Args) -> anyhow::Result<TrainConfig> {
     let Some(algo) = args.algo else {
         return Err(Exit::Input.because(anyhow!("--algo: expected td3 or sac")));
     };
+    let imitation = Imitation {
+        weight: args.bc_weight,
+        updates: args.bc_updates,
+        floor: args.bc_floor,
+        filter: args.bc_filter,
+    };
     let algorithm = match algo {
         Algo::Td3 => Algorithm::Td3(Td3Params {
             gamma: args.gamma,
@@ -224,8 +249,7 @@ fn config(args: &Args) -> anyhow::Result<TrainConfig> {
                 Critic::Linear => CriticEnd::Linear,
                 Critic::Sigmoid => CriticEnd::Sigmoid { low: args.critic_range.0, high: args.critic_range.1 },
             },
-            bc_weight: args.bc_weight,
-            bc_updates: args.bc_updates,
+            imitation,
             ..Td3Params::default()
         }),
         Algo::Sac => Algorithm::Sac(SacParams {
@@ -233,6 +257,7 @@ fn config(args: &Args) -> anyhow::Result<TrainConfig> {
             learning_rate: args.learning_rate,
             alpha: args.alpha,
             autotune: args.autotune,
+            imitation,
             ..SacParams::default()
         }),
     };
@@ -240,6 +265,7 @@ fn config(args: &Args) -> anyhow::Result<TrainConfig> {
     let hash = find_encoder(&args.encoder).map_err(|e| Exit::Input.because(e))?.hash().to_string();
     let mut config = TrainConfig::new(algorithm, curriculum, &args.encoder, &hash);
     config.seed = args.seed;
+    config.latent_gain = args.latent_gain;
     config.env.detector.clone_from(&args.detector);
     config.update_ratio = args.update_ratio;
     config.batch_size = args.batch;
@@ -248,6 +274,7 @@ fn config(args: &Args) -> anyhow::Result<TrainConfig> {
     config.learning_starts = args.learning_starts;
     config.demonstrations = args.demonstrations;
     config.pretrain = args.pretrain;
+    config.recorded.clone_from(&args.recorded);
     config.validation.every = args.validate_every;
     config.validation.episodes = args.validation_episodes;
     config.checkpoint_every = args.checkpoint_every.max(1);

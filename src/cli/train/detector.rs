@@ -48,6 +48,12 @@ pub struct Args {
     /// Most steps to an epoch; validation comes after each.
     #[arg(long, value_name = "N", default_value_t = 400)]
     epoch_steps: usize,
+    /// Width and height of the windows that most steps show; 0: whole pictures only.
+    #[arg(long, value_name = "WxH", default_value = "320x320", value_parser = window)]
+    window: (usize, usize),
+    /// Compute in bfloat16 (twice as fast where the processor has it, a crawl where not).
+    #[arg(long)]
+    bfloat16: bool,
     /// Where to compute.
     #[arg(long, value_enum, default_value_t = Device::Cpu)]
     device: Device,
@@ -84,6 +90,19 @@ pub struct Args {
     /// Print the result as one JSON line on stdout.
     #[arg(long)]
     json: bool,
+}
+
+/// `320x320`, or 0.
+fn window(text: &str) -> Result<(usize, usize), String> {
+    if text == "0" {
+        return Ok((0, 0));
+    }
+    let (width, height) = text.split_once('x').ok_or("expected WIDTHxHEIGHT or 0")?;
+    let side = |text: &str, most: usize| match text.parse::<usize>() {
+        Ok(side) if side > 0 && side.is_multiple_of(32) && side <= most => Ok(side),
+        _ => Err(format!("expected a multiple of 32 up to {most}, found `{text}`")),
+    };
+    Ok((side(width, 512)?, side(height, 320)?))
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -137,6 +156,8 @@ fn options(args: &Args, data: &std::path::Path) -> anyhow::Result<TrainOptions> 
         epoch_steps: args.epoch_steps.max(1),
         learning_rate: args.learning_rate,
         weight_decay: args.weight_decay,
+        window: (args.window != (0, 0)).then_some(args.window),
+        bfloat16: args.bfloat16,
         vary: !args.no_augment,
         seed: args.seed,
         partial: args.partial,

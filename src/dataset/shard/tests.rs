@@ -82,6 +82,24 @@ fn another_version_is_named() {
     assert!(error.contains("77"), "{error}");
 }
 
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_disk_is_told_and_leaves_nothing_half_done() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("shard.wads");
+    // What is written beside its place first goes to a device that is always full.
+    std::os::unix::fs::symlink("/dev/full", path.with_extension("part")).unwrap();
+    let mut writer = ShardWriter::create(&path, &header()).unwrap();
+    let mut filled = Ok(());
+    for n in 0..200 {
+        filled = filled.and_then(|()| writer.add(&frame(n)));
+    }
+    let error = filled.and_then(|()| writer.finish().map(|_| ())).unwrap_err();
+    assert!(matches!(error, DatasetError::DiskFull { .. }), "{error}");
+    assert!(error.to_string().contains("free some room"), "{error}");
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+}
+
 #[test]
 fn an_unfinished_shard_leaves_nothing() {
     let folder = tempfile::tempdir().unwrap();

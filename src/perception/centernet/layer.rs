@@ -100,18 +100,20 @@ impl Conv {
         })
     }
 
-    /// The convolution, and batch norm after it.
+    /// The convolution, and batch norm after it, in the precision of `x`.
     ///
     /// # Errors
     /// torch fails.
     pub fn forward(&self, x: &Tensor, train: bool) -> Result<Tensor, TchError> {
         let Kernel { side, stride, up, .. } = self.kernel;
-        let bias = self.bias.as_ref();
+        let weight = self.weight.f_to_kind(x.kind())?;
+        let bias = self.bias.as_ref().map(|b| b.f_to_kind(x.kind())).transpose()?;
+        let bias = bias.as_ref();
         let x = if up {
             let pad = (side - stride) / 2;
-            x.f_conv_transpose2d(&self.weight, bias, [stride; 2], [pad; 2], [0; 2], 1, [1; 2])?
+            x.f_conv_transpose2d(&weight, bias, [stride; 2], [pad; 2], [0; 2], 1, [1; 2])?
         } else {
-            x.f_conv2d(&self.weight, bias, [stride; 2], [side / 2; 2], [1; 2], 1)?
+            x.f_conv2d(&weight, bias, [stride; 2], [side / 2; 2], [1; 2], 1)?
         };
         self.norm.as_ref().map_or(Ok(x.shallow_clone()), |norm| norm.forward(&x, train))
     }

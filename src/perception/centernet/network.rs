@@ -101,7 +101,8 @@ impl CenterNet {
         Ok(Self { backbone, store, features, heads })
     }
 
-    /// Pictures (n, 3, h, w), 0 to 1, of the rows that the backbone sees.
+    /// Pictures (n, 3, h, w), 0 to 1, of the rows that the backbone sees. The backbone computes in their
+    /// precision; the heads and the answer are in single precision.
     ///
     /// # Errors
     /// torch fails; h and w must be multiples of 32.
@@ -112,6 +113,7 @@ impl CenterNet {
             Features::Light(net) => net.forward(&x, train)?,
             Features::Resnet(net) => net.forward(&x, train)?,
         };
+        let x = x.f_to_kind(Kind::Float)?;
         let head = |(first, last): &(Option<Conv>, Conv)| match first {
             Some(first) => last.forward(&first.forward(&x, train)?.f_relu()?, train),
             None => last.forward(&x, train),

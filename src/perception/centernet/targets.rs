@@ -30,21 +30,54 @@ pub struct Centre {
 /// Overlap that a box keeps with the truth when its corners are off by the radius (CornerNet's 0.7).
 const KEPT_IOU: f32 = 0.7;
 
-/// The heatmap of a picture, [`CLASSES`] x h x w written over `heat`, and the centres. `width` and
-/// `height` are the picture's.
-pub fn encode(
-    backbone: Backbone,
-    wanted: &[Wanted],
-    (width, height): (usize, usize),
-    heat: &mut [f32],
-) -> Vec<Centre> {
-    let (first, rows) = backbone.rows(height);
-    let (w, h) = (width / STRIDE, rows / STRIDE);
+/// The part of a picture that the network is shown (pixels; the sides are multiples of 32).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Window {
+    pub left: usize,
+    pub top: usize,
+    pub width: usize,
+    pub height: usize,
+}
+
+/// What must be left of a box that a window cuts, for it to be taught there: of its width, and of its height.
+const KEPT: [f32; 2] = [0.4, 0.9];
+
+impl Window {
+    /// What the backbone sees of a picture.
+    pub fn whole(backbone: Backbone, (width, height): (usize, usize)) -> Self {
+        let (top, height) = backbone.rows(height);
+        Self { left: 0, top, width, height }
+    }
+
+    /// Width and height of the heatmap.
+    pub fn cells(&self) -> (usize, usize) {
+        (self.width / STRIDE, self.height / STRIDE)
+    }
+
+    /// A box of the picture as this window shows it; None where it is outside. What sticks out at the
+    /// sides is cut off, as it is at the picture's. A box of which too little is left does not count.
+    /// `cuts_rows` says whether the window leaves out rows that the backbone sees in use: those boxes do not
+    /// count either.
+    pub fn view(&self, one: &Wanted, cuts_rows: bool) -> Option<Wanted> {
+        let [l, t, r, b] = one.bounds;
+        let (l, r) = (l - self.left as f32, r - self.left as f32);
+        let (t, b) = (t - self.top as f32, b - self.top as f32);
+        let inside = |low: f32, high: f32, end: usize| high.min(end as f32) - low.max(0.0);
+        let (wide, high) = (inside(l, r, self.width), inside(t, b, self.height));
+        if wide <= 0.0 || high <= 0.0 {
+            return None;
+        }
+        let is_cut = wide < KEPT[0] * (r - l) || (cuts_rows && high < KEPT[1] * (b - t));
+        let bounds = [l.max(0.0), t, r.min(self.width as f32), b];
+        Some(Wanted { bounds, ignored: one.ignored || is_cut, ..*one })
+    }
+}
+
+/// The heatmap, [`CLASSES`] x h x w written over `heat`, and the centres of boxes in the coordinates of a
+/// window of (w, h) cells.
+pub fn encode(wanted: &[Wanted], (w, h): (usize, usize), heat: &mut [f32]) -> Vec<Centre> {
     heat[..CLASSES as usize * w * h].fill(0.0);
-    let cells = |bounds: [f32; 4]| {
-        let [l, t, r, b] = bounds;
-        [l, t - first as f32, r, b - first as f32].map(|v| v / STRIDE as f32)
-    };
+    let cells = |bounds: [f32; 4]| bounds.map(|v| v / STRIDE as f32);
     for one in wanted.iter().filter(|o| o.ignored) {
         let [l, t, r, b] = cells(one.bounds);
         let plane = &mut heat[one.class * w * h..][..w * h];
@@ -127,16 +160,18 @@ mod tests {
 
     #[test]
     fn what_is_encoded_is_decoded() {
-        let backbone = Backbone::Light;
+        let window = Window::whole(Backbone::Light, (512, 512));
         let boxes = [[100.0, 200.0, 161.0, 243.0], [300.0, 230.0, 317.0, 270.0], [0.0, 150.0, 90.0, 390.0]];
         let wanted: Vec<Wanted> = boxes
             .iter()
             .zip([0, 3, 4])
             .map(|(&bounds, class)| Wanted { class, bounds, ignored: false })
             .collect();
-        let (w, h) = (128, 80);
+        let (w, h) = window.cells();
+        assert_eq!((w, h), (128, 80));
         let mut heat = vec![9.0; 8 * w * h];
-        let centres = encode(backbone, &wanted, (512, 512), &mut heat);
+        let shown: Vec<Wanted> = wanted.iter().filter_map(|o| window.view(o, false)).collect();
+        let centres = encode(&shown, (w, h), &mut heat);
         let (mut size, mut offset) = (vec![0.0; 2 * w * h], vec![0.0; 2 * w * h]);
         for c in &centres {
             for k in 0..2 {
@@ -169,9 +204,25 @@ mod tests {
         let ignored = Wanted { class: 0, bounds: [100.0, 200.0, 140.0, 240.0], ignored: true };
         let object = Wanted { class: 0, bounds: [104.0, 204.0, 136.0, 236.0], ignored: false };
         let mut heat = vec![0.0; 8 * 128 * 80];
-        encode(Backbone::Light, &[object, ignored], (512, 512), &mut heat);
+        encode(&[object, ignored], (128, 80), &mut heat);
         assert_eq!(heat.iter().filter(|v| **v == 1.0).count(), 1);
         assert!(heat[..128 * 80].contains(&NO_MATTER));
         assert!(!heat[128 * 80..].contains(&NO_MATTER));
+    }
+
+    #[test]
+    fn a_window_cuts_at_its_sides_and_does_not_teach_what_it_hardly_shows() {
+        let window = Window { left: 100, top: 150, width: 256, height: 192 };
+        let view = |bounds: [f32; 4], cuts| {
+            window.view(&Wanted { class: 2, bounds, ignored: false }, cuts).map(|w| (w.bounds, w.ignored))
+        };
+        assert_eq!(view([110.0, 160.0, 150.0, 180.0], true), Some(([10.0, 10.0, 50.0, 30.0], false)));
+        // Half of its width is left, then a quarter.
+        assert_eq!(view([80.0, 160.0, 120.0, 180.0], true), Some(([0.0, 10.0, 20.0, 30.0], false)));
+        assert_eq!(view([70.0, 160.0, 110.0, 180.0], true), Some(([0.0, 10.0, 10.0, 30.0], true)));
+        // Half of its height is left: fine only where nothing more of it is ever seen.
+        assert_eq!(view([110.0, 140.0, 150.0, 160.0], true), Some(([10.0, -10.0, 50.0, 10.0], true)));
+        assert_eq!(view([110.0, 140.0, 150.0, 160.0], false), Some(([10.0, -10.0, 50.0, 10.0], false)));
+        assert_eq!(view([10.0, 160.0, 100.0, 180.0], true), None);
     }
 }

@@ -4,6 +4,7 @@ use super::loss::{Target, loss};
 use super::network::{Backbone, CenterNet};
 use super::targets::{Wanted, encode};
 use super::{CenterNetDetector, light, resnet};
+use crate::camera::{CameraConfig, Frame};
 use crate::latent::weights::WeightsError;
 use crate::perception::coco::class_index;
 use crate::train::adamw::AdamW;
@@ -42,7 +43,7 @@ fn overfit(backbone: Backbone, steps: usize, rate: f64) {
     for (n, (rgb, wanted)) in pictures.iter().enumerate() {
         pixels.extend(rgb);
         let mut one = vec![0.0; 8 * h * w];
-        for centre in encode(backbone, wanted, (WIDTH, HEIGHT), &mut one) {
+        for centre in encode(wanted, (w, h), &mut one) {
             cells.push((n * h * w + centre.cell) as i64);
             size.extend(centre.size);
             offset.extend(centre.offset);
@@ -134,4 +135,19 @@ fn a_picture_of_a_wrong_size_is_an_error_that_names_it() {
         let error = detector.detect_rgb(&vec![0; width * height * 3], width, height).unwrap_err().to_string();
         assert!(error.contains(&format!("{width}")) && error.contains("512"), "{error}");
     }
+}
+
+#[test]
+fn the_weights_that_travel_with_the_program_are_of_its_camera() {
+    tch::set_num_threads(1);
+    let bytes = crate::bundled::detector("light").unwrap();
+    assert!(bytes.len() < 6_000_000, "{}", bytes.len());
+    let mut detector = crate::perception::detector("centernet", 0.3).unwrap();
+    assert_eq!(detector.name(), "centernet");
+    let (width, height) = (512, 512);
+    let frame = Frame { width, height, rgb: vec![128; 3 * width * height], ..Frame::default() };
+    let mut found = Vec::new();
+    detector.detect(&frame, &CameraConfig::default(), &mut found).unwrap();
+    // Nothing is there to be seen.
+    assert!(found.len() <= 2, "{found:?}");
 }

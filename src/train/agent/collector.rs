@@ -2,6 +2,7 @@
 
 use super::Maker;
 use super::config::TrainConfig;
+use super::recording::{Header, Recording};
 use super::schedule::{ActorCopy, Job, Purpose, Report, Schedule};
 use crate::agent::action::{self, Action};
 use crate::agent::exploration::Exploration;
@@ -9,9 +10,11 @@ use crate::agent::learner::{Actor, InputScale};
 use crate::agent::networks::Dims;
 use crate::agent::replay_buffer::{SEGMENT, Segment};
 use crate::env::{End, Env, EnvError, Stages, WorldMode};
+use crate::observation::Observation;
 use crate::reward::RewardTerms;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::SyncSender;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -78,6 +81,7 @@ pub fn collect(
     config: &TrainConfig,
     shared: &Shared,
     maker: &Maker,
+    record: Option<&Path>,
     out: &SyncSender<Message>,
 ) {
     // Threads of libtorch and OpenCV are set per thread that uses them.
@@ -86,6 +90,7 @@ pub fn collect(
         config,
         shared,
         maker,
+        record,
         out,
         env: None,
         fresh: None,
@@ -145,6 +150,8 @@ struct Collector<'a> {
     config: &'a TrainConfig,
     shared: &'a Shared,
     maker: &'a Maker,
+    /// Where episodes are kept with their images.
+    record: Option<&'a Path>,
     out: &'a SyncSender<Message>,
     /// Running traffic, for training.
     env: Option<Env>,
@@ -187,31 +194,40 @@ impl Collector<'_> {
     fn episode(&mut self, env: &mut Env, job: &Job) -> Result<Report, Stop> {
         let mut rng = ChaCha8Rng::seed_from_u64(crate::seeds::derive(job.seed, "exploration"));
         let mut noise = Exploration::new(self.config.exploration, &mut rng);
-        let demonstration = matches!(job.purpose, Purpose::Demonstrate { noisy: false });
-        let begin = |observation: Vec<f32>| Segment {
-            observations: vec![observation],
-            demonstration,
-            ..Segment::default()
-        };
-        let mut segment = begin(finite(env.reset(&job.task, job.seed)?.concat())?);
+        let begin = |observation: Vec<f32>| Segment { observations: vec![observation], ..Segment::default() };
+        let first = env.reset(&job.task, job.seed)?;
+        let validating = matches!(job.purpose, Purpose::Validate(_));
+        let mut recording = self.record.filter(|_| !validating).map(|folder| (folder, Recording::default()));
+        observe(&mut recording, env, &first)?;
+        let mut segment = begin(finite(first.concat())?);
         let (mut episodic_return, mut steps, mut terms) = (0.0, 0, RewardTerms::default());
         loop {
             if self.shared.stop.load(Ordering::Relaxed) {
                 return Err(Stop::Over);
             }
-            let action = self.act(env, &job.purpose, &segment, &mut noise, &mut rng)?;
+            let autopilot = matches!(job.purpose, Purpose::Demonstrate { .. });
+            let speed = env.speed();
+            let asks = autopilot || !validating && (recording.is_some() || self.config.asks());
+            let shown = if asks { Some(action::from_control(env.expert()?)) } else { None };
+            let action = self.act(&job.purpose, shown, &segment, &mut noise, &mut rng)?;
             let step = env.step(action::to_control(action))?;
             if let Some(ending) = step.info.ending.as_ref().filter(|ending| ending.end == End::Error) {
                 // The transition that SUMO did not finish is not kept; what came before is.
                 tracing::info!("the rest of an episode is lost: {}", ending.cause);
                 segment.truncated = true;
+                // A recording needs an end of its own.
                 self.send(segment, &job.purpose)?;
                 return Ok(report(job, &step.info, steps, episodic_return, terms, env));
             }
             steps += 1;
             episodic_return += step.reward;
             terms.add(&step.info.reward);
+            observe(&mut recording, env, &step.observation)?;
+            if let Some((_, recording)) = &mut recording {
+                recording.act(action, shown, step.reward as f32);
+            }
             segment.actions.push(action);
+            segment.shown.push(shown.map(|a| action::shown(a, speed)));
             segment.rewards.push(step.reward as f32);
             segment.observations.push(finite(step.observation.concat())?);
             segment.terminated = step.terminated;
@@ -222,6 +238,9 @@ impl Collector<'_> {
                 self.send(std::mem::replace(&mut segment, begin(last)), &job.purpose)?;
             }
             if over {
+                if let Some((folder, recording)) = recording {
+                    self.keep(folder, &recording, job, &step.info, step.terminated)?;
+                }
                 return Ok(report(job, &step.info, steps, episodic_return, terms, env));
             }
         }
@@ -229,8 +248,8 @@ impl Collector<'_> {
 
     fn act(
         &mut self,
-        env: &mut Env,
         purpose: &Purpose,
+        shown: Option<Action>,
         segment: &Segment,
         noise: &mut Exploration,
         rng: &mut ChaCha8Rng,
@@ -240,7 +259,7 @@ impl Collector<'_> {
         let clock = Instant::now();
         let action = match purpose {
             Purpose::Demonstrate { noisy } => {
-                let action = action::from_control(env.expert()?);
+                let action = shown.unwrap_or_default();
                 return Ok(if *noisy { noise.disturb(action) } else { action });
             }
             Purpose::Start => return Ok(noise.start_action()),
@@ -259,6 +278,32 @@ impl Collector<'_> {
         };
         self.times.actor += clock.elapsed().as_secs_f64();
         Ok(action)
+    }
+
+    /// Writes a recorded episode.
+    fn keep(
+        &self,
+        folder: &Path,
+        recording: &Recording,
+        job: &Job,
+        info: &crate::env::Info,
+        terminated: bool,
+    ) -> Result<(), Stop> {
+        let autopilot = matches!(job.purpose, Purpose::Demonstrate { .. });
+        let driver = if autopilot { "autopilot" } else { self.config.algorithm.agent_name() };
+        let ending = info.ending.as_ref();
+        let header = Header {
+            task: job.task.kind,
+            seed: job.seed,
+            driver: driver.to_string(),
+            camera_hash: self.config.env.camera.hash(),
+            detector: self.config.env.detector.clone(),
+            success: ending.is_some_and(|ending| ending.success),
+            end: ending.map_or("", |ending| ending.end.name()).to_string(),
+            transitions: recording.count(),
+            terminated,
+        };
+        recording.write(folder, &header).map_err(|e| Stop::Broken(e.to_string()))
     }
 
     /// The newest actor.
@@ -333,6 +378,18 @@ fn report(
         mean_speed: info.driven / (info.tick.max(1) as f64 * env.tick().as_secs_f64()),
         distance: info.driven,
     }
+}
+
+/// Adds what is seen to a recording, where there is one.
+fn observe(
+    recording: &mut Option<(&Path, Recording)>,
+    env: &Env,
+    observation: &Observation,
+) -> Result<(), Stop> {
+    if let (Some((_, recording)), Some(image)) = (recording, env.image()) {
+        recording.observe(image, &observation.raw).map_err(|e| Stop::Broken(e.to_string()))?;
+    }
+    Ok(())
 }
 
 /// An observation that is not finite would spoil the networks for good.

@@ -6,6 +6,7 @@ use crate::agent::replay_buffer::Sampling;
 use crate::env::{EnvOptions, ObservationMode};
 use crate::tasks::Curriculum;
 use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
 
 /// Everything that decides what is learned. How long, with how many collectors, where and on what device
 /// is said apart ([`super::Limits`]), so that a run can go on elsewhere.
@@ -15,6 +16,9 @@ pub struct TrainConfig {
     pub algorithm: Algorithm,
     /// Which part of the observation the networks see.
     pub inputs: Inputs,
+    /// Standard deviation that the latent's numbers are scaled to; less than 1 lets the raw states lead
+    /// where little has been seen yet.
+    pub latent_gain: f64,
     /// Everything random derives from it.
     pub seed: u64,
     pub curriculum: Curriculum,
@@ -38,8 +42,10 @@ pub struct TrainConfig {
     /// Environment steps that the autopilot drives first, into the replay buffer; 0: none.
     pub demonstrations: u64,
     /// Share of the autopilot's episodes that are driven with exploration's noise, so that the buffer
-    /// holds ways back to the lane's middle as well. What they do is not imitated.
+    /// holds ways back to the lane's middle as well.
     pub noisy_demonstrations: f64,
+    /// Folders of recorded episodes that are put into the replay buffer first.
+    pub recorded: Vec<PathBuf>,
     /// Updates on the demonstrations before the agent drives.
     pub pretrain: u64,
     pub validation: ValidationParams,
@@ -71,6 +77,7 @@ impl TrainConfig {
         Self {
             algorithm,
             inputs: Inputs::Both,
+            latent_gain: 1.0,
             seed: 0,
             curriculum,
             env: EnvOptions::training(),
@@ -84,7 +91,8 @@ impl TrainConfig {
             buffer: 1_000_000,
             learning_starts: 5_000,
             demonstrations: 0,
-            noisy_demonstrations: 0.5,
+            noisy_demonstrations: 0.7,
+            recorded: Vec::new(),
             pretrain: 0,
             validation: ValidationParams::default(),
             checkpoint_every: 25_000,
@@ -99,6 +107,19 @@ impl TrainConfig {
             Inputs::Raw => ObservationMode::RawOnly,
             Inputs::Latent => ObservationMode::LatentOnly,
         };
+    }
+
+    /// Whether the buffer holds experience before the agent drives.
+    pub fn is_warm(&self) -> bool {
+        self.demonstrations > 0 || !self.recorded.is_empty()
+    }
+
+    /// Whether the expert is asked at every tick what it would do.
+    pub fn asks(&self) -> bool {
+        match &self.algorithm {
+            Algorithm::Td3(params) => params.imitation.weight > 0.0,
+            Algorithm::Sac(params) => params.imitation.weight > 0.0,
+        }
     }
 
     /// How batches are drawn.
@@ -120,13 +141,15 @@ impl TrainConfig {
             Some("expected a batch size and a number of steps of 1 or more, found 0".to_string())
         } else if !(self.update_ratio > 0.0 && self.update_ratio <= 64.0) {
             Some(format!("expected an update ratio above 0 and up to 64, found {}", self.update_ratio))
-        } else if self.learning_starts + self.demonstrations < self.batch_size as u64 {
+        } else if self.recorded.is_empty()
+            && self.learning_starts + self.demonstrations < self.batch_size as u64
+        {
             Some(format!(
                 "expected at least a batch ({}) of steps before learning starts, found {}",
                 self.batch_size,
                 self.learning_starts + self.demonstrations
             ))
-        } else if self.pretrain > 0 && self.demonstrations == 0 {
+        } else if self.pretrain > 0 && !self.is_warm() {
             Some("updates before the agent drives need demonstrations, found none".to_string())
         } else {
             None

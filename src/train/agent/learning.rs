@@ -4,6 +4,7 @@ use super::checkpoint::{Best, Checkpoints, RngState, State};
 use super::collector::{Message, Shared, collect, lock};
 use super::config::TrainConfig;
 use super::log::RunLog;
+use super::recording;
 use super::schedule::{ActorCopy, Purpose, Report, Schedule};
 use super::{Limits, Maker, Progress, TrainError, Trained};
 use crate::agent::learner::{Batches, InputScale, Learner, Metrics, Scale};
@@ -50,13 +51,21 @@ pub fn train(
     if let Some(problem) = config.problem() {
         return Err(TrainError::Config(problem));
     }
+    if let Some(folder) = &limits.record {
+        let failed = |source| TrainError::Write { path: folder.clone(), source };
+        std::fs::create_dir_all(folder).map_err(failed)?;
+    }
     let mut learning = Learning::begin(config, limits, resume)?;
+    if !resume {
+        learning.recall(interrupt, maker, &mut progress)?;
+    }
     let shared = Shared {
         stop: AtomicBool::new(false),
         version: AtomicU64::new(0),
         actor: Mutex::new(Arc::new(learning.copy())),
         schedule: Mutex::new(Schedule::new(config, learning.resumed.take(), learning.steps)),
     };
+    lock(&shared.schedule).state.demonstrated = learning.demonstrated;
     let collectors = limits.collectors.max(1);
     let result = std::thread::scope(|scope| {
         let (out, messages) = sync_channel(2 * collectors);
@@ -70,7 +79,8 @@ pub fn train(
                     if let Some(core) = crate::cores::Cores::nth(index) {
                         core.confine(0);
                     }
-                    collect(index, config, shared, maker, &out);
+                    let record = limits.record.as_deref();
+                    collect(index, config, shared, maker, record, &out);
                 },
             );
             if let Err(error) = started {
@@ -211,6 +221,53 @@ impl<'a> Learning<'a> {
         Ok(learning)
     }
 
+    /// Fills the buffer with what was recorded, as this training's encoder sees it.
+    fn recall(
+        &mut self,
+        interrupt: &AtomicBool,
+        maker: &Maker,
+        progress: &mut impl FnMut(Progress<'_>),
+    ) -> Result<(), TrainError> {
+        if self.config.recorded.is_empty() {
+            return Ok(());
+        }
+        let mut encoder = (maker.encoder)()?;
+        let camera = self.config.env.camera.hash();
+        for folder in &self.config.recorded {
+            let before = self.demonstrated;
+            let files = recording::list(folder)?;
+            for file in &files {
+                if interrupt.load(Ordering::Relaxed) {
+                    return Ok(());
+                }
+                let (_, segments) = recording::load(file, &camera, &mut *encoder)?;
+                for segment in &segments {
+                    self.buffer.push(segment);
+                    self.demonstrated += segment.len() as u64;
+                }
+            }
+            let news = format!(
+                "{} recorded steps in {} episodes of `{}`",
+                self.demonstrated - before,
+                files.len(),
+                folder.display()
+            );
+            progress(Progress {
+                steps: self.steps,
+                demonstrated: self.demonstrated,
+                updates: 0,
+                task: "",
+                stage: 0,
+                stages: self.config.curriculum.stages.len(),
+                success_rate: 0.0,
+                mean_return: 0.0,
+                validating: false,
+                news: Some(news),
+            });
+        }
+        Ok(())
+    }
+
     fn copy(&self) -> ActorCopy {
         ActorCopy {
             version: self.version,
@@ -225,17 +282,13 @@ impl<'a> Learning<'a> {
     /// Updates that should have been done by now.
     fn due(&self) -> u64 {
         let c = self.config;
-        let start = if c.demonstrations > 0 { 0 } else { c.learning_starts };
+        let start = if c.is_warm() { 0 } else { c.learning_starts };
         c.pretrain + (c.update_ratio * self.steps.saturating_sub(start) as f64) as u64
     }
 
     fn ready(&self) -> bool {
         let c = self.config;
-        if c.demonstrations > 0 {
-            self.demonstrated >= c.demonstrations
-        } else {
-            self.steps >= c.learning_starts
-        }
+        if c.is_warm() { self.demonstrated >= c.demonstrations } else { self.steps >= c.learning_starts }
     }
 
     fn run(
@@ -282,7 +335,13 @@ impl<'a> Learning<'a> {
         }
         if self.scale.is_none() {
             let (mean, deviation) = self.buffer.moments(MEASURED);
-            let scale = InputScale::measured(&mean, &deviation, Dims::DRIVING, self.config.inputs);
+            let scale = InputScale::measured(
+                &mean,
+                &deviation,
+                Dims::DRIVING,
+                self.config.inputs,
+                self.config.latent_gain,
+            );
             let tensors = scale.tensors(self.limits.device);
             self.scale = Some((scale, tensors));
         }

@@ -15,6 +15,7 @@ mod collector;
 mod config;
 mod learning;
 mod log;
+mod recording;
 mod schedule;
 #[cfg(test)]
 mod tests;
@@ -28,6 +29,7 @@ use crate::agent::learner::Misfit;
 use crate::agent::policy::PolicyError;
 use crate::agent::replay_buffer::BufferError;
 use crate::env::{Env, EnvError, EnvOptions};
+use crate::latent::Encoder;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -45,11 +47,15 @@ pub struct Limits {
     /// Where the learner computes; collectors act on the CPU.
     pub device: Device,
     pub out: PathBuf,
+    /// Where episodes are kept with their images, if anywhere.
+    pub record: Option<PathBuf>,
 }
 
 /// Makes environments, each on the thread that will use it.
 pub struct Maker {
     pub env: Box<dyn Fn(EnvOptions) -> Result<Env, EnvError> + Send + Sync>,
+    /// The encoder that they see through.
+    pub encoder: Box<dyn Fn() -> Result<Box<dyn Encoder>, EnvError> + Send + Sync>,
 }
 
 /// Why training stopped.

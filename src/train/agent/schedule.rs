@@ -31,7 +31,7 @@ pub struct Job {
 /// What an episode is for.
 #[derive(Clone, Debug)]
 pub enum Purpose {
-    /// The autopilot drives; with noise its actions are experience, but no example.
+    /// The autopilot drives, on some days with noise on what it does.
     Demonstrate { noisy: bool },
     /// Before learning starts.
     Start,
@@ -101,7 +101,7 @@ impl Schedule {
             return Job { purpose: Purpose::Demonstrate { noisy }, task, seed };
         }
         let task = self.state.progress.draw(&config.curriculum, &mut rng);
-        let start = self.steps < config.learning_starts && config.demonstrations == 0;
+        let start = self.steps < config.learning_starts && !config.is_warm();
         Job { purpose: if start { Purpose::Start } else { Purpose::Explore }, task, seed }
     }
 

@@ -87,6 +87,58 @@ fn an_infinite_loss_stops_and_keeps_the_last_checkpoint() {
 }
 
 #[test]
+fn weights_of_another_camera_or_network_are_named() {
+    use crate::latent::TchEncoder;
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    data(&path("data"), "town3");
+    go(&options(&path("data"), &path("out"), 1), false).unwrap();
+    let file = path("out").join("encoder.safetensors");
+    let refused = |change: &dyn Fn(&mut Weights)| {
+        let mut weights = Weights::load(&file).unwrap();
+        change(&mut weights);
+        let hash = weights.hash().unwrap();
+        weights.metadata.insert(keys::HASH.to_string(), hash);
+        weights.save(&path("changed.safetensors")).unwrap();
+        TchEncoder::find(&path("changed.safetensors").to_string_lossy()).unwrap_err().to_string()
+    };
+    let error = refused(&|weights| {
+        weights.metadata.insert(keys::CAMERA.to_string(), "90 degrees, 64x64".to_string());
+    });
+    assert!(error.contains("90 degrees, 64x64") && error.contains("expected camera"), "{error}");
+    let error = refused(&|weights| weights.tensors.retain(|(name, _)| name != "encoder.conv3.weight"));
+    assert!(error.contains("encoder.conv3.weight") && error.contains("[128, 64, 3, 3]"), "{error}");
+    let error = refused(&|weights| {
+        for (name, tensor) in &mut weights.tensors {
+            if name == "encoder.conv1.weight" {
+                *tensor = tensor.narrow(0, 0, 16).contiguous();
+            }
+        }
+    });
+    assert!(error.contains("[16, 3, 3, 3]") && error.contains("[32, 3, 3, 3]"), "{error}");
+    std::fs::write(path("text.safetensors"), "no weights").unwrap();
+    let error = TchEncoder::find(&path("text.safetensors").to_string_lossy()).unwrap_err().to_string();
+    assert!(error.contains("no weights file"), "{error}");
+    let error = TchEncoder::find("nobody").unwrap_err().to_string();
+    assert!(error.contains("`nobody`") && error.contains("train encoder"), "{error}");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_disk_keeps_the_last_checkpoint() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    data(&path("data"), "town3");
+    go(&options(&path("data"), &path("out"), 1), false).unwrap();
+    let checkpoint = path("out").join("checkpoint.safetensors");
+    let before = std::fs::read(&checkpoint).unwrap();
+    std::os::unix::fs::symlink("/dev/full", checkpoint.with_extension("safetensors.tmp")).unwrap();
+    let error = go(&options(&path("data"), &path("out"), 2), true).unwrap_err().to_string();
+    assert!(error.contains("checkpoint.safetensors") && error.contains("No space left"), "{error}");
+    assert_eq!(std::fs::read(&checkpoint).unwrap(), before);
+}
+
+#[test]
 fn test_data_other_seeds_and_taken_folders_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);

@@ -1,0 +1,85 @@
+//! Imitation beside reinforcement: beyond the paper, and off unless it is asked for.
+//!
+//! The actor's loss gets a second term that pulls its action towards the one that the autopilot would have
+//! chosen in the same place (TD3+BC, Fujimoto and Gu 2021). The place need not be the autopilot's own:
+//! where the agent or noise drives, the autopilot is asked all the same (DAgger, Ross et al. 2011), so
+//! that ways back to the lane's middle are shown too.
+
+use super::learner::Batch;
+use serde::{Deserialize, Serialize};
+use tch::{Kind, Tensor, no_grad};
+
+/// How much is imitated.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Imitation {
+    /// Weight beside a critic whose mean size counts as 1. 0: nothing is imitated.
+    pub weight: f64,
+    /// Updates over which the weight falls in a straight line, and the share of it that stays.
+    pub updates: u64,
+    pub floor: f64,
+    /// Imitate only where the critic prefers what was shown (Nair et al. 2018).
+    pub filter: bool,
+}
+
+impl Default for Imitation {
+    fn default() -> Self {
+        Self { weight: 0.0, updates: 200_000, floor: 0.0, filter: false }
+    }
+}
+
+/// An error in steering counts as this many of the same share of a pedal's travel: at 10 m/s a hundredth
+/// of full lock is felt, and a tenth of a pedal is not.
+pub const STEERING: f64 = 50.0;
+
+impl Imitation {
+    /// The weight at an update.
+    pub fn at(&self, updates: u64) -> f64 {
+        let left = 1.0 - (updates as f64 / self.updates.max(1) as f64).min(1.0);
+        self.weight * (self.floor + (1.0 - self.floor) * left)
+    }
+
+    /// -mean(value), with `value` [B] in units of the critic's mean size `size` [B], and `weight` times the
+    /// mean square distance of `action` [B, A] from what was shown, each number in units of `half` its
+    /// range. `shown_value` [B] is the critic's word on what was shown, for the filter.
+    pub fn loss(
+        &self,
+        weight: f64,
+        batch: &Batch,
+        action: &Tensor,
+        half: &Tensor,
+        value: &Tensor,
+        shown_value: impl FnOnce() -> Tensor,
+    ) -> Tensor {
+        let (scale, mask) = no_grad(|| {
+            let mask = if self.filter {
+                shown_value().ge_tensor(value).to_kind(Kind::Float) * &batch.is_shown
+            } else {
+                batch.is_shown.shallow_clone()
+            };
+            // The critic's own size must not decide between climbing and imitating.
+            ((value.abs().mean(Kind::Float) + 1e-6).reciprocal(), mask)
+        });
+        let apart = ((action - &batch.shown) / half).square();
+        let steering = apart.select(1, 0) * (STEERING - 1.0);
+        let apart = (apart.sum_dim_intlist([1i64].as_slice(), false, Kind::Float) + steering)
+            / action.size()[1] as f64;
+        let imitation = (apart * &mask).sum(Kind::Float) / (mask.sum(Kind::Float) + 1.0);
+        imitation * weight - value.mean(Kind::Float) * scale
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_weight_falls_to_its_floor() {
+        let imitation = Imitation { weight: 4.0, updates: 100, floor: 0.25, ..Imitation::default() };
+        assert_eq!(imitation.at(0), 4.0);
+        assert_eq!(imitation.at(50), 2.5);
+        assert_eq!(imitation.at(100), 1.0);
+        assert_eq!(imitation.at(1_000_000), 1.0);
+        assert_eq!(Imitation::default().at(0), 0.0);
+    }
+}
