@@ -270,7 +270,7 @@ struct Moment {
 }
 
 /// The value below which a share `q` of the values is, between neighbours linearly.
-fn quantile(mut values: Vec<f64>, q: f64) -> f64 {
+pub fn quantile(mut values: Vec<f64>, q: f64) -> f64 {
     values.sort_by(f64::total_cmp);
     let Some(last) = values.len().checked_sub(1) else { return f64::NAN };
     let at = q.clamp(0.0, 1.0) * last as f64;

@@ -3,7 +3,7 @@
 //! The loop is that of `run` with the front camera: the autopilot decides, the ego's physics moves it,
 //! SUMO steps, the reply is decoded, the camera renders what the ego sees, perception looks at it.
 
-use crate::bench::median;
+use crate::bench::{median, quantile};
 use crate::camera::{Camera, CameraConfig, CameraError, Outputs, Town, Weather};
 use crate::cpu_time;
 use crate::drive::{Drive, DriveError, DriveOptions, Status};
@@ -12,6 +12,7 @@ use crate::perception::{Detector, EgoFacts, Perception, PerceptionError};
 use crate::sight;
 use serde::Serialize;
 use serde::ser::{SerializeMap, Serializer};
+use std::collections::BTreeMap;
 use std::time::Instant;
 
 /// Wall time of the parts of a tick, in the order in which they first came.
@@ -32,7 +33,13 @@ impl Stages {
 
     /// Each stage's name and its median (ms), in order.
     pub fn medians(&self) -> impl Iterator<Item = (&'static str, f64)> + '_ {
-        self.0.iter().map(|(name, times)| (*name, median(times.clone())))
+        self.quantiles(0.5)
+    }
+
+    /// Each stage's name and the time (ms) that a share `q` of the ticks stays below, in order: a stage that is
+    /// left out in most ticks, as the lanes are where the ego stands, has a median of nothing.
+    pub fn quantiles(&self, q: f64) -> impl Iterator<Item = (&'static str, f64)> + '_ {
+        self.0.iter().map(move |(name, times)| (*name, quantile(times.clone(), q)))
     }
 }
 
@@ -95,6 +102,8 @@ pub struct TickBench {
 #[derive(Clone, Debug, Serialize)]
 pub struct TickReport {
     pub stages: Stages,
+    /// The time (ms) that 95 of 100 ticks stay below, by stage.
+    pub stages_p95: BTreeMap<&'static str, f64>,
     /// The whole tick (ms): the stages, and the judging and recording that belongs to none.
     pub total_ms: f64,
     /// Mean processor time of a tick, SUMO's and ours (ms); other load hardly touches it.
@@ -212,6 +221,7 @@ impl TickBench {
         let ticks = self.totals.len() as u64;
         (ticks > 0).then(|| TickReport {
             stages: self.stages.clone(),
+            stages_p95: self.stages.quantiles(0.95).collect(),
             total_ms: median(self.totals.clone()),
             cpu_ms: self.cpu.map(|(began, now)| 1000.0 * (now - began) / ticks as f64),
             ticks,
@@ -242,5 +252,6 @@ mod tests {
         stages.record("camera", 0.5);
         let text = serde_json::to_string(&stages).unwrap();
         assert_eq!(text, r#"{"sumo":2.0,"decode":20.0,"camera":500.0}"#);
+        assert!(stages.quantiles(0.95).all(|(_, ms)| ms > 2.0));
     }
 }

@@ -138,7 +138,7 @@ impl<'a> Gather<'a, '_> {
     /// Depth of the nearest point of an instance's ball, None where out of the picture.
     fn distance(&self, instance: &Instance) -> Option<f32> {
         let model = &self.scene.library.models[instance.model.0 as usize];
-        let (centre, radius) = placed_ball(self.view, model, instance);
+        let (centre, radius) = placed_ball(self.view, model, instance, turn(instance));
         (self.view.sees_ball(centre, radius) && centre[2] - radius < VIEW_DISTANCE)
             .then_some(centre[2] - radius)
     }
@@ -146,7 +146,8 @@ impl<'a> Gather<'a, '_> {
     fn instance(&mut self, instance: &'a Instance, moving: bool, out: &mut Geometry<'a>) {
         let view = self.view;
         let model: &'a Model = &self.scene.library.models[instance.model.0 as usize];
-        let (centre, radius) = placed_ball(view, model, instance);
+        let [cos, sin] = turn(instance);
+        let (centre, radius) = placed_ball(view, model, instance, [cos, sin]);
         if !view.sees_ball(centre, radius) || centre[2] - radius > VIEW_DISTANCE {
             return;
         }
@@ -154,7 +155,6 @@ impl<'a> Gather<'a, '_> {
         out.seen.push(Seen { instance, moving, lamps });
         let pixels = view.focal * radius / centre[2].max(NEAR + radius * 0.5);
         let Some(level) = model.levels.iter().find(|level| pixels >= level.min_pixels) else { return };
-        let (sin, cos) = (instance.pose.heading.sin() as f32, instance.pose.heading.cos() as f32);
         let [sx, sy, sz] = instance.scale;
         let axes = [
             view.direction([cos * sx, sin * sx, 0.0]),
@@ -260,10 +260,15 @@ fn ball(bounds: &[[f32; 3]; 2]) -> ([f32; 3], f32) {
     (centre, half)
 }
 
+/// Cosine and sine of an instance's heading.
+fn turn(instance: &Instance) -> [f32; 2] {
+    let (sin, cos) = instance.pose.heading.sin_cos();
+    [cos as f32, sin as f32]
+}
+
 /// The ball round an instance, in the camera's frame.
-fn placed_ball(view: &View, model: &Model, instance: &Instance) -> ([f32; 3], f32) {
+fn placed_ball(view: &View, model: &Model, instance: &Instance, [cos, sin]: [f32; 2]) -> ([f32; 3], f32) {
     let (centre, radius) = ball(&model.bounds);
-    let (sin, cos) = (instance.pose.heading.sin() as f32, instance.pose.heading.cos() as f32);
     let [x, y, z]: [f32; 3] = std::array::from_fn(|i| centre[i] * instance.scale[i]);
     let offset = view.direction([cos * x - sin * y, sin * x + cos * y, z]);
     let origin = view.point(&instance.pose.position);

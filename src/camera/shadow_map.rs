@@ -5,7 +5,7 @@
 
 use super::lanes::Lane;
 use super::model::{Chunk, Library, Scene, SemanticTag as Tag};
-
+use super::simd::multiversion;
 use super::view::View;
 use nalgebra::Point3;
 
@@ -114,15 +114,15 @@ impl ShadowMap {
             [(p[0] + base[0] + throw[0] * h) * DENSITY, (p[1] + base[1] + throw[1] * h) * DENSITY]
         };
         if let Some((_, mesh)) = chunk.levels.first() {
-            for triangle in &mesh.triangles {
-                let corners = triangle.corners.map(|i| mesh.vertices[i as usize].position);
+            for face in &mesh.triangles {
+                let corners = face.corners.map(|i| mesh.vertices[i as usize].position);
                 // Ground that rises within the chunk does not shade itself.
-                let tag = library.materials[triangle.material.0 as usize].tag;
+                let tag = library.materials[face.material.0 as usize].tag;
                 if matches!(tag, Tag::Road | Tag::SideWalk | Tag::Terrain | Tag::Ground | Tag::Water) {
                     continue;
                 }
                 if corners.iter().any(|p| p[2] + base[2] > 0.6) {
-                    self.triangle(corners.map(land));
+                    triangle(&mut self.scratch, corners.map(land));
                 }
             }
         }
@@ -155,51 +155,8 @@ impl ShadowMap {
                     land([at[0] + cos * x - sin * y, at[1] + sin * x + cos * y, at[2] + z])
                 })
                 .collect();
-            for triangle in &level.mesh.triangles {
-                self.triangle(triangle.corners.map(|i| points[i as usize]));
-            }
-        }
-    }
-
-    /// Marks a triangle (texels from the cell's corner).
-    fn triangle(&mut self, p: [[f32; 2]; 3]) {
-        const W: i32 = CELL as i32 + 4;
-        let range = |i: usize| {
-            let (least, most) = (p[0][i].min(p[1][i]).min(p[2][i]), p[0][i].max(p[1][i]).max(p[2][i]));
-            // Scratch begins two texels before the cell.
-            ((least + 1.5).ceil().max(0.0) as i32, ((most + 1.5).floor() as i32).min(W - 1))
-        };
-        let ((x0, x1), (y0, y1)) = (range(0), range(1));
-        if x0 > x1 || y0 > y1 {
-            return;
-        }
-        let area = (p[1][0] - p[0][0]) * (p[2][1] - p[0][1]) - (p[2][0] - p[0][0]) * (p[1][1] - p[0][1]);
-        let sign = if area < 0.0 { -1.0 } else { 1.0 };
-        let edges: [[f32; 3]; 3] = std::array::from_fn(|i| {
-            let (a, b) = (p[i], p[(i + 1) % 3]);
-            let (dx, dy) = ((b[0] - a[0]) * sign, (b[1] - a[1]) * sign);
-            // A sliver thinner than a texel still leaves its mark.
-            let slack = 0.3 * (dx.abs() + dy.abs());
-            [-dy, dx, dy * a[0] - dx * a[1] + slack]
-        });
-        let inverse = edges.map(|e| 1.0 / e[0]);
-        for y in y0..=y1 {
-            let fy = y as f32 - 1.5;
-            // Where the row is inside all edges.
-            let (mut left, mut right) = (x0 as f32 - 1.5, x1 as f32 - 1.5);
-            for (e, inverse) in edges.iter().zip(inverse) {
-                let rest = e[1] * fy + e[2];
-                if e[0] > 1e-6 {
-                    left = left.max(-rest * inverse);
-                } else if e[0] < -1e-6 {
-                    right = right.min(-rest * inverse);
-                } else if rest < 0.0 {
-                    right = f32::MIN;
-                }
-            }
-            let (from, to) = ((left + 1.5).ceil() as i32, (right + 1.5).floor() as i32);
-            if from <= to {
-                self.scratch[(y * W + from) as usize..=(y * W + to) as usize].fill(1);
+            for face in &level.mesh.triangles {
+                triangle(&mut self.scratch, face.corners.map(|i| points[i as usize]));
             }
         }
     }
@@ -244,6 +201,51 @@ impl ShadowMap {
         let x = Self::wrap(p.x + f64::from(throw[0]) * height);
         let y = Self::wrap(p.y + f64::from(throw[1]) * height);
         sample(self.texels(), x, y)
+    }
+}
+
+multiversion! {
+    /// Marks a triangle (texels from the cell's corner).
+    fn triangle(scratch: &mut [u8], p: [[f32; 2]; 3]) {
+        const W: i32 = CELL as i32 + 4;
+        let range = |i: usize| {
+            let (least, most) = (p[0][i].min(p[1][i]).min(p[2][i]), p[0][i].max(p[1][i]).max(p[2][i]));
+            // Scratch begins two texels before the cell.
+            ((least + 1.5).ceil().max(0.0) as i32, ((most + 1.5).floor() as i32).min(W - 1))
+        };
+        let ((x0, x1), (y0, y1)) = (range(0), range(1));
+        if x0 > x1 || y0 > y1 {
+            return;
+        }
+        let area = (p[1][0] - p[0][0]) * (p[2][1] - p[0][1]) - (p[2][0] - p[0][0]) * (p[1][1] - p[0][1]);
+        let sign = if area < 0.0 { -1.0 } else { 1.0 };
+        let edges: [[f32; 3]; 3] = std::array::from_fn(|i| {
+            let (a, b) = (p[i], p[(i + 1) % 3]);
+            let (dx, dy) = ((b[0] - a[0]) * sign, (b[1] - a[1]) * sign);
+            // A sliver thinner than a texel still leaves its mark.
+            let slack = 0.3 * (dx.abs() + dy.abs());
+            [-dy, dx, dy * a[0] - dx * a[1] + slack]
+        });
+        let inverse = edges.map(|e| 1.0 / e[0]);
+        for y in y0..=y1 {
+            let fy = y as f32 - 1.5;
+            // Where the row is inside all edges.
+            let (mut left, mut right) = (x0 as f32 - 1.5, x1 as f32 - 1.5);
+            for (e, inverse) in edges.iter().zip(inverse) {
+                let rest = e[1] * fy + e[2];
+                if e[0] > 1e-6 {
+                    left = left.max(-rest * inverse);
+                } else if e[0] < -1e-6 {
+                    right = right.min(-rest * inverse);
+                } else if rest < 0.0 {
+                    right = f32::MIN;
+                }
+            }
+            let (from, to) = ((left + 1.5).ceil() as i32, (right + 1.5).floor() as i32);
+            if from <= to {
+                scratch[(y * W + from) as usize..=(y * W + to) as usize].fill(1);
+            }
+        }
     }
 }
 

@@ -154,7 +154,8 @@ fn with_exit(error: TickBenchError) -> anyhow::Error {
 fn show(report: &TickReport, json: bool) -> anyhow::Result<()> {
     let mut text = String::new();
     for (name, ms) in report.stages.medians() {
-        text += &format!("{name:>9} {ms:>8.3} ms\n");
+        let p95 = report.stages_p95.get(name).copied().unwrap_or(f64::NAN);
+        text += &format!("{name:>9} {ms:>8.3} ms, 95 % below {p95:.3}\n");
     }
     text += &format!("{:>9} {:>8.3} ms, median of {} ticks", "total", report.total_ms, report.ticks);
     if let Some(cpu) = report.cpu_ms {
