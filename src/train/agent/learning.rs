@@ -682,6 +682,9 @@ impl<'a> Learning<'a> {
         }
         let measured = self.rate.began.map_or(0.0, |at| at.elapsed().as_secs_f64() - self.rate.paused);
         let (updates, steps) = (self.learner.updates(), self.steps);
+        // The figures since the last line: a short training has no others.
+        let unsaid = self.rate.began.is_some() && updates > self.rate.last.1;
+        let result = if unsaid { result.and_then(|()| self.figures()) } else { result };
         let diverged = matches!(result, Err(TrainError::Diverged { .. }));
         let saved = if diverged || self.steps + self.demonstrated == 0 {
             self.log.flush()
