@@ -9,6 +9,7 @@ use crate::network::{LanePosition, Network, Polygon, Route, Shapes};
 use crate::telemetry::{
     FolderError, LeaderRecord, LightRecord, RouteRecord, RunFolder, TickRecord, WriteError,
 };
+use crate::traffic::TrafficSpec;
 use crate::vehicle::{self, Control, EgoParams, PartnerKind};
 use crate::{cpu_time, seeds};
 use serde::{Deserialize, Serialize};
@@ -26,6 +27,26 @@ pub struct DriveOptions {
     pub criteria: CriteriaParams,
     /// The run's folder.
     pub out: PathBuf,
+}
+
+impl DriveOptions {
+    /// The defaults: a route drawn from the seed, into the folder `out`.
+    pub fn new(bridge: BridgeOptions, out: PathBuf) -> Self {
+        Self {
+            bridge,
+            route: None,
+            ego: Default::default(),
+            autopilot: Default::default(),
+            criteria: Default::default(),
+            out,
+        }
+    }
+
+    /// A drive that is only looked at or measured: everything it writes goes into `scratch`.
+    pub fn passing(config: PathBuf, seed: u64, traffic: TrafficSpec, scratch: &Path) -> Self {
+        let bridge = BridgeOptions { seed, traffic, ..BridgeOptions::new(config, scratch.join("sumo")) };
+        Self::new(bridge, scratch.join("run"))
+    }
 }
 
 /// Why a run could not start or go on.

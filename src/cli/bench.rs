@@ -84,14 +84,10 @@ async fn bridge(args: BridgeArgs) -> anyhow::Result<Exit> {
     let config = bundled::resolve(&args.config).map_err(|e| Exit::Input.because(e))?;
     let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
     let bench = BridgeBench {
-        base: DriveOptions {
-            bridge: BridgeOptions { seed: args.seed, ..BridgeOptions::new(config, scratch.path()) },
-            route: None,
-            ego: Default::default(),
-            autopilot: Default::default(),
-            criteria: Default::default(),
-            out: scratch.path().to_path_buf(),
-        },
+        base: DriveOptions::new(
+            BridgeOptions { seed: args.seed, ..BridgeOptions::new(config, scratch.path()) },
+            scratch.path().to_path_buf(),
+        ),
         populations: args.populations.clone(),
         warm_up: 60,
         ticks: args.ticks.max(1),

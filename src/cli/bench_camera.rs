@@ -5,7 +5,6 @@ use anyhow::Context;
 use serde::Serialize;
 use std::time::Instant;
 use wad_cosim::bench::median;
-use wad_cosim::bridge::BridgeOptions;
 use wad_cosim::bundled;
 use wad_cosim::camera::{Camera, CameraConfig, Outputs, Preset, Town, Weather};
 use wad_cosim::drive::{Drive, DriveOptions};
@@ -99,20 +98,9 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
     {
         ways.push(way(size, preset, "rgb", args.town_times)?);
     }
-    let mut drive = Drive::start(DriveOptions {
-        bridge: BridgeOptions {
-            seed: args.seed,
-            traffic: args.traffic,
-            ..BridgeOptions::new(config, scratch.path().join("sumo"))
-        },
-        route: None,
-        ego: Default::default(),
-        autopilot: Default::default(),
-        criteria: Default::default(),
-        out: scratch.path().join("run"),
-    })
-    .await
-    .map_err(run::with_exit)?;
+    let mut drive = Drive::start(DriveOptions::passing(config, args.seed, args.traffic, scratch.path()))
+        .await
+        .map_err(run::with_exit)?;
     let mut town = sight::town(drive.bridge(), args.seed);
     let large = (args.town_times > 1).then(|| town.scene().repeated(args.town_times));
     let mut next = drive.bridge().time() + 20.0;

@@ -5,7 +5,6 @@ use anyhow::Context;
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressDrawTarget};
 use wad_cosim::bench_tick::{TickBench, TickBenchError, TickBenchOptions, TickReport};
-use wad_cosim::bridge::BridgeOptions;
 use wad_cosim::bundled;
 use wad_cosim::camera::{CameraConfig, Outputs, Preset, Weather};
 use wad_cosim::drive::DriveOptions;
@@ -81,18 +80,7 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
     let options = TickBenchOptions {
         detector,
         encoder,
-        drive: DriveOptions {
-            bridge: BridgeOptions {
-                seed: args.seed,
-                traffic: args.traffic,
-                ..BridgeOptions::new(config, scratch.path().join("sumo"))
-            },
-            route: None,
-            ego: Default::default(),
-            autopilot: Default::default(),
-            criteria: Default::default(),
-            out: scratch.path().join("run"),
-        },
+        drive: DriveOptions::passing(config, args.seed, args.traffic, scratch.path()),
         camera: CameraConfig::sized(args.size.0, args.size.1),
         weather: Weather::from(args.weather),
         outputs: match args.outputs {

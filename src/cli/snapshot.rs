@@ -4,7 +4,6 @@ use super::{Exit, print, run};
 use anyhow::Context;
 use clap::{ValueEnum, ValueHint};
 use std::path::{Path, PathBuf};
-use wad_cosim::bridge::BridgeOptions;
 use wad_cosim::bundled;
 use wad_cosim::camera::{Camera, CameraConfig, MAX_PIXELS, Outputs, Picture, Preset, Town, Weather};
 use wad_cosim::drive::{Drive, DriveOptions};
@@ -204,16 +203,8 @@ async fn take(args: Args, mut camera: Camera, mut watch: Option<Watch>) -> anyho
     let config = bundled::resolve(&args.config).map_err(|e| Exit::Input.because(e))?;
     let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
     let options = DriveOptions {
-        bridge: BridgeOptions {
-            seed: args.seed,
-            traffic: args.traffic,
-            ..BridgeOptions::new(config, scratch.path().join("sumo"))
-        },
         route: args.route.clone(),
-        ego: Default::default(),
-        autopilot: Default::default(),
-        criteria: Default::default(),
-        out: scratch.path().join("run"),
+        ..DriveOptions::passing(config, args.seed, args.traffic, scratch.path())
     };
     let mut drive = Drive::start(options).await.map_err(run::with_exit)?;
     let mut town = sight::town(drive.bridge(), args.seed);

@@ -5,10 +5,14 @@
 //! goes on from its last checkpoint; on the processor with one thread it then ends with the very bits of
 //! one that was not (cuDNN's sums differ from run to run).
 
-use super::images::{self, ImagesError};
+mod terms;
+
+pub use terms::{EpochRecord, Progress, TrainError, TrainOptions, Trained, Validation};
+
+use super::images;
 use super::loss;
 use super::tensorboard::EventWriter;
-use crate::dataset::{Dataset, DatasetError};
+use crate::dataset::Dataset;
 use crate::latent::chance;
 use crate::latent::encoder::{keys, to_pictures, weights_of};
 use crate::latent::network::{Architecture, Autoencoder, Slot};
@@ -24,144 +28,6 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 use tch::{Device, Kind, TchError, Tensor};
-
-/// How to train.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct TrainOptions {
-    pub data: PathBuf,
-    pub out: PathBuf,
-    pub epochs: u64,
-    pub batch: usize,
-    /// Most batches to an epoch.
-    pub epoch_steps: usize,
-    /// Adam's; the paper's is 1e-4.
-    pub learning_rate: f64,
-    /// Over this last share of the training the learning rate falls to 0.
-    pub decay: f64,
-    /// L2 regularization: Adam's weight decay.
-    pub weight_decay: f64,
-    pub dropout: f64,
-    /// Weight of the divergence of a variational encoder, per pixel's square error; 0: not variational.
-    pub beta: f64,
-    /// How much more painted pixels count, and how much more of that small objects.
-    pub paint_weight: f64,
-    pub small_weight: f64,
-    /// Vary the light of the training images.
-    pub augment: bool,
-    pub seed: u64,
-    /// Use a dataset that was not collected to its end.
-    pub partial: bool,
-    /// Images that may be resident (GB); more take turns, epoch by epoch.
-    pub resident_gb: f64,
-    /// Ends the training, with its last epoch cut short (s).
-    pub time_limit: Option<f64>,
-}
-
-impl TrainOptions {
-    /// The defaults of `wad-cosim train encoder`.
-    pub fn new(data: &Path, out: &Path) -> Self {
-        Self {
-            data: data.to_path_buf(),
-            out: out.to_path_buf(),
-            epochs: 50,
-            batch: 128,
-            epoch_steps: 600,
-            learning_rate: 1e-4,
-            decay: 0.3,
-            weight_decay: 1e-5,
-            dropout: 0.1,
-            beta: 0.0,
-            paint_weight: 4.0,
-            small_weight: 4.0,
-            augment: true,
-            seed: 0,
-            partial: false,
-            resident_gb: 6.0,
-            time_limit: None,
-        }
-    }
-}
-
-/// Why training ended without its end.
-#[derive(Debug, thiserror::Error)]
-pub enum TrainError {
-    #[error(transparent)]
-    Dataset(#[from] DatasetError),
-    #[error(transparent)]
-    Images(#[from] ImagesError),
-    #[error(transparent)]
-    Weights(#[from] WeightsError),
-    #[error("libtorch: {0}")]
-    Torch(#[from] TchError),
-    #[error("could not write `{}`: {source}; the last checkpoint is kept", path.display())]
-    Write { path: PathBuf, source: std::io::Error },
-    #[error("`{}` holds a training already; go on with it by --resume, or name another folder with --out", path.display())]
-    Taken { path: PathBuf },
-    #[error("`{}` holds no training to resume: expected checkpoint.safetensors in it", path.display())]
-    NothingToResume { path: PathBuf },
-    #[error("the training in `{}` differs in {what}: it has {found}, asked for was {asked}", path.display())]
-    Differs { path: PathBuf, what: &'static str, found: String, asked: String },
-    #[error(
-        "the loss became {loss} at step {step}: training stopped, `{}` is the last good one; a smaller \
-         --learning-rate may help",
-        checkpoint.display()
-    )]
-    NotFinite { loss: f64, step: u64, checkpoint: PathBuf },
-}
-
-/// What validation says.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Validation {
-    /// The training's loss.
-    pub loss: f64,
-    /// Mean over images (dB).
-    pub psnr: f64,
-    /// Of painted pixels: intersection over union of wanted and made, over all images.
-    pub painted_iou: f64,
-    pub divergence: f64,
-}
-
-/// A line of `metrics.jsonl`.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct EpochRecord {
-    pub epoch: u64,
-    pub step: u64,
-    pub images: u64,
-    pub train_loss: f64,
-    pub validation: Validation,
-    pub learning_rate: f64,
-    pub best: bool,
-    pub wall_seconds: f64,
-    pub images_per_second: f64,
-}
-
-/// What a training came to; `summary.json`.
-#[derive(Clone, Debug, Serialize)]
-pub struct Trained {
-    pub out: PathBuf,
-    /// The best network's file.
-    pub encoder: PathBuf,
-    pub epochs: u64,
-    pub steps: u64,
-    pub best_epoch: u64,
-    pub best: Validation,
-    pub images: usize,
-    pub validation_images: usize,
-    pub wall_seconds: f64,
-    pub images_per_second: f64,
-    pub interrupted: bool,
-}
-
-/// How far it is.
-#[derive(Clone, Copy, Debug)]
-pub struct Progress {
-    pub epoch: u64,
-    /// Steps in all so far and at the end.
-    pub step: u64,
-    pub steps: u64,
-    pub loss: f64,
-    pub validation: Option<Validation>,
-}
 
 /// Images that validation looks at, at most, and that the latent is standardised by.
 const VALIDATION_IMAGES: usize = 2000;

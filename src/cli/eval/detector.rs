@@ -10,7 +10,6 @@ use std::fmt::Write as _;
 use std::io::IsTerminal;
 use std::path::PathBuf;
 use std::time::Instant;
-use wad_cosim::bridge::BridgeOptions;
 use wad_cosim::bundled;
 use wad_cosim::camera::{Camera, CameraConfig, Outputs, Picture, Preset, Weather};
 use wad_cosim::dataset::TRAINING_WEATHERS;
@@ -130,18 +129,7 @@ async fn look(
 ) -> anyhow::Result<(Vec<View>, bool)> {
     let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
     let mut interrupt = run::Interrupt::listen()?;
-    let options = DriveOptions {
-        bridge: BridgeOptions {
-            seed: args.seed,
-            traffic: args.traffic,
-            ..BridgeOptions::new(config, scratch.path().join("sumo"))
-        },
-        route: None,
-        ego: Default::default(),
-        autopilot: Default::default(),
-        criteria: Default::default(),
-        out: scratch.path().join("run"),
-    };
+    let options = DriveOptions::passing(config, args.seed, args.traffic, scratch.path());
     let mut tour = Tour::start(options, args.seed).await.map_err(run::with_exit)?;
     let mut camera = Camera::new(CameraConfig::default()).map_err(|e| Exit::Input.because(e))?;
     let outputs = Outputs { boxes: true, ..Outputs::RGB };

@@ -4,7 +4,6 @@ use crate::cli::{Exit, print, run};
 use anyhow::Context;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::IsTerminal;
-use wad_cosim::bridge::BridgeOptions;
 use wad_cosim::bundled;
 use wad_cosim::camera::{Camera, CameraConfig, Outputs, Preset, Town, Weather};
 use wad_cosim::drive::{Drive, DriveOptions};
@@ -83,20 +82,9 @@ async fn drive(
         let camera = Camera::new(camera).map_err(|e| input(e.into()))?;
         eyes.push(Eye { weather: Weather::from(preset), camera, perception });
     }
-    let mut drive = Drive::start(DriveOptions {
-        bridge: BridgeOptions {
-            seed: args.seed,
-            traffic: args.traffic,
-            ..BridgeOptions::new(config, scratch.path().join("sumo"))
-        },
-        route: None,
-        ego: Default::default(),
-        autopilot: Default::default(),
-        criteria: Default::default(),
-        out: scratch.path().join("run"),
-    })
-    .await
-    .map_err(run::with_exit)?;
+    let mut drive = Drive::start(DriveOptions::passing(config, args.seed, args.traffic, scratch.path()))
+        .await
+        .map_err(run::with_exit)?;
     let mut town = sight::town(drive.bridge(), args.seed);
     let bar = progress(args.ticks);
     let mut respawns = 0;

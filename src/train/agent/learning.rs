@@ -1,5 +1,8 @@
 //! The learner's loop.
 
+mod report;
+mod validation;
+
 use super::checkpoint::{Best, Checkpoints, RngState, State};
 use super::collector::{Message, Shared, collect, lock};
 use super::config::TrainConfig;
@@ -15,14 +18,12 @@ use crate::agent::replay_files::write_whole;
 use crate::env::Stages;
 use crate::seeds;
 use rand_chacha::ChaCha8Rng;
-use serde_json::json;
-use std::collections::{BTreeMap, VecDeque};
-use std::path::Path;
+use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, TryRecvError, sync_channel};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
-use tch::Device;
+use validation::Validation;
 
 /// Updates that are sampled and brought to the device together.
 const TOGETHER: usize = 8;
@@ -126,14 +127,6 @@ struct Learning<'a> {
     shown_at: Option<Instant>,
     rate: Rate,
     interrupted: bool,
-}
-
-/// A validation under way.
-struct Validation {
-    steps: u64,
-    actor: Arc<ActorCopy>,
-    expected: usize,
-    reports: Vec<Report>,
 }
 
 /// What speed is measured on: from the first update on.
@@ -519,111 +512,6 @@ impl<'a> Learning<'a> {
         Ok(())
     }
 
-    fn figures(&mut self) -> Result<(), TrainError> {
-        let seconds = self.figures_at.elapsed().as_secs_f64();
-        self.figures_at = Instant::now();
-        let means = self.metrics.take();
-        if let Some((name, _)) = means.iter().find(|(_, value)| !value.is_finite()) {
-            return Err(self.diverged(name));
-        }
-        let updates = self.learner.updates();
-        let mut values: Vec<(&str, f64)> = means.into_iter().collect();
-        values.push(("charts/SPS", (self.steps - self.rate.last.0) as f64 / seconds));
-        values.push(("charts/UPS", (updates - self.rate.last.1) as f64 / seconds));
-        values.push(("charts/updates", updates as f64));
-        values.push(("charts/buffer", self.buffer.len() as f64));
-        values.push(("charts/demonstrated", self.demonstrated as f64));
-        self.rate.last = (self.steps, updates);
-        self.log.figures(self.steps, &values)
-    }
-
-    fn show(&self, shared: &Shared, news: Option<String>, progress: &mut impl FnMut(Progress<'_>)) {
-        let (stage, success_rate) = {
-            let schedule = lock(&shared.schedule);
-            (schedule.state.progress.stage, schedule.state.progress.success_rate())
-        };
-        let stages = &self.config.curriculum.stages;
-        progress(Progress {
-            steps: self.steps,
-            demonstrated: self.demonstrated,
-            updates: self.learner.updates(),
-            task: stages.get(stage).map_or("", |stage| stage.task.name()),
-            stage,
-            stages: stages.len(),
-            success_rate,
-            mean_return: self.returns.iter().sum::<f64>() / self.returns.len().max(1) as f64,
-            validating: self.validation.is_some(),
-            news,
-        });
-    }
-
-    fn start_validation(&mut self, shared: &Shared) {
-        // A version of its own: what is validated is exactly what a file would hold.
-        self.version += 1;
-        let policy = self.policy(serde_json::Value::Null, &self.learner.actor_values(), self.steps);
-        let actor = Arc::new(ActorCopy { version: self.version, values: policy.values, scale: policy.scale });
-        let expected = lock(&shared.schedule).validate(self.config, &actor);
-        self.validation = Some(Validation { steps: self.steps, actor, expected, reports: Vec::new() });
-    }
-
-    fn finish_validation(
-        &mut self,
-        shared: &Shared,
-        progress: &mut impl FnMut(Progress<'_>),
-    ) -> Result<(), TrainError> {
-        let Some(validation) = self.validation.take() else { return Ok(()) };
-        self.validated_at = validation.steps;
-        let reports = &validation.reports;
-        let successes = reports.iter().filter(|r| r.ending.success).count();
-        let full = Schedule::full_validation(self.config).max(1);
-        let mean =
-            |f: &dyn Fn(&Report) -> f64| reports.iter().map(f).sum::<f64>() / reports.len().max(1) as f64;
-        let now = Best {
-            steps: validation.steps,
-            success_rate: successes as f64 / full as f64,
-            mean_return: mean(&|r| r.episodic_return),
-        };
-        let mut by_task: BTreeMap<&str, (usize, usize)> = BTreeMap::new();
-        for report in reports {
-            let of = by_task.entry(report.task.kind.name()).or_default();
-            of.0 += usize::from(report.ending.success);
-            of.1 += 1;
-        }
-        let text: Vec<String> = by_task.iter().map(|(task, (s, n))| format!("{task} {s}/{n}")).collect();
-        let speed = mean(&|r| r.mean_speed);
-        self.log.figures(
-            validation.steps,
-            &[
-                ("validation/success_rate", now.success_rate),
-                ("validation/episodic_return", now.mean_return),
-                ("validation/mean_speed", speed),
-            ],
-        )?;
-        let better = self
-            .best
-            .is_none_or(|best| (now.success_rate, now.mean_return) > (best.success_rate, best.mean_return));
-        if better {
-            self.best = Some(now);
-            let scores = json!({
-                "validation": now,
-                "tasks": by_task.iter().map(|(t, (s, n))| (*t, json!({ "successes": s, "episodes": n })))
-                    .collect::<BTreeMap<_, _>>(),
-                "mean_speed": speed,
-            });
-            let policy = self.policy(scores, &validation.actor.values, validation.steps);
-            policy.save(&self.limits.out.join("best.safetensors"))?;
-        }
-        let news = format!(
-            "step {}: validation {}; {:.1} m/s{}",
-            validation.steps,
-            text.join(", "),
-            speed,
-            if better { "; best so far" } else { "" }
-        );
-        self.show(shared, Some(news), progress);
-        Ok(())
-    }
-
     fn policy(&self, scores: serde_json::Value, values: &[f32], steps: u64) -> Policy {
         let c = self.config;
         let card = PolicyCard {
@@ -673,77 +561,8 @@ impl<'a> Learning<'a> {
         self.rate.paused += clock.elapsed().as_secs_f64();
         Ok(())
     }
-
-    /// The last checkpoint and the summary; after an error only what is there is kept.
-    fn finish(mut self, shared: &Shared, result: Result<(), TrainError>) -> Result<Trained, TrainError> {
-        // Launched work must be over before time is taken.
-        if let Device::Cuda(index) = self.limits.device {
-            tch::Cuda::synchronize(index as i64);
-        }
-        let measured = self.rate.began.map_or(0.0, |at| at.elapsed().as_secs_f64() - self.rate.paused);
-        let (updates, steps) = (self.learner.updates(), self.steps);
-        // The figures since the last line: a short training has no others.
-        let unsaid = self.rate.began.is_some() && updates > self.rate.last.1;
-        let result = if unsaid { result.and_then(|()| self.figures()) } else { result };
-        let diverged = matches!(result, Err(TrainError::Diverged { .. }));
-        let saved = if diverged || self.steps + self.demonstrated == 0 {
-            self.log.flush()
-        } else {
-            self.save(shared)
-        };
-        result.and(saved)?;
-        let schedule = lock(&shared.schedule).state.clone();
-        let per_step = |seconds: f64| 1000.0 * seconds / self.rate.env.steps.max(1) as f64;
-        let env = &self.rate.env;
-        let stages = BTreeMap::from([
-            ("sumo", per_step(env.sumo)),
-            ("physics", per_step(env.physics)),
-            ("camera", per_step(env.camera)),
-            ("perception", per_step(env.perception)),
-            ("encoder", per_step(env.encoder)),
-            ("reset", per_step(env.reset)),
-            ("actor", per_step(self.rate.actor)),
-            ("waiting", per_step(self.rate.waiting)),
-            ("update", 1000.0 * self.rate.learning / (updates - self.rate.updates).max(1) as f64),
-        ]);
-        let per_second = |n: u64| if measured > 0.0 { n as f64 / measured } else { 0.0 };
-        let wall_seconds = self.began.elapsed().as_secs_f64();
-        let trained = Trained {
-            algorithm: self.config.algorithm.agent_name().to_string(),
-            seed: self.config.seed,
-            steps,
-            demonstrated: self.demonstrated,
-            updates,
-            episodes: schedule.episodes,
-            stage: schedule.progress.stage,
-            stage_task: self
-                .config
-                .curriculum
-                .stages
-                .get(schedule.progress.stage)
-                .map_or(String::new(), |stage| stage.task.name().to_string()),
-            curriculum_done: schedule.progress.done,
-            best: self.best,
-            wall_seconds,
-            total_seconds: self.before_seconds + wall_seconds,
-            env_steps_per_s: per_second(steps - self.rate.steps.min(steps)),
-            updates_per_s: per_second(updates - self.rate.updates.min(updates)),
-            stages,
-            interrupted: self.interrupted,
-            out: self.limits.out.clone(),
-        };
-        write_summary(&self.limits.out, &trained)?;
-        Ok(trained)
-    }
 }
 
 fn gone() -> TrainError {
     TrainError::Broken("all collectors ended; see the messages above".to_string())
-}
-
-fn write_summary(out: &Path, trained: &Trained) -> Result<(), TrainError> {
-    let path = out.join("summary.json");
-    let failed = |source| TrainError::Write { path: path.clone(), source };
-    let text = serde_json::to_vec_pretty(trained).map_err(|e| failed(e.into()))?;
-    write_whole(&path, &text).map_err(failed)
 }
