@@ -13,6 +13,7 @@ mod exit;
 mod progress;
 mod report;
 mod run;
+mod scenario;
 mod snapshot;
 mod train;
 
@@ -55,6 +56,8 @@ enum Command {
     Eval(eval::Args),
     /// Make pictures and tables of what was trained and measured.
     Report(report::Args),
+    /// Make, edit, check, list and drive scenarios: folders of SUMO files that netedit opens.
+    Scenario(Box<scenario::Args>),
     /// Check what this machine has for wad-cosim, and say what to do about what is missing.
     Doctor(doctor::Args),
 }
@@ -71,6 +74,7 @@ pub fn main() -> ExitCode {
         Command::Bench(args) => bench::run(args),
         Command::Eval(args) => eval::run(args),
         Command::Report(args) => report::run(args),
+        Command::Scenario(args) => scenario::run(*args),
         Command::Doctor(args) => doctor::run(args),
     };
     match result {
