@@ -11,8 +11,10 @@ mod dataset;
 mod doctor;
 #[cfg(feature = "vision")]
 mod env;
+mod netedit;
 mod network;
 mod run;
+mod scenario;
 mod traci;
 mod traffic;
 #[cfg(feature = "vision")]
