@@ -172,6 +172,10 @@ impl World {
             sight: self.options.sight,
             tick_timeout: self.options.tick_timeout,
             scenario: self.assets.scenario().is_some(),
+            closed_lanes: self
+                .assets
+                .scenario()
+                .map_or(Vec::new(), |scenario| scenario.closed_lanes.clone()),
             ..BridgeOptions::new(self.assets.config(), self.sumo_folder())
         };
         let mut bridge = Bridge::start_on(&options, Some(Arc::clone(self.assets.network()))).await?;

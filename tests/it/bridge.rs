@@ -429,6 +429,7 @@ async fn it_drives_on_the_left_where_that_is_the_rule() {
         ..BridgeOptions::new(&net, scene.path("out"))
     };
     let mut drive = Drive::start(DriveOptions {
+        scenario: None,
         bridge,
         route: None,
         ego: EgoParams::default(),
@@ -465,6 +466,7 @@ async fn long_ticks_keep_it_on_the_road() {
             ..BridgeOptions::new(&net, folder.path().join("out"))
         };
         let mut drive = Drive::start(DriveOptions {
+            scenario: None,
             bridge,
             route: None,
             ego: EgoParams::default(),
