@@ -179,13 +179,14 @@ pub fn run(suite: &str, args: Args) -> anyhow::Result<Exit> {
         let made = make_agent(agent).map_err(|e| with_exit(e.into()))?;
         Ok((agent.to_string(), made.id))
     });
+    let ids = ids.collect::<anyhow::Result<_>>()?;
     let manifest = Manifest {
         build: env!("WAD_COSIM_VERSION").to_string(),
         sumo: sumo_version()?,
         suite: suite.clone(),
         selection,
         options: options.clone(),
-        agents: ids.collect::<anyhow::Result<_>>()?,
+        agents: ids,
         nets: towns.iter().map(|(town, assets)| (town.clone(), assets.net_hash().to_string())).collect(),
         shard: args.shard,
     };
