@@ -237,17 +237,35 @@ impl Picture {
             return std::fs::write(path, self.jpeg()?);
         }
         let mut file = BufWriter::new(std::fs::File::create(path)?);
-        let mut encoder = png::Encoder::new(&mut file, self.width as u32, self.height as u32);
+        self.write_png(&mut file)?;
+        file.flush()
+    }
+
+    /// The bytes of a PNG file.
+    ///
+    /// # Errors
+    /// Width, height and pixels do not fit.
+    pub fn png(&self) -> io::Result<Vec<u8>> {
+        let mut bytes = Vec::new();
+        self.write_png(&mut bytes)?;
+        Ok(bytes)
+    }
+
+    fn write_png(&self, to: impl io::Write) -> io::Result<()> {
+        let mut encoder = png::Encoder::new(to, self.width as u32, self.height as u32);
         encoder.set_color(png::ColorType::Rgb);
         encoder.set_depth(png::BitDepth::Eight);
         let mut writer = encoder.write_header()?;
         writer.write_image_data(&self.rgb)?;
-        writer.finish()?;
-        file.flush()
+        Ok(writer.finish()?)
     }
 
+    /// The bytes of a JPEG file.
+    ///
+    /// # Errors
+    /// This build has no OpenCV, or OpenCV fails.
     #[cfg(feature = "vision")]
-    fn jpeg(&self) -> io::Result<Vec<u8>> {
+    pub fn jpeg(&self) -> io::Result<Vec<u8>> {
         use opencv::core::{Mat, Vec3b, Vector};
         use opencv::imgcodecs::{IMWRITE_JPEG_QUALITY, imencode};
         let pixels: Vec<Vec3b> = self.rgb.chunks_exact(3).map(|p| Vec3b::from([p[2], p[1], p[0]])).collect();
@@ -260,8 +278,12 @@ impl Picture {
         Ok(bytes.into())
     }
 
+    /// Always an error: this build has no OpenCV.
+    ///
+    /// # Errors
+    /// See there.
     #[cfg(not(feature = "vision"))]
-    fn jpeg(&self) -> io::Result<Vec<u8>> {
+    pub fn jpeg(&self) -> io::Result<Vec<u8>> {
         Err(io::Error::new(
             io::ErrorKind::Unsupported,
             "this build writes PNG files only: end the name with .png, or build with the feature `vision`",

@@ -15,6 +15,7 @@ use std::sync::{Arc, OnceLock};
 /// A town: its configuration, network, fixed bodies, look, and the places for the tasks.
 pub struct Assets {
     config: PathBuf,
+    net_hash: String,
     name: String,
     town_name: String,
     /// Where the config is a scenario's.
@@ -39,7 +40,9 @@ impl Assets {
         let config = bundled::resolve(config)?;
         let schema = OptionSchema::cached(&SumoInstall::find()?, false)?;
         let loaded = SumoConfig::load(&config, &schema)?;
-        let network = Network::load(&loaded.net_file()?)?;
+        let net_file = loaded.net_file()?;
+        let network = Network::load(&net_file)?;
+        let net_hash = hash(&net_file);
         network.require_drivable(crate::destination::EGO_CLASS)?;
         let mut shapes = Shapes::default();
         for file in loaded.additional_files() {
@@ -57,6 +60,7 @@ impl Assets {
         };
         Ok(Arc::new(Self {
             config,
+            net_hash,
             name: loaded.name(),
             town_name: loaded.town(),
             scenario,
@@ -71,6 +75,11 @@ impl Assets {
     /// The configuration's file.
     pub fn config(&self) -> &Path {
         &self.config
+    }
+
+    /// Stands for the bytes of the net's file.
+    pub fn net_hash(&self) -> &str {
+        &self.net_hash
     }
 
     /// The town's name, e.g. `town3`.
@@ -118,4 +127,10 @@ impl Assets {
     pub fn town(&self) -> Town {
         self.town.get_or_init(|| Town::new(&self.network, &self.shapes, LOOK)).share()
     }
+}
+
+/// CRC 32 and length of a file that was read a moment ago.
+fn hash(path: &Path) -> String {
+    let bytes = std::fs::read(path).unwrap_or_default();
+    format!("{:08x}-{}", crc32fast::hash(&bytes), bytes.len())
 }

@@ -89,7 +89,8 @@ pub fn enrich(from: &Path, to: &Path, wanted: Wanted) -> Result<Enriched, NetErr
     let raw = scratch.path().join("raw.net.xml");
     given.extend([OsString::from("--output-file"), raw.clone().into()]);
     run(&install, "netconvert", from, given)?;
-    let text = std::fs::read_to_string(&raw).map_err(|source| NetError::Read { path: raw.clone(), source })?;
+    let text =
+        std::fs::read_to_string(&raw).map_err(|source| NetError::Read { path: raw.clone(), source })?;
     let built = Network::load(&raw)?;
     let (text, put_back) = restore(&raw, &text, &old, &built)?;
     let new = Network::from_xml(to, &text)?;
@@ -122,7 +123,15 @@ fn busy_junctions(network: &Network) -> Vec<String> {
         let fast = |edge: &&crate::network::EdgeId| {
             network.edge(**edge).lanes.iter().any(|l| network.lane(*l).speed_limit > 13.0) && lanes(edge) > 1
         };
-        let plain = matches!(junction.kind.as_str(), "priority" | "right_before_left" | "left_before_right" | "allway_stop" | "priority_stop" | "unregulated");
+        let plain = matches!(
+            junction.kind.as_str(),
+            "priority"
+                | "right_before_left"
+                | "left_before_right"
+                | "allway_stop"
+                | "priority_stop"
+                | "unregulated"
+        );
         plain && !round && (arms.len() >= 4 || arms.len() == 3 && arms.iter().any(|edge| fast(edge)))
     };
     network.junctions.iter().filter(busy).map(|j| j.id.clone()).collect()

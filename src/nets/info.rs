@@ -118,7 +118,10 @@ fn problems(network: &Network, facts: &Facts, name: &str) -> Vec<NetProblem> {
     }
     if facts.connected < CONNECTED {
         add(
-            format!("only {:.0} % of its lanes hang together; random routes begin and end there", 100.0 * facts.connected),
+            format!(
+                "only {:.0} % of its lanes hang together; random routes begin and end there",
+                100.0 * facts.connected
+            ),
             "join the parts in netedit, or drive with --route FROM,TO".to_string(),
         );
     }
@@ -126,12 +129,19 @@ fn problems(network: &Network, facts: &Facts, name: &str) -> Vec<NetProblem> {
         add("it has no signals".to_string(), enrich("--signals"));
     }
     if facts.sidewalks == 0 {
-        add("it has no sidewalks: no pedestrians can be put into it".to_string(), enrich("--sidewalks --crossings"));
+        add(
+            "it has no sidewalks: no pedestrians can be put into it".to_string(),
+            enrich("--sidewalks --crossings"),
+        );
     } else if facts.crossings == 0 {
         add("it has no crossings: pedestrians stay on their side".to_string(), enrich("--crossings"));
     }
     for task in facts.tasks.iter().filter(|task| !task.placed) {
-        add(task.note.clone(), "the suites leave this task out on this net; draw a place for it: wad-cosim scenario new".to_string());
+        add(
+            task.note.clone(),
+            "the suites leave this task out on this net; draw a place for it: wad-cosim scenario new"
+                .to_string(),
+        );
     }
     problems
 }

@@ -62,9 +62,17 @@ fn folder(out: &Path) -> Result<String, NetError> {
 }
 
 /// Checks the net and writes the configuration that names it.
-fn finish(out: &Path, name: &str, net: PathBuf, polygons: Option<PathBuf>, warnings: Vec<String>) -> Result<Made, NetError> {
+fn finish(
+    out: &Path,
+    name: &str,
+    net: PathBuf,
+    polygons: Option<PathBuf>,
+    warnings: Vec<String>,
+) -> Result<Made, NetError> {
     Network::load(&net)?;
-    let additional = polygons.as_ref().map_or(String::new(), |_| format!("\n        <additional-files value=\"{name}.poly.xml\"/>"));
+    let additional = polygons
+        .as_ref()
+        .map_or(String::new(), |_| format!("\n        <additional-files value=\"{name}.poly.xml\"/>"));
     let config = out.join(format!("{name}.sumocfg"));
     write(
         &config,
@@ -123,8 +131,12 @@ pub fn build(source: &Path, out: &Path) -> Result<Made, NetError> {
     }
     let name = folder(out)?;
     let net = out.join(format!("{name}.net.xml"));
-    given.extend([OsString::from("--output-file"), std::path::absolute(&net).unwrap_or_else(|_| net.clone()).into()]);
-    let made = run(&install, "netconvert", source, given).and_then(|warnings| finish(out, &name, net, None, warnings));
+    given.extend([
+        OsString::from("--output-file"),
+        std::path::absolute(&net).unwrap_or_else(|_| net.clone()).into(),
+    ]);
+    let made = run(&install, "netconvert", source, given)
+        .and_then(|warnings| finish(out, &name, net, None, warnings));
     or_clean(out, made)
 }
 

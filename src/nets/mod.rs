@@ -72,5 +72,8 @@ fn run(
 
 /// `--option value` pairs as arguments.
 fn arguments(pairs: &[(&str, &str)]) -> Vec<OsString> {
-    pairs.iter().flat_map(|(option, value)| [OsString::from(format!("--{option}")), OsString::from(value)]).collect()
+    pairs
+        .iter()
+        .flat_map(|(option, value)| [OsString::from(format!("--{option}")), OsString::from(value)])
+        .collect()
 }

@@ -128,7 +128,8 @@ fn join(
 
 /// The piece of a line from `a` to `b` (m).
 fn cut(line: &Polyline, a: f64, b: f64) -> Vec<Point3<f64>> {
-    let between = line.points().iter().zip(line.arc_lengths()).filter(|(_, s)| **s > a + 0.01 && **s < b - 0.01);
+    let between =
+        line.points().iter().zip(line.arc_lengths()).filter(|(_, s)| **s > a + 0.01 && **s < b - 0.01);
     let mut piece = vec![line.at(a).position];
     piece.extend(between.map(|(p, _)| *p));
     piece.push(line.at(b).position);

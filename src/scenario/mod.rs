@@ -185,6 +185,7 @@ impl Scenario {
             weather: self.weather,
             tick_limit: Some(self.tick_limit(tick)),
             placement: Some(self.placement.clone()),
+            endless: false,
         }
     }
 

@@ -11,7 +11,9 @@ mod dataset;
 mod doctor;
 #[cfg(feature = "vision")]
 mod env;
+mod eval;
 mod netedit;
+mod nets;
 mod network;
 mod run;
 mod scenario;
