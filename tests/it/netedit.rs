@@ -130,7 +130,7 @@ fn every_shipped_scenario_survives_netedit() {
         std::fs::write(&steps, STEPS).unwrap();
         edit(&display, &config, &steps);
         for (ending, made) in
-            [("rou.xml", "<vType id=\"t_0\""), ("add.xml", "id=\"poi_0\""), ("sumocfg", "netedit")]
+            [("rou.xml", "<vType id=\"t_0\""), ("add.xml", "<additional"), ("sumocfg", "netedit")]
         {
             let text = std::fs::read_to_string(copy.folder.join(format!("{name}.{ending}"))).unwrap();
             let saved = ending == "sumocfg" || text.contains(made);

@@ -386,22 +386,22 @@ fn every_mistake_is_named_with_file_element_and_fix() {
         (
             "pedestrian_steps_out",
             "add.xml",
-            "/>\n</additional>",
-            "><param key=\"wad.speed\" value=\"fast\"/></poi>\n</additional>",
+            "</poi>\n</additional>",
+            "<param key=\"wad.speed\" value=\"fast\"/></poi>\n</additional>",
             &["`wad.speed` is `fast`", "metres a second"],
         ),
         (
             "pedestrian_steps_out",
             "add.xml",
-            "/>\n</additional>",
-            "><param key=\"wad.person\" value=\"chld\"/></poi>\n</additional>",
+            "</poi>\n</additional>",
+            "<param key=\"wad.person\" value=\"chld\"/></poi>\n</additional>",
             &["`wad.person` is `chld`", "did you mean child?"],
         ),
         (
             "pedestrian_steps_out",
             "add.xml",
-            "/>\n</additional>",
-            "><param key=\"wad.gap\" value=\"3\"/></poi>\n</additional>",
+            "</poi>\n</additional>",
+            "<param key=\"wad.gap\" value=\"3\"/></poi>\n</additional>",
             &["unknown parameter `wad.gap`"],
         ),
         (
