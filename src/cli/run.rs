@@ -1,6 +1,6 @@
 //! `wad-cosim run`: drive through a town.
 
-use super::{Exit, print};
+use super::{Exit, agents, print};
 use anyhow::Context;
 use clap::ValueHint;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -12,7 +12,6 @@ use wad_cosim::bundled;
 use wad_cosim::camera::{CameraConfig, Preset, Town, Weather};
 use wad_cosim::criteria::Event;
 use wad_cosim::drive::{Drive, DriveError, DriveOptions, Status, Summary};
-#[cfg(feature = "learn")]
 use wad_cosim::env::EnvOptions;
 use wad_cosim::learned_driver::LearnedDriver;
 use wad_cosim::perception::{self, Percept};
@@ -42,8 +41,8 @@ pub struct Args {
     /// A .sumocfg, a .net.xml(.gz), a folder with one .sumocfg, or a bundled town (town3, town5).
     #[arg(value_hint = ValueHint::FilePath)]
     config: String,
-    /// Who drives: autopilot, wad-t, wad-s, or a file that `train agent` wrote.
-    #[arg(long, default_value = "autopilot", value_name = "NAME|FILE", value_hint = ValueHint::FilePath)]
+    /// Who drives: autopilot, wad-t, wad-s, a file that `train agent` wrote, or exec:COMMAND (docs/evaluate.md).
+    #[arg(long, default_value = "autopilot", value_name = "NAME|FILE|exec:CMD", value_hint = ValueHint::FilePath)]
     agent: String,
     /// The encoder that the agent sees through [default: the one that it was trained with], and whose
     /// reconstruction --perception shows [default: the bundled one].
@@ -190,28 +189,16 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
     Ok(if interrupted { Exit::Interrupted } else { Exit::Done })
 }
 
-/// The trained agent that was asked for; None: the autopilot.
-#[cfg(feature = "learn")]
+/// The trained or external agent that was asked for; None: the autopilot.
 fn driver(args: &Args, seed: u64) -> anyhow::Result<Option<LearnedDriver>> {
     if args.agent == "autopilot" {
         return Ok(None);
     }
     let options = EnvOptions { detector: args.detector.clone(), ..EnvOptions::evaluation() };
-    let opened = wad_cosim::agent::policy::open(&args.agent, args.encoder.as_deref(), &options.camera);
-    let (agent, encoder) = opened.map_err(|e| Exit::Input.because(e))?;
+    let (agent, encoder) = agents::for_run(&args.agent, args.encoder.as_deref(), &options.camera)
+        .map_err(|e| Exit::Input.because(e))?;
     let driver = LearnedDriver::new(&args.config, agent, encoder, &options, args.weather, seed);
     Ok(Some(driver.map_err(|e| Exit::Input.because(e))?))
-}
-
-#[cfg(not(feature = "learn"))]
-fn driver(args: &Args, _seed: u64) -> anyhow::Result<Option<LearnedDriver>> {
-    if args.agent == "autopilot" {
-        return Ok(None);
-    }
-    Err(Exit::Input.because(anyhow::anyhow!(
-        "--agent {}: this build has no libtorch and knows the autopilot only; build it with the feature `learn`",
-        args.agent
-    )))
 }
 
 impl Args {
