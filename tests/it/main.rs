@@ -11,6 +11,7 @@ mod dataset;
 mod doctor;
 #[cfg(feature = "vision")]
 mod env;
+mod eval;
 mod network;
 mod run;
 mod traci;
