@@ -258,6 +258,11 @@ impl Drive {
         &self.bridge
     }
 
+    /// The same, for what is to be asked of SUMO beside the drive.
+    pub fn bridge_mut(&mut self) -> &mut Bridge {
+        &mut self.bridge
+    }
+
     /// The ego.
     pub fn ego(&self) -> &Ego {
         &self.ego
