@@ -25,9 +25,11 @@
 //! | [`train`] | training of the networks |
 //! | [`agent`] | agents that learn to drive |
 //! | [`tasks`] | what is to be driven, and where on a net that can be done |
+//! | [`scenario`] | situations drawn in netedit, and what makes them happen |
 //! | [`reward`] | the paper's six reward terms |
 //! | [`env`] | all of that as `reset` and `step` |
 //! | [`eval`] | suites of episodes, driven in parallel |
+//! | [`replay`] | recorded drives, to be played or driven again |
 //! | [`autopilot`] | the rule-based expert |
 //! | [`criteria`] | collisions, red lights, lane, blocking, arrival |
 //! | [`learned_driver`] | a trained agent with camera, perception and encoder, for `run` |
@@ -61,7 +63,9 @@ pub mod network;
 pub mod observation;
 pub mod perception;
 pub mod record;
+pub mod replay;
 pub mod reward;
+pub mod scenario;
 pub mod seeds;
 pub mod sight;
 pub mod sumo_config;

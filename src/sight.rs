@@ -3,8 +3,7 @@
 use crate::bridge::{Bridge, Ego};
 use crate::camera::Town;
 use crate::network::Shapes;
-use crate::world::{Actor, ActorKind, ActorType, VehicleSignals};
-use std::sync::Arc;
+use crate::replay::Body;
 
 /// The town of a bridge's network, with the buildings of its config's additional files.
 pub fn town(bridge: &Bridge, seed: u64) -> Town {
@@ -24,25 +23,8 @@ pub fn town(bridge: &Bridge, seed: u64) -> Town {
 
 /// Moves the town's road users to where `ego` sees them, and the ego itself for outside views.
 pub fn follow(town: &mut Town, ego: &Ego) {
-    let (params, state) = (ego.params(), ego.state());
-    let actor_type = ActorType {
-        id: ego.id.clone(),
-        kind: ActorKind::Car,
-        length: params.length,
-        width: params.width,
-        height: params.height,
-        min_gap: 0.0,
-    };
-    let braking = if state.acceleration < -0.5 { VehicleSignals::BRAKE_LIGHT } else { 0 };
-    let actor = Actor {
-        id: Arc::from(ego.id.as_str()),
-        key: u64::MAX,
-        actor_type: Arc::new(actor_type),
-        pose: state.pose,
-        speed: state.speed,
-        signals: VehicleSignals(braking),
-        lane: None,
-        lane_position: 0.0,
-    };
+    let params = ego.params();
+    let body = Body { length: params.length, width: params.width, height: params.height };
+    let actor = body.actor(&ego.state());
     town.follow(ego.world(), Some(&actor));
 }

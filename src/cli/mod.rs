@@ -1,6 +1,7 @@
 //! The command line: one file per command. Here: what all commands share, which is
 //! exit codes, log level and printing.
 
+mod agents;
 mod bench;
 mod bench_camera;
 mod bench_tick;
@@ -11,8 +12,10 @@ mod doctor;
 mod eval;
 mod exit;
 mod progress;
+mod replay;
 mod report;
 mod run;
+mod scenario;
 mod snapshot;
 mod train;
 
@@ -53,8 +56,12 @@ enum Command {
     Bench(bench::Args),
     /// Drive the episodes of a suite, or judge a part of the system by the ground truth.
     Eval(eval::Args),
+    /// Show a kept episode again, as a film or in sumo-gui, or simulate it again and compare every bit.
+    Replay(replay::Args),
     /// Make pictures and tables of what was trained and measured.
     Report(report::Args),
+    /// Make, edit, check, list and drive scenarios: folders of SUMO files that netedit opens.
+    Scenario(Box<scenario::Args>),
     /// Check what this machine has for wad-cosim, and say what to do about what is missing.
     Doctor(doctor::Args),
 }
@@ -70,7 +77,9 @@ pub fn main() -> ExitCode {
         Command::Train(args) => train::run(args),
         Command::Bench(args) => bench::run(args),
         Command::Eval(args) => eval::run(args),
+        Command::Replay(args) => replay::run(&args),
         Command::Report(args) => report::run(args),
+        Command::Scenario(args) => scenario::run(*args),
         Command::Doctor(args) => doctor::run(args),
     };
     match result {

@@ -37,7 +37,7 @@
 
 mod assets;
 mod end;
-mod episode;
+pub(crate) mod episode;
 mod error;
 pub(crate) mod eyes;
 mod green;
@@ -181,6 +181,11 @@ impl Env {
     /// Id of SUMO's process, None before the first reset.
     pub fn sumo_pid(&self) -> Option<u32> {
         self.world.sumo_pid()
+    }
+
+    /// The six raw states of the last observation by name, in units.
+    pub fn raw(&self) -> &RawState {
+        self.world.raw()
     }
 
     /// What the observation is made from, for people and data sets: the camera's last frame.

@@ -9,13 +9,15 @@ use crate::autopilot::{Autopilot, AutopilotParams, EgoModel};
 use crate::bridge::{Bridge, BridgeError, BridgeOptions, Ego, Lamps};
 use crate::camera::Frame;
 use crate::criteria::{Event, Situation};
+use crate::destination::Destinations;
 use crate::latent::Encoder;
-use crate::network::{EdgeKind, LaneId, RoadOption, Route};
-use crate::observation::Observation;
+use crate::network::{EdgeKind, LaneId, Network, RoadOption, Route};
+use crate::observation::{Observation, RawState};
 use crate::perception::TransformedImage;
 use crate::reward::{self, RewardTerms};
+use crate::scenario::Director;
 use crate::seeds;
-use crate::tasks::{Placement, TaskSpec};
+use crate::tasks::{Placement, TaskError, TaskSpec};
 use crate::traffic::TrafficSpec;
 use crate::vehicle::Control;
 use std::path::PathBuf;
@@ -52,6 +54,8 @@ pub struct World {
     /// The blinkers and brake lights that the expert asked for, and the control that it decided on.
     lamps: Option<Lamps>,
     decided: Option<Control>,
+    /// Draws the further destinations of a route that never ends.
+    onward: Option<Destinations>,
     folder: TempDir,
     pub stages: Stages,
 }
@@ -76,6 +80,7 @@ impl World {
             episode: None,
             lamps: None,
             decided: None,
+            onward: None,
             folder,
             stages: Stages::default(),
         })
@@ -111,6 +116,15 @@ impl World {
         self.episode = Some(Episode::new(task.clone(), placement, limit, self.options.criteria));
         self.autopilot = Autopilot::new(AutopilotParams::default(), EgoModel::from(&self.options.ego));
         (self.lamps, self.decided) = (None, None);
+        self.onward = None;
+        if task.endless {
+            let rng = seeds::rng(seed, "onward");
+            let destinations = Destinations::new(self.assets.network(), rng);
+            self.onward = Some(
+                destinations
+                    .map_err(|error| TaskError::NoPlace { task: task.kind, condition: error.to_string() })?,
+            );
+        }
         self.eyes.reset(task.weather, seeds::derive(seed, "detector"));
         let observation = self.eyes.look(self.assets.network(), ego, tick, &mut self.stages)?;
         self.stages.resets += 1;
@@ -123,6 +137,7 @@ impl World {
         let (placement, route) = self.place(task, seed)?;
         let traffic = task.traffic();
         let runs_on = self.options.world == WorldMode::Running
+            && self.assets.scenario().is_none()
             && self.sumo.as_ref().is_some_and(|sumo| {
                 let own = |t: TrafficSpec| t == TrafficSpec::AsIs;
                 sumo.episodes < self.options.episodes_per_sumo && own(sumo.traffic) == own(traffic)
@@ -141,7 +156,8 @@ impl World {
         if task.kind.lights_are_green() {
             sumo.held = green::hold(&mut sumo.bridge, ego.route()).await?;
         }
-        if let Some(wanted) = &placement.obstacle {
+        // A scenario's director puts its own.
+        if let (Some(wanted), None) = (&placement.obstacle, self.assets.scenario()) {
             obstacle::put(&mut sumo.bridge, ego, wanted)?;
         }
         // Standing: SUMO learns the new route, and those in sight have a speed.
@@ -168,9 +184,14 @@ impl World {
             traffic,
             sight: self.options.sight,
             tick_timeout: self.options.tick_timeout,
+            gui: self.options.gui,
+            scenario: self.assets.scenario().is_some(),
             ..BridgeOptions::new(self.assets.config(), self.sumo_folder())
         };
         let mut bridge = Bridge::start_on(&options, Some(Arc::clone(self.assets.network()))).await?;
+        if let Some(scenario) = self.assets.scenario() {
+            bridge.set_director(Box::new(Director::new(Arc::clone(scenario))));
+        }
         let ego = match &mut self.ego {
             Some(ego) => {
                 ego.forget();
@@ -207,7 +228,7 @@ impl World {
             let (Some(sumo), Some(ego)) = (&mut self.sumo, &mut self.ego) else {
                 return Err(EnvError::NoEpisode);
             };
-            if let Some(counts) = task.traffic().counts(self.assets.name()) {
+            if let Some(counts) = task.traffic().counts(self.assets.town_name()) {
                 sumo.bridge.resize_traffic(counts);
             }
             if std::mem::take(&mut sumo.obstacle) {
@@ -254,6 +275,9 @@ impl World {
         if self.decided.take().is_some_and(|decided| decided.clamped() != control) {
             self.autopilot.overruled();
         }
+        if let Some(onward) = &mut self.onward {
+            go_onward(network, ego, onward);
+        }
         let clock = Instant::now();
         let contacts = ego.advance(control, tick);
         let moved = clock.elapsed().as_secs_f64();
@@ -274,10 +298,7 @@ impl World {
             before,
             after,
             contacts: &contacts,
-            static_label: &|key| {
-                let bodies = self.assets.statics();
-                bodies.get(key as usize).map_or_else(|| key.to_string(), |body| body.label.clone())
-            },
+            static_label: &|key| ego.static_label(key),
             length: params.length,
             width: params.width,
             wheelbase: params.wheelbase,
@@ -288,7 +309,9 @@ impl World {
         let decided = self.options.termination.decide(&events);
         let ending = match decided {
             Some((end, cause)) => Some(episode.ending(end, cause)),
-            None if episode.tick >= episode.limit => Some(judge_limit(episode, ego)),
+            None if episode.tick >= episode.limit => {
+                Some(judge_limit(episode.task.kind, &episode.placement, episode.tick, network, ego))
+            }
             None => None,
         };
         let facts = episode.facts(&self.options.reward, ego, &self.eyes, &control, &events, ending.as_ref());
@@ -383,6 +406,10 @@ impl World {
         self.sumo.as_ref().and_then(|sumo| sumo.bridge.sumo_pid())
     }
 
+    pub fn raw(&self) -> &RawState {
+        self.eyes.raw()
+    }
+
     pub fn frame(&self) -> Option<&Frame> {
         self.eyes.frame()
     }
@@ -401,6 +428,28 @@ impl World {
 
     pub fn options(&self) -> &EnvOptions {
         &self.options
+    }
+}
+
+/// A route that never ends is lengthened when less than this is left of it (m).
+const ONWARD: f64 = 250.0;
+/// Places drawn for that at a time.
+const ONWARD_DRAWS: usize = 20;
+
+/// Lengthens the route before its end comes into view. Where no place can be reached from its end it
+/// ends there.
+fn go_onward(network: &Network, ego: &mut Ego, places: &mut Destinations) {
+    let s = ego.on_route().s;
+    if ego.route().length() - s > ONWARD {
+        return;
+    }
+    let mut route = ego.route().clone();
+    for _ in 0..ONWARD_DRAWS {
+        let place = places.place(network);
+        if network.extend_route(&mut route, place).is_ok() && route.length() - s > 2.0 * ONWARD {
+            ego.set_route(route, s);
+            return;
+        }
     }
 }
 
