@@ -216,6 +216,11 @@ impl Drive {
     ) -> Result<Self, DriveError> {
         let config = RunConfig { options: &options, driver: driver.as_ref().map(LearnedDriver::record) };
         let folder = RunFolder::create(&options.out, &config)?;
+        let mut options = options;
+        if let Some(scenario) = &options.scenario {
+            options.bridge.scenario = true;
+            options.bridge.closed_lanes.clone_from(&scenario.closed_lanes);
+        }
         let mut bridge = Bridge::start(&options.bridge).await?;
         let network = bridge.network().clone();
         let rng = seeds::rng(options.bridge.seed, "route");

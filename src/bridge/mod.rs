@@ -58,6 +58,9 @@ pub struct BridgeOptions {
     /// The config is a scenario: what it has drawn stays beside the background population, but for its ego.
     #[serde(default)]
     pub scenario: bool,
+    /// Lanes that the scenario closes: the background population keeps off them from the start.
+    #[serde(default)]
+    pub closed_lanes: Vec<String>,
 }
 
 impl BridgeOptions {
@@ -74,6 +77,7 @@ impl BridgeOptions {
             tick_timeout: 60.0,
             output_dir: output_dir.into(),
             scenario: false,
+            closed_lanes: Vec::new(),
         }
     }
 }
@@ -178,7 +182,11 @@ impl Bridge {
                 keep: vec!["ego".to_string(), OBSTACLE.to_string()],
                 ..Default::default()
             };
-            Population::new(Arc::clone(&network), counts, seeds::derive(options.seed, "traffic"), behaviour)
+            let roads = match options.closed_lanes.as_slice() {
+                [] => Arc::clone(&network),
+                closed => Arc::new(network.without_lanes(closed)),
+            };
+            Population::new(roads, counts, seeds::derive(options.seed, "traffic"), behaviour)
         });
         let core = process.as_ref().filter(|_| !options.gui).map(|process| SharedCore::with(process.id()));
         Ok(Self {

@@ -13,6 +13,7 @@ mod doctor;
 mod env;
 mod eval;
 mod netedit;
+mod nets;
 mod network;
 mod run;
 mod scenario;
