@@ -24,6 +24,11 @@ pub fn town(bridge: &Bridge, seed: u64) -> Town {
 
 /// Moves the town's road users to where `ego` sees them, and the ego itself for outside views.
 pub fn follow(town: &mut Town, ego: &Ego) {
+    town.follow(ego.world(), Some(&from_outside(ego)));
+}
+
+/// The ego as others see it.
+pub fn from_outside(ego: &Ego) -> Actor {
     let (params, state) = (ego.params(), ego.state());
     let actor_type = ActorType {
         id: ego.id.clone(),
@@ -34,7 +39,7 @@ pub fn follow(town: &mut Town, ego: &Ego) {
         min_gap: 0.0,
     };
     let braking = if state.acceleration < -0.5 { VehicleSignals::BRAKE_LIGHT } else { 0 };
-    let actor = Actor {
+    Actor {
         id: Arc::from(ego.id.as_str()),
         key: u64::MAX,
         actor_type: Arc::new(actor_type),
@@ -43,6 +48,5 @@ pub fn follow(town: &mut Town, ego: &Ego) {
         signals: VehicleSignals(braking),
         lane: None,
         lane_position: 0.0,
-    };
-    town.follow(ego.world(), Some(&actor));
+    }
 }

@@ -23,8 +23,8 @@ use crate::network::{LaneId, Network};
 use crate::seeds;
 use crate::sumo_config::{OptionSchema, Overrides, SumoConfig};
 use crate::traci::process::{LaunchOptions, SumoInstall, SumoProcess};
-use crate::traci::{self, Batch, Replies, TcpClient, gui, simulation, vehicle};
-use crate::traffic::{self, Population, StepEvents, TrafficSpec};
+use crate::traci::{self, Batch, RemoveReason, Replies, TcpClient, gui, person, simulation, vehicle};
+use crate::traffic::{self, Counts, Population, StepEvents, TrafficSpec};
 use observe::ActorCatalog;
 use serde::{Deserialize, Serialize};
 use signals::SignalWatch;
@@ -89,6 +89,7 @@ pub struct Bridge {
     catalog: ActorCatalog,
     signals: SignalWatch,
     population: Option<Population>,
+    traffic_seed: u64,
     batch: Batch,
     sight: f64,
     gui: bool,
@@ -165,14 +166,9 @@ impl Bridge {
             }
         };
         client.set_timeout(Some(timeout));
-        let population = options.traffic.counts(&config.name()).map(|counts| {
-            let behaviour = traffic::Options {
-                alone: true,
-                keep: vec!["ego".to_string(), OBSTACLE.to_string()],
-                ..Default::default()
-            };
-            Population::new(Arc::clone(&network), counts, seeds::derive(options.seed, "traffic"), behaviour)
-        });
+        let traffic_seed = seeds::derive(options.seed, "traffic");
+        let population = options.traffic.counts(&config.name());
+        let population = population.map(|counts| population_of(&network, counts, traffic_seed));
         let core = process.as_ref().filter(|_| !options.gui).map(|process| SharedCore::with(process.id()));
         Ok(Self {
             client,
@@ -183,6 +179,7 @@ impl Bridge {
             config,
             catalog: ActorCatalog::default(),
             population,
+            traffic_seed,
             batch: Batch::new(),
             sight: options.sight,
             gui: options.gui,
@@ -380,12 +377,40 @@ impl Bridge {
 
     /// Keeps `counts` of background traffic alive from now on; see [`Population::resize`]. False where
     /// the population is the config's own.
-    pub fn resize_traffic(&mut self, counts: traffic::Counts) -> bool {
+    pub fn resize_traffic(&mut self, counts: Counts) -> bool {
         let Some(population) = &mut self.population else { return false };
         if population.wanted() != counts {
             population.resize(counts, &mut self.batch);
         }
         true
+    }
+
+    /// The same whatever the population was: the config's own gives way, with the next step, to one that
+    /// is kept alive.
+    ///
+    /// # Errors
+    /// SUMO fails.
+    pub async fn set_traffic(&mut self, counts: Counts) -> Result<(), BridgeError> {
+        if self.resize_traffic(counts) {
+            return Ok(());
+        }
+        let mut ask = Batch::new();
+        let (vehicles, persons) = (ask.get(vehicle::ID_LIST, ""), ask.get(person::ID_LIST, ""));
+        let replies = self.ask(&ask).await?;
+        let mut population = population_of(&self.network, Counts::default(), self.traffic_seed);
+        for id in replies.get(vehicles).map_err(traci::Error::from)? {
+            if !KEPT.contains(&id.as_str()) {
+                vehicle::remove(&mut self.batch, &id, RemoveReason::Vaporized);
+            }
+        }
+        for id in replies.get(persons).map_err(traci::Error::from)? {
+            person::remove(&mut self.batch, &id, RemoveReason::Vaporized);
+        }
+        population.define_types(&mut self.batch);
+        // They come with the next updates, out of the ego's sight.
+        population.resize(counts, &mut self.batch);
+        self.population = Some(population);
+        Ok(())
     }
 
     /// Takes background vehicles within `radius` (m) of `place` away with the next step; they come
@@ -470,6 +495,15 @@ impl Bridge {
         }
         Ok(closed?)
     }
+}
+
+/// Who is in SUMO beside the population.
+const KEPT: [&str; 2] = ["ego", OBSTACLE];
+
+fn population_of(network: &Arc<Network>, counts: Counts, seed: u64) -> Population {
+    let keep = KEPT.map(str::to_string).to_vec();
+    let behaviour = traffic::Options { alone: true, keep, ..Default::default() };
+    Population::new(Arc::clone(network), counts, seed, behaviour)
 }
 
 fn overrides(options: &BridgeOptions, config: &SumoConfig, tick_ms: f64) -> Overrides {

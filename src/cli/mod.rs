@@ -6,6 +6,7 @@ mod bench_camera;
 mod bench_tick;
 #[cfg(feature = "learn")]
 mod bench_train;
+mod bench_view;
 mod dataset;
 mod doctor;
 mod eval;
@@ -15,6 +16,7 @@ mod report;
 mod run;
 mod snapshot;
 mod train;
+mod view;
 
 use clap::{ArgAction, Parser, Subcommand};
 use std::io::{IsTerminal, Write};

@@ -15,5 +15,6 @@ mod network;
 mod run;
 mod traci;
 mod traffic;
+mod view;
 #[cfg(feature = "vision")]
 mod watch;
