@@ -1,6 +1,6 @@
 //! A learned agent in `run`: it sees through camera, perception and encoder, tick by tick, as in [`crate::env`].
 
-use crate::agent::{Agent, AgentError};
+use crate::agent::{Agent, AgentError, Seen};
 use crate::bridge::Ego;
 use crate::camera::Preset;
 use crate::env::eyes::Eyes;
@@ -80,7 +80,8 @@ impl LearnedDriver {
         tick: f64,
     ) -> Result<Control, LearnedDriverError> {
         let observation = self.eyes.look(network, ego, tick, &mut self.stages)?;
-        Ok(self.agent.act(&observation)?)
+        let seen = Seen { observation: &observation, raw: self.eyes.raw(), frame: self.eyes.frame() };
+        Ok(self.agent.act_seeing(&seen)?)
     }
 
     /// The weather from the next tick on.

@@ -28,6 +28,7 @@
 //! | [`reward`] | the paper's six reward terms |
 //! | [`env`] | all of that as `reset` and `step` |
 //! | [`eval`] | suites of episodes, driven in parallel |
+//! | [`replay`] | recorded drives, to be played or driven again |
 //! | [`autopilot`] | the rule-based expert |
 //! | [`criteria`] | collisions, red lights, lane, blocking, arrival |
 //! | [`learned_driver`] | a trained agent with camera, perception and encoder, for `run` |
@@ -62,6 +63,7 @@ pub mod network;
 pub mod observation;
 pub mod perception;
 pub mod record;
+pub mod replay;
 pub mod reward;
 pub mod seeds;
 pub mod sight;

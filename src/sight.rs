@@ -3,8 +3,8 @@
 use crate::bridge::{Bridge, Ego};
 use crate::camera::Town;
 use crate::network::Shapes;
-use crate::world::{Actor, ActorKind, ActorType, VehicleSignals};
-use std::sync::Arc;
+use crate::replay::Body;
+use crate::world::Actor;
 
 /// The town of a bridge's network, with the buildings of its config's additional files.
 pub fn town(bridge: &Bridge, seed: u64) -> Town {
@@ -29,24 +29,6 @@ pub fn follow(town: &mut Town, ego: &Ego) {
 
 /// The ego as others see it.
 pub fn from_outside(ego: &Ego) -> Actor {
-    let (params, state) = (ego.params(), ego.state());
-    let actor_type = ActorType {
-        id: ego.id.clone(),
-        kind: ActorKind::Car,
-        length: params.length,
-        width: params.width,
-        height: params.height,
-        min_gap: 0.0,
-    };
-    let braking = if state.acceleration < -0.5 { VehicleSignals::BRAKE_LIGHT } else { 0 };
-    Actor {
-        id: Arc::from(ego.id.as_str()),
-        key: u64::MAX,
-        actor_type: Arc::new(actor_type),
-        pose: state.pose,
-        speed: state.speed,
-        signals: VehicleSignals(braking),
-        lane: None,
-        lane_position: 0.0,
-    }
+    let params = ego.params();
+    Body { length: params.length, width: params.width, height: params.height }.actor(&ego.state())
 }

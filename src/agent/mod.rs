@@ -10,11 +10,13 @@
 //! | [`imitation`] | an expert's actions as a second teacher, beyond the paper |
 //! | [`replay_buffer`], [`replay_files`] | a million transitions of latents, in memory and on disk |
 //! | [`policy`] | a trained actor as a file, and as an [`Agent`] |
+//! | [`external`] | another process as an [`Agent`], over a pipe |
 
 pub mod action;
 #[cfg(feature = "learn")]
 pub mod adam;
 pub mod exploration;
+pub mod external;
 #[cfg(feature = "learn")]
 pub mod imitation;
 #[cfg(feature = "learn")]
@@ -34,7 +36,8 @@ pub mod td3;
 #[cfg(all(test, feature = "learn"))]
 mod tests;
 
-use crate::observation::Observation;
+use crate::camera::Frame;
+use crate::observation::{Observation, RawState};
 use crate::vehicle::Control;
 
 /// Why an agent has no answer.
@@ -59,4 +62,22 @@ pub trait Agent: Send {
     /// # Errors
     /// The network or the process behind it fails.
     fn act(&mut self, observation: &Observation) -> Result<Control, AgentError>;
+
+    /// The same for an agent that wants more than the paper's observation. A trained one does not.
+    ///
+    /// # Errors
+    /// As [`Agent::act`].
+    fn act_seeing(&mut self, seen: &Seen<'_>) -> Result<Control, AgentError> {
+        self.act(seen.observation)
+    }
+}
+
+/// An observation, and what it was made from.
+#[derive(Clone, Copy, Debug)]
+pub struct Seen<'a> {
+    pub observation: &'a Observation,
+    /// The raw states by name, in units.
+    pub raw: &'a RawState,
+    /// The front camera's picture; None where nothing is looked at.
+    pub frame: Option<&'a Frame>,
 }

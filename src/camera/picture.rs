@@ -237,13 +237,27 @@ impl Picture {
             return std::fs::write(path, self.jpeg()?);
         }
         let mut file = BufWriter::new(std::fs::File::create(path)?);
-        let mut encoder = png::Encoder::new(&mut file, self.width as u32, self.height as u32);
+        self.write_png(&mut file)?;
+        file.flush()
+    }
+
+    /// The bytes of a PNG file.
+    ///
+    /// # Errors
+    /// Width, height and pixels do not fit.
+    pub fn png(&self) -> io::Result<Vec<u8>> {
+        let mut bytes = Vec::new();
+        self.write_png(&mut bytes)?;
+        Ok(bytes)
+    }
+
+    fn write_png(&self, to: impl io::Write) -> io::Result<()> {
+        let mut encoder = png::Encoder::new(to, self.width as u32, self.height as u32);
         encoder.set_color(png::ColorType::Rgb);
         encoder.set_depth(png::BitDepth::Eight);
         let mut writer = encoder.write_header()?;
         writer.write_image_data(&self.rgb)?;
-        writer.finish()?;
-        file.flush()
+        Ok(writer.finish()?)
     }
 
     #[cfg(feature = "vision")]

@@ -103,6 +103,7 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
     let crowds = [0, 1, args.viewers];
     let mut times: [Times; 3] = Default::default();
     let mut interrupt = Interrupt::listen()?;
+    let mut sight = None;
     'turns: for turn in 0..args.repeat {
         for (viewers, times) in crowds.iter().zip(&mut times) {
             let crowd = Crowd::watch(address, *viewers)?;
@@ -110,7 +111,7 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
             for tick in 0..SETTLE + args.ticks {
                 let control = tokio::select! {
                     () = interrupt.wait() => break 'turns,
-                    next = view.next(&mut drive, &mut None) => next.map_err(with_exit)?,
+                    next = view.next(&mut drive, &mut sight) => next.map_err(with_exit)?,
                 };
                 let clock = Instant::now();
                 let status = drive.tick_with(control).await.map_err(with_exit)?;
@@ -138,32 +139,47 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
     drive.finish("survived", false).await.map_err(with_exit)?;
     let alone = median(times[0].ticks.clone());
     let per_turn = (SETTLE + args.ticks) as f64 / args.ticks as f64;
-    let rows: Vec<Row> = crowds.iter().zip(&times).filter(|(_, t)| !t.ticks.is_empty()).map(|(&viewers, t)| {
-        let tick_ms = median(t.ticks.clone());
-        let wanted = viewers as f64 * t.ticks.len() as f64 * per_turn;
-        Row {
-            viewers,
-            ticks: t.ticks.len(),
-            tick_ms,
-            tick_p95_ms: quantile(t.ticks.clone(), 0.95),
-            show_ms: median(t.shows.clone()),
-            cost_ms: tick_ms - alone,
-            share: (tick_ms - alone) / alone,
-            frames_share: if viewers == 0 { 0.0 } else { t.frames as f64 / wanted },
-            late_ms: if t.late.is_empty() { 0.0 } else { median(t.late.clone()) },
-            megabytes_per_second: t.bytes as f64 / 1e6 / t.seconds.max(1e-9),
-        }
-    }).collect();
+    let rows: Vec<Row> = crowds
+        .iter()
+        .zip(&times)
+        .filter(|(_, t)| !t.ticks.is_empty())
+        .map(|(&viewers, t)| {
+            let tick_ms = median(t.ticks.clone());
+            let wanted = viewers as f64 * t.ticks.len() as f64 * per_turn;
+            Row {
+                viewers,
+                ticks: t.ticks.len(),
+                tick_ms,
+                tick_p95_ms: quantile(t.ticks.clone(), 0.95),
+                show_ms: median(t.shows.clone()),
+                cost_ms: tick_ms - alone,
+                share: (tick_ms - alone) / alone,
+                frames_share: if viewers == 0 { 0.0 } else { t.frames as f64 / wanted },
+                late_ms: if t.late.is_empty() { 0.0 } else { median(t.late.clone()) },
+                megabytes_per_second: t.bytes as f64 / 1e6 / t.seconds.max(1e-9),
+            }
+        })
+        .collect();
     for row in &rows {
         let line = format!(
             "{:2} viewers: tick {:.2} ms (95 %: {:.2}), {:+.2} ms = {:+.1} %, handing over {:.3} ms; message after {:.0} ms, {:.0} % of the frames, {:.1} MB/s",
-            row.viewers, row.tick_ms, row.tick_p95_ms, row.cost_ms, 100.0 * row.share, row.show_ms, row.late_ms,
-            100.0 * row.frames_share, row.megabytes_per_second
+            row.viewers,
+            row.tick_ms,
+            row.tick_p95_ms,
+            row.cost_ms,
+            100.0 * row.share,
+            row.show_ms,
+            row.late_ms,
+            100.0 * row.frames_share,
+            row.megabytes_per_second
         );
         if args.json { eprintln!("{line}") } else { print(&format!("{line}\n"))? }
     }
     if args.json {
-        print(&format!("{}\n", serde_json::json!({ "config": args.config, "tick_ms": args.tick_ms, "rows": rows })))?;
+        print(&format!(
+            "{}\n",
+            serde_json::json!({ "config": args.config, "tick_ms": args.tick_ms, "rows": rows })
+        ))?;
     }
     Ok(Exit::Done)
 }

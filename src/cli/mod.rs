@@ -1,6 +1,7 @@
 //! The command line: one file per command. Here: what all commands share, which is
 //! exit codes, log level and printing.
 
+mod agents;
 mod bench;
 mod bench_camera;
 mod bench_tick;
@@ -12,6 +13,8 @@ mod doctor;
 mod eval;
 mod exit;
 mod progress;
+mod replay;
+mod replay_view;
 mod report;
 mod run;
 mod snapshot;
@@ -55,6 +58,8 @@ enum Command {
     Bench(bench::Args),
     /// Drive the episodes of a suite, or judge a part of the system by the ground truth.
     Eval(eval::Args),
+    /// Show a kept episode again, as a film or in sumo-gui, or simulate it again and compare every bit.
+    Replay(replay::Args),
     /// Make pictures and tables of what was trained and measured.
     Report(report::Args),
     /// Check what this machine has for wad-cosim, and say what to do about what is missing.
@@ -72,6 +77,7 @@ pub fn main() -> ExitCode {
         Command::Train(args) => train::run(args),
         Command::Bench(args) => bench::run(args),
         Command::Eval(args) => eval::run(args),
+        Command::Replay(args) => replay::run(&args),
         Command::Report(args) => report::run(args),
         Command::Doctor(args) => doctor::run(args),
     };

@@ -1,7 +1,7 @@
 //! `wad-cosim run`: drive through a town.
 
 use super::view::{About, View, ViewArgs};
-use super::{Exit, print};
+use super::{Exit, agents, print};
 use anyhow::Context;
 use clap::ValueHint;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -13,7 +13,6 @@ use wad_cosim::bundled;
 use wad_cosim::camera::{CameraConfig, Preset, Town, Weather};
 use wad_cosim::criteria::Event;
 use wad_cosim::drive::{Drive, DriveError, DriveOptions, Status, Summary};
-#[cfg(feature = "learn")]
 use wad_cosim::env::EnvOptions;
 use wad_cosim::learned_driver::LearnedDriver;
 use wad_cosim::perception::{self, Percept};
@@ -44,8 +43,8 @@ pub struct Args {
     /// A .sumocfg, a .net.xml(.gz), a folder with one .sumocfg, or a bundled town (town3, town5).
     #[arg(value_hint = ValueHint::FilePath)]
     config: String,
-    /// Who drives: autopilot, wad-t, wad-s, or a file that `train agent` wrote.
-    #[arg(long, default_value = "autopilot", value_name = "NAME|FILE", value_hint = ValueHint::FilePath)]
+    /// Who drives: autopilot, wad-t, wad-s, a file that `train agent` wrote, or exec:COMMAND (docs/evaluate.md).
+    #[arg(long, default_value = "autopilot", value_name = "NAME|FILE|exec:CMD", value_hint = ValueHint::FilePath)]
     agent: String,
     /// The encoder that the agent sees through [default: the one that it was trained with], and whose
     /// reconstruction --perception shows [default: the bundled one].
@@ -234,8 +233,7 @@ async fn next_tick(
     drive.tick_with(control).await
 }
 
-/// The trained agent that was asked for; None: the autopilot.
-#[cfg(feature = "learn")]
+/// The trained or external agent that was asked for; None: the autopilot.
 fn driver(args: &Args, seed: u64) -> anyhow::Result<Option<LearnedDriver>> {
     if args.agent == "autopilot" {
         return Ok(None);
@@ -244,8 +242,7 @@ fn driver(args: &Args, seed: u64) -> anyhow::Result<Option<LearnedDriver>> {
     learned(&args.config, agent, encoder, &args.detector, args.weather, seed).map(Some)
 }
 
-/// The trained agent `agent`, ready to drive in the town of `config`.
-#[cfg(feature = "learn")]
+/// The agent `agent`, ready to drive in the town of `config`.
 pub(super) fn learned(
     config: &str,
     agent: &str,
@@ -255,21 +252,10 @@ pub(super) fn learned(
     seed: u64,
 ) -> anyhow::Result<LearnedDriver> {
     let options = EnvOptions { detector: detector.to_string(), ..EnvOptions::evaluation() };
-    let opened = wad_cosim::agent::policy::open(agent, encoder, &options.camera);
-    let (agent, encoder) = opened.map_err(|e| Exit::Input.because(e))?;
+    let (agent, encoder) =
+        agents::for_run(agent, encoder, &options.camera).map_err(|e| Exit::Input.because(e))?;
     let driver = LearnedDriver::new(config, agent, encoder, &options, weather, seed);
     driver.map_err(|e| Exit::Input.because(e))
-}
-
-#[cfg(not(feature = "learn"))]
-fn driver(args: &Args, _seed: u64) -> anyhow::Result<Option<LearnedDriver>> {
-    if args.agent == "autopilot" {
-        return Ok(None);
-    }
-    Err(Exit::Input.because(anyhow::anyhow!(
-        "--agent {}: this build has no libtorch and knows the autopilot only; build it with the feature `learn`",
-        args.agent
-    )))
 }
 
 impl Args {

@@ -4,9 +4,10 @@ use super::Exit;
 use super::run::Sight;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use wad_cosim::camera::{CameraConfig, Preset};
+use wad_cosim::camera::{CameraConfig, Preset, Town};
 use wad_cosim::drive::{Drive, DriveError, Status};
 use wad_cosim::latent::Decoder;
+use wad_cosim::network::Network;
 use wad_cosim::perception::{self, Perception};
 use wad_cosim::sight;
 use wad_cosim::traffic::Counts;
@@ -86,26 +87,17 @@ pub struct View {
 }
 
 impl View {
-    pub fn open(listener: Listener, args: &ViewArgs, drive: &Drive, about: &About<'_>) -> anyhow::Result<Self> {
+    pub fn open(
+        listener: Listener,
+        args: &ViewArgs,
+        drive: &Drive,
+        about: &About<'_>,
+    ) -> anyhow::Result<Self> {
         let bridge = drive.bridge();
-        let detector =
-            perception::detector(about.detector, perception::MIN_SCORE).map_err(|e| Exit::Input.because(e))?;
-        // Without OpenCV there are no stages, but everything else.
-        let seen = match Perception::new(detector, CameraConfig::default()) {
-            Ok(mut perception) => {
-                perception.reset(about.seed);
-                Some(perception)
-            }
-            Err(error) => {
-                tracing::info!("the view shows no stages: {error}");
-                None
-            }
-        };
-        let decoder = seen.is_some().then(|| decoder(about.encoder)).flatten();
         let town = sight::town(bridge, LOOK);
-        let length = drive.ego().params().length;
-        let artist = Artist::new(town, Arc::clone(bridge.network()), length, seen, decoder)?;
-        let make_driver = maker(about);
+        let (network, length) = (bridge.network(), drive.ego().params().length);
+        let artist = artist(town, network, length, about.detector, about.encoder, about.seed)?;
+        let make_driver = Some(maker(about));
         let mut agents: Vec<String> = bundled_agents();
         if about.agent != "autopilot" && !agents.iter().any(|name| name == about.agent) {
             agents.push(about.agent.to_string());
@@ -126,7 +118,11 @@ impl View {
     }
 
     /// Waits until a tick is due; with the control of the person who drives.
-    pub async fn next(&mut self, drive: &mut Drive, sight: &mut Option<Sight>) -> Result<Option<Control>, DriveError> {
+    pub async fn next(
+        &mut self,
+        drive: &mut Drive,
+        sight: &mut Option<Sight>,
+    ) -> Result<Option<Control>, DriveError> {
         loop {
             match self.run.next(drive).await? {
                 Ready::Tick(control) => return Ok(control),
@@ -144,7 +140,12 @@ impl View {
     }
 
     /// Begins or ends a film in the run's folder.
-    fn film(&mut self, on: bool, drive: &Drive, sight: &mut Option<Sight>) -> Result<Option<PathBuf>, String> {
+    fn film(
+        &mut self,
+        on: bool,
+        drive: &Drive,
+        sight: &mut Option<Sight>,
+    ) -> Result<Option<PathBuf>, String> {
         if let Some(sight) = sight {
             sight.end_film().map_err(|e| e.to_string())?;
         }
@@ -154,7 +155,8 @@ impl View {
         self.films += 1;
         let ending = if cfg!(feature = "vision") { ".mp4" } else { "/" };
         let path = self.out.join(format!("film-{}{ending}", self.films));
-        let sight = sight.get_or_insert_with(|| Sight::plain(sight::town(drive.bridge(), LOOK), self.run.weather()));
+        let sight =
+            sight.get_or_insert_with(|| Sight::plain(sight::town(drive.bridge(), LOOK), self.run.weather()));
         sight.begin_film(&path, 1.0 / drive.bridge().tick()).map_err(|e| e.to_string())?;
         Ok(Some(path))
     }
@@ -166,6 +168,32 @@ impl View {
     pub fn close(self) {
         self.run.close();
     }
+}
+
+/// Who draws `town` for viewers; `seed` draws the detector's faults.
+pub fn artist(
+    town: Town,
+    network: &Arc<Network>,
+    length: f64,
+    detector: &str,
+    encoder: Option<&str>,
+    seed: u64,
+) -> anyhow::Result<Artist> {
+    let detector =
+        perception::detector(detector, perception::MIN_SCORE).map_err(|e| Exit::Input.because(e))?;
+    // Without OpenCV there are no stages, but everything else.
+    let perception = match Perception::new(detector, CameraConfig::default()) {
+        Ok(mut perception) => {
+            perception.reset(seed);
+            Some(perception)
+        }
+        Err(error) => {
+            tracing::info!("the view shows no stages: {error}");
+            None
+        }
+    };
+    let decoder = perception.is_some().then(|| decoder(encoder)).flatten();
+    Ok(Artist::new(town, Arc::clone(network), length, perception, decoder)?)
 }
 
 #[cfg(feature = "learn")]
@@ -182,19 +210,14 @@ fn bundled_agents() -> Vec<String> {
     Vec::new()
 }
 
-#[cfg(feature = "learn")]
-fn maker(about: &About<'_>) -> Option<MakeDriver> {
+fn maker(about: &About<'_>) -> MakeDriver {
     let (config, encoder) = (about.config.to_string(), about.encoder.map(str::to_string));
     let (detector, seed) = (about.detector.to_string(), about.seed);
     let make = move |name: &str, weather: Preset| {
-        super::run::learned(&config, name, encoder.as_deref(), &detector, weather, seed).map_err(|e| format!("{e:#}"))
+        super::run::learned(&config, name, encoder.as_deref(), &detector, weather, seed)
+            .map_err(|e| format!("{e:#}"))
     };
-    Some(Arc::new(make))
-}
-
-#[cfg(not(feature = "learn"))]
-fn maker(_: &About<'_>) -> Option<MakeDriver> {
-    None
+    Arc::new(make)
 }
 
 #[cfg(feature = "learn")]

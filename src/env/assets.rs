@@ -14,6 +14,7 @@ use std::sync::{Arc, OnceLock};
 /// A town: its configuration, network, fixed bodies, look, and the places for the tasks.
 pub struct Assets {
     config: PathBuf,
+    net_hash: String,
     name: String,
     network: Arc<Network>,
     statics: Vec<StaticBody>,
@@ -35,7 +36,9 @@ impl Assets {
         let config = bundled::resolve(config)?;
         let schema = OptionSchema::cached(&SumoInstall::find()?, false)?;
         let loaded = SumoConfig::load(&config, &schema)?;
-        let network = Network::load(&loaded.net_file()?)?;
+        let net_file = loaded.net_file()?;
+        let network = Network::load(&net_file)?;
+        let net_hash = hash(&net_file);
         network.require_drivable(crate::destination::EGO_CLASS)?;
         let mut shapes = Shapes::default();
         for file in loaded.additional_files() {
@@ -49,6 +52,7 @@ impl Assets {
         }
         Ok(Arc::new(Self {
             config,
+            net_hash,
             name: loaded.name(),
             statics: vehicle::statics_from_network(&network, &shapes.polygons),
             network: Arc::new(network),
@@ -63,6 +67,11 @@ impl Assets {
         &self.config
     }
 
+    /// Stands for the bytes of the net's file.
+    pub fn net_hash(&self) -> &str {
+        &self.net_hash
+    }
+
     /// The town's name, e.g. `town3`.
     pub fn name(&self) -> &str {
         &self.name
@@ -71,6 +80,11 @@ impl Assets {
     /// The network.
     pub fn network(&self) -> &Arc<Network> {
         &self.network
+    }
+
+    /// Buildings and areas of the config's additional files.
+    pub fn polygons(&self) -> &[crate::network::Polygon] {
+        &self.shapes.polygons
     }
 
     /// Buildings, poles, kerbs.
@@ -95,4 +109,10 @@ impl Assets {
     pub fn town(&self) -> Town {
         self.town.get_or_init(|| Town::new(&self.network, &self.shapes, LOOK)).share()
     }
+}
+
+/// CRC 32 and length of a file that was read a moment ago.
+fn hash(path: &Path) -> String {
+    let bytes = std::fs::read(path).unwrap_or_default();
+    format!("{:08x}-{}", crc32fast::hash(&bytes), bytes.len())
 }

@@ -183,6 +183,11 @@ impl Env {
         self.world.sumo_pid()
     }
 
+    /// The six raw states of the last observation by name, in units.
+    pub fn raw(&self) -> &RawState {
+        self.world.raw()
+    }
+
     /// What the observation is made from, for people and data sets: the camera's last frame.
     pub fn frame(&self) -> Option<&crate::camera::Frame> {
         self.world.frame()

@@ -99,6 +99,9 @@ pub struct EnvOptions {
     pub episodes_per_sumo: u64,
     /// Longest time a tick may take before SUMO counts as hung (s). Default 60.
     pub tick_timeout: f64,
+    /// Show SUMO's window. It changes nothing of what happens, so it is not kept with results.
+    #[serde(skip)]
+    pub gui: bool,
 }
 
 impl Default for EnvOptions {
@@ -117,6 +120,7 @@ impl Default for EnvOptions {
             reward: RewardParams::default(),
             episodes_per_sumo: 200,
             tick_timeout: 60.0,
+            gui: false,
         }
     }
 }

@@ -9,13 +9,14 @@ use crate::autopilot::{Autopilot, AutopilotParams, EgoModel};
 use crate::bridge::{Bridge, BridgeError, BridgeOptions, Ego, Lamps};
 use crate::camera::Frame;
 use crate::criteria::{Event, Situation};
+use crate::destination::Destinations;
 use crate::latent::Encoder;
-use crate::network::{EdgeKind, LaneId, RoadOption, Route};
-use crate::observation::Observation;
+use crate::network::{EdgeKind, LaneId, Network, RoadOption, Route};
+use crate::observation::{Observation, RawState};
 use crate::perception::TransformedImage;
 use crate::reward::{self, RewardTerms};
 use crate::seeds;
-use crate::tasks::{Placement, TaskSpec};
+use crate::tasks::{Placement, TaskError, TaskSpec};
 use crate::traffic::TrafficSpec;
 use crate::vehicle::Control;
 use std::path::PathBuf;
@@ -52,6 +53,8 @@ pub struct World {
     /// The blinkers and brake lights that the expert asked for, and the control that it decided on.
     lamps: Option<Lamps>,
     decided: Option<Control>,
+    /// Draws the further destinations of a route that never ends.
+    onward: Option<Destinations>,
     folder: TempDir,
     pub stages: Stages,
 }
@@ -76,6 +79,7 @@ impl World {
             episode: None,
             lamps: None,
             decided: None,
+            onward: None,
             folder,
             stages: Stages::default(),
         })
@@ -111,6 +115,15 @@ impl World {
         self.episode = Some(Episode::new(task.clone(), placement, limit, self.options.criteria));
         self.autopilot = Autopilot::new(AutopilotParams::default(), EgoModel::from(&self.options.ego));
         (self.lamps, self.decided) = (None, None);
+        self.onward = None;
+        if task.endless {
+            let rng = seeds::rng(seed, "onward");
+            let destinations = Destinations::new(self.assets.network(), rng);
+            self.onward = Some(
+                destinations
+                    .map_err(|error| TaskError::NoPlace { task: task.kind, condition: error.to_string() })?,
+            );
+        }
         self.eyes.reset(task.weather, seeds::derive(seed, "detector"));
         let observation = self.eyes.look(self.assets.network(), ego, tick, &mut self.stages)?;
         self.stages.resets += 1;
@@ -168,6 +181,7 @@ impl World {
             traffic,
             sight: self.options.sight,
             tick_timeout: self.options.tick_timeout,
+            gui: self.options.gui,
             ..BridgeOptions::new(self.assets.config(), self.sumo_folder())
         };
         let mut bridge = Bridge::start_on(&options, Some(Arc::clone(self.assets.network()))).await?;
@@ -253,6 +267,9 @@ impl World {
         ego.set_lamps(self.lamps.take().unwrap_or_else(|| lamps(ego, &control)));
         if self.decided.take().is_some_and(|decided| decided.clamped() != control) {
             self.autopilot.overruled();
+        }
+        if let Some(onward) = &mut self.onward {
+            go_onward(network, ego, onward);
         }
         let clock = Instant::now();
         let contacts = ego.advance(control, tick);
@@ -383,6 +400,10 @@ impl World {
         self.sumo.as_ref().and_then(|sumo| sumo.bridge.sumo_pid())
     }
 
+    pub fn raw(&self) -> &RawState {
+        self.eyes.raw()
+    }
+
     pub fn frame(&self) -> Option<&Frame> {
         self.eyes.frame()
     }
@@ -401,6 +422,28 @@ impl World {
 
     pub fn options(&self) -> &EnvOptions {
         &self.options
+    }
+}
+
+/// A route that never ends is lengthened when less than this is left of it (m).
+const ONWARD: f64 = 250.0;
+/// Places drawn for that at a time.
+const ONWARD_DRAWS: usize = 20;
+
+/// Lengthens the route before its end comes into view. Where no place can be reached from its end it
+/// ends there.
+fn go_onward(network: &Network, ego: &mut Ego, places: &mut Destinations) {
+    let s = ego.on_route().s;
+    if ego.route().length() - s > ONWARD {
+        return;
+    }
+    let mut route = ego.route().clone();
+    for _ in 0..ONWARD_DRAWS {
+        let place = places.place(network);
+        if network.extend_route(&mut route, place).is_ok() && route.length() - s > 2.0 * ONWARD {
+            ego.set_route(route, s);
+            return;
+        }
     }
 }
 

@@ -1,6 +1,6 @@
 //! Who drives in an evaluation.
 
-use crate::agent::{Agent, AgentError};
+use crate::agent::{Agent, AgentError, Seen};
 use crate::env::{Env, EnvError};
 use crate::observation::Observation;
 use crate::seeds;
@@ -11,8 +11,8 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 use std::str::FromStr;
 
-/// A driver by name: `autopilot`, `random`, `constant`, `constant:THROTTLE,STEER,BRAKE`, or an agent's
-/// name or file.
+/// A driver by name: `autopilot`, `random`, `constant`, `constant:THROTTLE,STEER,BRAKE`, `exec:COMMAND`, or
+/// an agent's name or file.
 #[derive(Clone, Debug, PartialEq)]
 pub enum DriverSpec {
     /// The rule-based expert, which sees the whole world.
@@ -21,6 +21,8 @@ pub enum DriverSpec {
     Random,
     /// The same control for ever.
     Constant(Control),
+    /// Another process, started by this shell command ([`crate::agent::external`]).
+    Exec(String),
     /// A learned agent by name or file.
     Agent(String),
 }
@@ -40,6 +42,9 @@ pub enum DriverError {
     #[cfg(feature = "learn")]
     #[error(transparent)]
     Policy(#[from] crate::agent::policy::PolicyError),
+    #[cfg(feature = "learn")]
+    #[error(transparent)]
+    Encoder(#[from] crate::latent::LatentError),
     #[error(transparent)]
     Agent(#[from] AgentError),
     #[error(transparent)]
@@ -68,7 +73,10 @@ impl FromStr for DriverSpec {
                         _ => Err(DriverError::Constant { found: text.to_string() }),
                     }
                 }
-                None => Ok(Self::Agent(text.to_string())),
+                None => Ok(match text.strip_prefix("exec:") {
+                    Some(command) => Self::Exec(command.to_string()),
+                    None => Self::Agent(text.to_string()),
+                }),
             },
         }
     }
@@ -81,6 +89,7 @@ impl fmt::Display for DriverSpec {
             Self::Random => f.write_str("random"),
             Self::Constant(c) if *c == CONSTANT => f.write_str("constant"),
             Self::Constant(c) => write!(f, "constant:{},{},{}", c.throttle, c.steer, c.brake),
+            Self::Exec(command) => write!(f, "exec:{command}"),
             Self::Agent(name) => f.write_str(name),
         }
     }
@@ -101,7 +110,7 @@ impl<'de> Deserialize<'de> for DriverSpec {
 impl DriverSpec {
     /// Whether it looks at observations.
     pub fn looks(&self) -> bool {
-        matches!(self, Self::Agent(_))
+        matches!(self, Self::Agent(_) | Self::Exec(_))
     }
 }
 
@@ -136,7 +145,9 @@ impl Driver {
                 brake: rng.random_range(0.0..1.0),
             },
             Self::Constant(control) => *control,
-            Self::Agent(agent) => agent.act(observation)?,
+            Self::Agent(agent) => {
+                agent.act_seeing(&Seen { observation, raw: env.raw(), frame: env.frame() })?
+            }
         })
     }
 }
@@ -147,7 +158,9 @@ mod tests {
 
     #[test]
     fn drivers_are_read_as_they_are_written() {
-        for text in ["autopilot", "random", "constant", "constant:0.3,-0.1,0", "wad-t"] {
+        for text in
+            ["autopilot", "random", "constant", "constant:0.3,-0.1,0", "wad-t", "exec:python3 a.py --x"]
+        {
             assert_eq!(text.parse::<DriverSpec>().unwrap().to_string(), text);
         }
         let error = "constant:1,2".parse::<DriverSpec>().unwrap_err().to_string();

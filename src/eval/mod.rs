@@ -1,20 +1,31 @@
-//! Evaluation: suites of episodes driven in parallel, and what came of them.
+//! Evaluation: benchmarks as commands.
 //!
 //! ```text
-//! Suite + Selection --plan--> cases --run (jobs in parallel)--> EpisodeRecords --rows--> tables
+//! Suite + Selection --plan--> Cases --run (jobs in parallel)--> EpisodeRecords --rows--> tables, reports
 //! ```
 //!
 //! A [`Case`] is one episode to be; it and the environment's options give the same episode wherever and
-//! whenever it is driven. An [`EpisodeRecord`] is one line of `episodes.jsonl`.
+//! whenever it is driven. An [`EpisodeRecord`] is one line of `episodes.jsonl`. [`kept`] shows failures again.
 
 mod driver;
+pub mod kept;
+mod manifest;
+mod plan;
 mod record;
+pub mod report;
+pub mod routes;
 mod rows;
 mod runner;
+mod store;
 mod suite;
+mod tally;
 
 pub use driver::{Driver, DriverError, DriverSpec};
-pub use record::EpisodeRecord;
-pub use rows::{Row, rows, wilson};
-pub use runner::{EvalError, Evaluation, run};
-pub use suite::{Case, Selection, Suite, SuiteError};
+pub use manifest::Manifest;
+pub use plan::{Case, Selection, Shard};
+pub use record::{EpisodeRecord, Fault};
+pub use rows::{Row, Score, grouped, rows, wilson};
+pub use runner::{EvalError, Evaluation, Keep, Made, MakeAgent, run};
+pub use store::{Results, Store, StoreError, in_order};
+pub use suite::{Condition, Suite, SuiteError, SuiteTask, names};
+pub use tally::{EventCounts, Histogram};

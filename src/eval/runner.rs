@@ -1,12 +1,19 @@
 //! Drives the episodes of a plan, several at a time.
 
-use super::{Case, Driver, DriverError, DriverSpec, EpisodeRecord};
+use super::kept::{self, Kept};
+use super::record::Fault;
+use super::tally::Tally;
+use super::{Case, Driver, DriverError, DriverSpec, EpisodeRecord, Store};
 use crate::agent::Agent;
-use crate::env::{Assets, End, Env, EnvError, EnvOptions, ObservationMode, Step};
+use crate::env::{Assets, End, Ending, Env, EnvError, EnvOptions, ObservationMode};
 use crate::latent::{Encoder, PooledEncoder};
-use crate::reward::RewardTerms;
+use crate::replay::{Moment, Recorder, ReplayError};
 use crate::seeds;
+use crate::vehicle::Control;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::str::FromStr;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, mpsc};
 
@@ -17,12 +24,47 @@ pub enum EvalError {
     Env(#[from] EnvError),
     #[error(transparent)]
     Driver(#[from] DriverError),
-    #[error("cannot write {path}: {source}")]
-    Write { path: String, source: std::io::Error },
+    #[error(transparent)]
+    Store(#[from] super::StoreError),
+    #[error(transparent)]
+    Replay(#[from] ReplayError),
+    #[error(transparent)]
+    Kept(#[from] kept::KeptError),
 }
 
-/// Makes an agent by name with the encoder that it belongs to; called on the thread that drives.
-pub type MakeAgent<'a> = dyn Fn(&str) -> Result<(Box<dyn Agent>, Box<dyn Encoder>), DriverError> + Sync + 'a;
+/// An agent with the encoder that it sees through.
+pub struct Made {
+    pub agent: Box<dyn Agent>,
+    pub encoder: Box<dyn Encoder>,
+    /// Stands for the weights of both.
+    pub id: String,
+}
+
+/// Makes a trained or external agent; called on the thread that drives.
+pub type MakeAgent<'a> = dyn Fn(&DriverSpec) -> Result<Made, DriverError> + Sync + 'a;
+
+/// Which episodes are kept to be seen again.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Keep {
+    None,
+    #[default]
+    Failures,
+    All,
+}
+
+impl FromStr for Keep {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "none" => Ok(Self::None),
+            "failures" => Ok(Self::Failures),
+            "all" => Ok(Self::All),
+            _ => Err(format!("`{text}`: expected none, failures or all")),
+        }
+    }
+}
 
 /// How to drive a plan.
 pub struct Evaluation<'a> {
@@ -30,74 +72,64 @@ pub struct Evaluation<'a> {
     /// Environments at a time.
     pub jobs: usize,
     pub make_agent: &'a MakeAgent<'a>,
+    /// The evaluation's folder, and which episodes are kept in it; None: nothing is kept.
+    pub keep: Option<(PathBuf, Keep)>,
+    /// The program's version, for what is kept.
+    pub build: &'a str,
     /// Set from outside to stop after the episodes under way.
     pub stop: &'a AtomicBool,
 }
 
-/// Drives the episodes of `plan`. `done` gets each one's record in the plan's order, as soon as those
-/// before it are there too. Returns the records; fewer than the plan has when it was stopped.
+/// Drives the episodes of `plan` in `towns`. `done` gets each one's record when it ends, in whatever order
+/// that is.
 ///
 /// # Errors
 /// A town, a task or an agent cannot be had, or `done` fails. What is done already stays with `done`.
 pub fn run(
     plan: &[Case],
+    towns: &BTreeMap<String, Arc<Assets>>,
     evaluation: &Evaluation<'_>,
-    mut done: impl FnMut(&EpisodeRecord) -> Result<(), EvalError>,
-) -> Result<Vec<EpisodeRecord>, EvalError> {
-    let mut towns: BTreeMap<&str, Arc<Assets>> = BTreeMap::new();
-    for case in plan {
-        if !towns.contains_key(case.town.as_str()) {
-            towns.insert(&case.town, Assets::load(&case.town)?);
-        }
-    }
+    mut done: impl FnMut(EpisodeRecord) -> Result<(), EvalError>,
+) -> Result<(), EvalError> {
     let next = AtomicUsize::new(0);
     let failed = AtomicBool::new(false);
     let (sender, receiver) = mpsc::channel();
-    let mut records = Vec::with_capacity(plan.len());
     std::thread::scope(|scope| {
         for _ in 0..evaluation.jobs.clamp(1, plan.len().max(1)) {
             let sender = sender.clone();
-            let (towns, next, failed) = (&towns, &next, &failed);
+            let (next, failed) = (&next, &failed);
             scope.spawn(move || {
                 let mut worker = Worker { evaluation, towns, current: None };
                 loop {
-                    let index = next.fetch_add(1, Ordering::Relaxed);
                     let stopped = evaluation.stop.load(Ordering::Relaxed) || failed.load(Ordering::Relaxed);
+                    let index = next.fetch_add(1, Ordering::Relaxed);
                     let Some(case) = plan.get(index).filter(|_| !stopped) else { break };
                     let record = worker.drive(case);
                     failed.fetch_or(record.is_err(), Ordering::Relaxed);
-                    if sender.send((index, record)).is_err() {
+                    if sender.send(record).is_err() {
                         break;
                     }
                 }
             });
         }
         drop(sender);
-        let mut early: BTreeMap<usize, EpisodeRecord> = BTreeMap::new();
         let mut result = Ok(());
-        for (index, record) in receiver {
-            match record {
-                Ok(record) => {
-                    early.insert(index, record);
-                }
-                Err(error) if result.is_ok() => result = Err(error),
-                Err(_) => {}
-            }
-            while let (Ok(()), Some(record)) = (&result, early.remove(&records.len())) {
-                result = done(&record);
-                failed.fetch_or(result.is_err(), Ordering::Relaxed);
-                records.push(record);
+        for record in receiver {
+            let outcome = record.and_then(&mut done);
+            failed.fetch_or(outcome.is_err(), Ordering::Relaxed);
+            // The first error is the one to tell; what others drove meanwhile is kept all the same.
+            if result.is_ok() {
+                result = outcome;
             }
         }
         result
-    })?;
-    Ok(records)
+    })
 }
 
 /// One thread's environment and driver, kept while town and agent stay.
 struct Worker<'a> {
     evaluation: &'a Evaluation<'a>,
-    towns: &'a BTreeMap<&'a str, Arc<Assets>>,
+    towns: &'a BTreeMap<String, Arc<Assets>>,
     current: Option<(String, DriverSpec, Env, Driver)>,
 }
 
@@ -112,94 +144,130 @@ impl Worker<'_> {
             let (env, driver) = self.make(case)?;
             self.current = Some((case.town.clone(), case.agent.clone(), env, driver));
         }
+        let evaluation = self.evaluation;
         let Some((_, _, env, driver)) = &mut self.current else { return Err(EnvError::NoEpisode.into()) };
-        let record = drive(env, driver, case)?;
-        if record.ending.end != End::Error {
-            return Ok(record);
+        let (mut record, mut recorder) = drive(env, driver, case)?;
+        if record.fault == Some(Fault::Simulator) {
+            let cause = &record.ending.cause;
+            tracing::warn!("`{}` episode {} is driven again: {cause}", case.task, case.episode);
+            (record, recorder) = drive(env, driver, case)?;
         }
-        tracing::warn!(
-            "`{}` episode {} is driven again: {}",
-            case.task.kind,
-            case.episode,
-            record.ending.cause
-        );
-        drive(env, driver, case)
+        let wanted = |keep: Keep| keep == Keep::All || keep == Keep::Failures && !record.ending.success;
+        if let Some((folder, _)) = evaluation.keep.as_ref().filter(|(_, keep)| wanted(*keep)) {
+            let place = Store::episode_folder(folder, case);
+            record.recording = Some(format!("episodes/{}", case.name()));
+            let kept = Kept {
+                build: evaluation.build.to_string(),
+                net: env.assets().net_hash().to_string(),
+                options: env.options().clone(),
+                episode: record.clone(),
+            };
+            kept.save(&place, &recorder)?;
+        }
+        Ok(record)
     }
 
     fn make(&self, case: &Case) -> Result<(Env, Driver), EvalError> {
-        let Some(assets) = self.towns.get(case.town.as_str()) else { return Err(EnvError::NoEpisode.into()) };
-        let mut options = self.evaluation.options.clone();
-        let mut encoder: Box<dyn Encoder> = Box::new(PooledEncoder);
-        let driver = match &case.agent {
-            DriverSpec::Autopilot => Driver::Autopilot,
-            DriverSpec::Random => Driver::Random(Box::new(seeds::rng(0, "driver"))),
-            DriverSpec::Constant(control) => Driver::Constant(*control),
-            DriverSpec::Agent(name) => {
-                let (agent, its) = (self.evaluation.make_agent)(name)?;
-                encoder = its;
-                Driver::Agent(agent)
-            }
-        };
-        if !case.agent.looks() {
-            options.observation = ObservationMode::Blind;
-        }
-        Ok((Env::new(Arc::clone(assets), options, encoder)?, driver))
+        let Some(assets) = self.towns.get(&case.town) else { return Err(EnvError::NoEpisode.into()) };
+        let evaluation = self.evaluation;
+        Ok(make(assets, &evaluation.options, &case.agent, evaluation.make_agent)?)
     }
 }
 
-/// One episode.
-fn drive(env: &mut Env, driver: &mut Driver, case: &Case) -> Result<EpisodeRecord, EvalError> {
+/// An environment, and the driver for it.
+pub(super) fn make(
+    assets: &Arc<Assets>,
+    options: &EnvOptions,
+    spec: &DriverSpec,
+    make_agent: &MakeAgent<'_>,
+) -> Result<(Env, Driver), DriverError> {
+    let mut options = options.clone();
+    let mut encoder: Box<dyn Encoder> = Box::new(PooledEncoder);
+    let driver = match spec {
+        DriverSpec::Autopilot => Driver::Autopilot,
+        DriverSpec::Random => Driver::Random(Box::new(seeds::rng(0, "driver"))),
+        DriverSpec::Constant(control) => Driver::Constant(*control),
+        DriverSpec::Exec(_) | DriverSpec::Agent(_) => {
+            let made = make_agent(spec)?;
+            encoder = made.encoder;
+            Driver::Agent(made.agent)
+        }
+    };
+    if !spec.looks() {
+        options.observation = ObservationMode::Blind;
+    }
+    Ok((Env::new(Arc::clone(assets), options, encoder)?, driver))
+}
+
+/// One episode, with its recording.
+fn drive(env: &mut Env, driver: &mut Driver, case: &Case) -> Result<(EpisodeRecord, Recorder), EvalError> {
     let seed = case.episode_seed();
-    let mut observation = env.reset(&case.task, seed)?;
+    let mut observation = env.reset(&case.spec, seed)?;
     driver.reset(seed);
-    let mut sums = Sums::default();
-    loop {
-        let control = driver.act(env, &observation)?;
+    let mut recorder = Recorder::new(&kept::header(env, case));
+    record(&mut recorder, env, 0, Control::default(), &[]);
+    let mut tally = Tally::at(env.ego().map(|ego| ego.state().pose.xy()));
+    let tick_s = env.tick().as_secs_f64();
+    let (mut ticks, mut route_length, mut driven) =
+        (0, env.ego().map_or(0.0, |ego| ego.route().length()), 0.0);
+    let (ending, fault) = loop {
+        let control = match driver.act(env, &observation) {
+            Ok(control) => control.clamped(),
+            Err(DriverError::Agent(error)) => {
+                let ending = Ending { end: End::Error, cause: error.to_string(), success: false };
+                break (ending, Some(Fault::Agent));
+            }
+            Err(error) => return Err(error.into()),
+        };
         let step = env.step(control)?;
-        sums.add(&step, control.steer);
-        if let (Some(ending), Some(placement)) = (&step.info.ending, env.placement()) {
-            let n = step.info.tick.max(1) as f64;
-            return Ok(EpisodeRecord {
-                case: case.clone(),
-                episode_seed: seed,
-                placement: placement.clone(),
-                ending: ending.clone(),
-                ticks: step.info.tick,
-                route_length_m: step.info.route_length,
-                driven_m: step.info.driven,
-                mean_speed_mps: sums.speed / n,
-                rms_acceleration: (sums.acceleration / n).sqrt(),
-                rms_steer_change: (sums.steer_change / n).sqrt(),
-                episodic_return: sums.terms.total(),
-                terms: sums.terms,
-                vehicles_mean: sums.vehicles / n,
-                pedestrians_mean: sums.pedestrians / n,
-            });
+        let lost = step.info.ending.as_ref().is_some_and(|ending| ending.end == End::Error);
+        if !lost {
+            tally.add(&step, env.ego(), control.steer);
+            record(&mut recorder, env, step.info.tick, control, &step.info.events);
+        }
+        (ticks, route_length, driven) = (step.info.tick, step.info.route_length, step.info.driven);
+        if let Some(ending) = step.info.ending {
+            break (ending, lost.then_some(Fault::Simulator));
         }
         observation = step.observation;
-    }
+    };
+    let n = ticks.max(1) as f64;
+    let Some(placement) = env.placement().cloned() else { return Err(EnvError::NoEpisode.into()) };
+    let record = EpisodeRecord {
+        case: case.clone(),
+        episode_seed: seed,
+        placement,
+        ending,
+        fault,
+        ticks,
+        tick_s,
+        route_length_m: route_length,
+        driven_m: driven,
+        distance_m: tally.distance,
+        mean_speed_mps: tally.speed / n,
+        top_speed_mps: tally.top_speed,
+        rms_acceleration: (tally.acceleration / n).sqrt(),
+        rms_steer_change: (tally.steer_change / n).sqrt(),
+        episodic_return: tally.terms.total(),
+        terms: tally.terms,
+        vehicles_mean: tally.vehicles / n,
+        pedestrians_mean: tally.pedestrians / n,
+        events: tally.events,
+        speeds: tally.speeds,
+        gaps: tally.gaps,
+        end_at: tally.last.map_or([0.0; 2], |at| [at.x, at.y]),
+        recording: None,
+    };
+    Ok((record, recorder))
 }
 
-#[derive(Default)]
-struct Sums {
-    speed: f64,
-    acceleration: f64,
-    steer: f64,
-    steer_change: f64,
-    terms: RewardTerms,
-    vehicles: f64,
-    pedestrians: f64,
-}
-
-impl Sums {
-    fn add(&mut self, step: &Step, steer: f64) {
-        let ego = &step.info.ego;
-        self.speed += ego.speed.max(0.0);
-        self.acceleration += ego.acceleration.powi(2);
-        self.steer_change += (steer - self.steer).powi(2);
-        self.steer = steer;
-        self.terms.add(&step.info.reward);
-        self.vehicles += step.info.traffic.0 as f64;
-        self.pedestrians += step.info.traffic.1 as f64;
-    }
+/// Adds the state that `env` is in.
+fn record(
+    recorder: &mut Recorder,
+    env: &Env,
+    tick: u64,
+    control: Control,
+    events: &[crate::criteria::Event],
+) {
+    kept::with_moment(env, tick, control, events, |moment: &Moment<'_>| recorder.add(moment));
 }

@@ -1,161 +1,129 @@
-//! What is evaluated: suites as data.
+//! Suites as data: what is driven, where, in which weather, and what ends an episode (spec.md "Ends",
+//! "Conditions"). A suite is a JSON file; the paper's travel with the program.
 
-use super::DriverSpec;
+use super::routes::RouteError;
 use crate::camera::Preset;
-use crate::seeds;
-use crate::tasks::{TaskKind, TaskSpec};
+use crate::env::Termination;
+use crate::tasks::TaskKind;
 use crate::traffic::TrafficSpec;
 use serde::{Deserialize, Serialize};
-use std::fmt;
-use std::str::FromStr;
+use std::path::{Path, PathBuf};
 
-/// A set of tasks with its conditions (spec.md "Ends", "Conditions").
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Suite {
-    /// The paper's five tasks (table 1).
-    Tasks,
-    /// 70 vehicles and 100 pedestrians (figure 8).
-    Composite,
+/// A benchmark.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Suite {
+    /// As on the command line and in results.
+    pub name: String,
+    /// For people.
+    pub title: String,
+    /// Where it comes from.
+    #[serde(default)]
+    pub source: String,
+    pub conditions: Vec<Condition>,
+    pub tasks: Vec<SuiteTask>,
+    /// False: each task is driven in each of a condition's weathers. True: its episodes take them in turn.
+    #[serde(default)]
+    pub weathers_in_turn: bool,
+    /// Which events end an episode; the paper's hard termination where left out.
+    #[serde(default)]
+    pub termination: Termination,
+    /// Episodes per task, town and weather (per task and town where weathers come in turn).
+    pub episodes: u64,
 }
 
-/// A suite that does not exist.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("no suite is called `{found}`: expected tasks or composite")]
-pub struct SuiteError {
-    pub found: String,
+/// A town in some weathers, e.g. `training`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Condition {
+    pub name: String,
+    /// A CONFIG.
+    pub town: String,
+    pub weathers: Vec<Preset>,
+}
+
+/// One row of a suite's table.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SuiteTask {
+    pub name: String,
+    /// What counts as a success, and the clock.
+    pub kind: TaskKind,
+    /// The set of the town's route file that its places are taken from, one after the other; None: drawn
+    /// from the episode's seed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub routes: Option<String>,
+    /// None: the kind's own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub traffic: Option<TrafficSpec>,
+    /// None: the kind's own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tick_limit: Option<u64>,
+    /// The route never ends.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub endless: bool,
+}
+
+/// What is not there to be evaluated.
+#[derive(Debug, thiserror::Error)]
+pub enum SuiteError {
+    #[error("no suite is called `{found}`: expected {}, or a JSON file like those (docs/evaluate.md)", names().join(", "))]
+    Unknown { found: String },
+    #[error("cannot read the suite {}: {source}", path.display())]
+    Read { path: PathBuf, source: std::io::Error },
+    #[error("{} is no suite: {why}; docs/evaluate.md shows one", path.display())]
+    Format { path: PathBuf, why: String },
+    #[error("the suite {suite} has no {what} `{found}`: expected {}", expected.join(", "))]
+    NotIn { suite: String, what: &'static str, found: String, expected: Vec<String> },
+    #[error("shard `{found}`: expected K/N with K from 1 to N, e.g. 1/4")]
+    Shard { found: String },
+    #[error(transparent)]
+    Routes(#[from] RouteError),
+}
+
+const SHIPPED: [&str; 5] = [
+    include_str!("suites/tasks.json"),
+    include_str!("suites/composite.json"),
+    include_str!("suites/corl2017.json"),
+    include_str!("suites/nocrash.json"),
+    include_str!("suites/infractions.json"),
+];
+
+/// Names of the suites that travel with the program.
+pub fn names() -> Vec<String> {
+    SHIPPED.iter().filter_map(|text| Some(serde_json::from_str::<Suite>(text).ok()?.name)).collect()
 }
 
 impl Suite {
-    /// As on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Tasks => "tasks",
-            Self::Composite => "composite",
+    /// The suite that `name` means: a shipped one, or a JSON file.
+    ///
+    /// # Errors
+    /// There is none, or the file is none.
+    pub fn find(name: &str) -> Result<Self, SuiteError> {
+        let path = Path::new(name);
+        if path.is_file() || path.extension().is_some_and(|e| e == "json") {
+            let text = std::fs::read_to_string(path)
+                .map_err(|source| SuiteError::Read { path: path.to_path_buf(), source })?;
+            return Self::parse(&text).map_err(|why| SuiteError::Format { path: path.to_path_buf(), why });
         }
+        let shipped = SHIPPED.iter().filter_map(|text| Self::parse(text).ok()).find(|s| s.name == name);
+        shipped.ok_or_else(|| SuiteError::Unknown { found: name.to_string() })
     }
 
-    /// Its tasks, in order.
-    pub fn tasks(self) -> &'static [TaskKind] {
-        match self {
-            Self::Tasks => &TaskKind::FIVE,
-            Self::Composite => &[TaskKind::Composite],
+    fn parse(text: &str) -> Result<Self, String> {
+        let suite: Self = serde_json::from_str(text).map_err(|e| e.to_string())?;
+        if suite.tasks.is_empty() || suite.conditions.is_empty() {
+            return Err("expected one task and one condition or more".to_string());
         }
-    }
-
-    /// Its towns: training, then new.
-    pub fn towns(self) -> [&'static str; 2] {
-        ["town3", "town5"]
-    }
-
-    /// Its weathers: the training ones, then the new ones.
-    pub fn weathers(self) -> &'static [Preset] {
-        match self {
-            Self::Tasks | Self::Composite => &[
-                Preset::ClearNoon,
-                Preset::CloudyNoon,
-                Preset::SoftRainNoon,
-                Preset::WetCloudySunset,
-                Preset::MidRainyNoon,
-            ],
+        if let Some(empty) = suite.conditions.iter().find(|condition| condition.weathers.is_empty()) {
+            return Err(format!("the condition `{}` has no weathers", empty.name));
         }
-    }
-
-    /// Episodes per task, town and weather.
-    pub fn episodes(self) -> u64 {
-        match self {
-            Self::Tasks => 25,
-            Self::Composite => 20,
+        let mut names: Vec<&str> = suite.tasks.iter().map(|task| task.name.as_str()).collect();
+        names.sort_unstable();
+        if let Some(pair) = names.windows(2).find(|pair| pair[0] == pair[1]) {
+            return Err(format!("two tasks are called `{}`", pair[0]));
         }
-    }
-}
-
-impl fmt::Display for Suite {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
-    }
-}
-
-impl FromStr for Suite {
-    type Err = SuiteError;
-
-    fn from_str(text: &str) -> Result<Self, SuiteError> {
-        [Self::Tasks, Self::Composite]
-            .into_iter()
-            .find(|suite| suite.name() == text)
-            .ok_or_else(|| SuiteError { found: text.to_string() })
-    }
-}
-
-/// Which part of a suite is driven; what is empty or None is the suite's own.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Selection {
-    pub agents: Vec<DriverSpec>,
-    pub tasks: Vec<TaskKind>,
-    pub towns: Vec<String>,
-    pub weathers: Vec<Preset>,
-    pub traffic: Vec<TrafficSpec>,
-    pub seeds: Vec<u64>,
-    pub episodes: Option<u64>,
-}
-
-/// One episode to be driven.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Case {
-    pub suite: Suite,
-    pub agent: DriverSpec,
-    pub town: String,
-    pub task: TaskSpec,
-    /// The evaluation's seed, and the number of the episode in its row.
-    pub seed: u64,
-    pub episode: u64,
-}
-
-impl Case {
-    /// The seed of the episode itself. It does not hang on agent or weather: all drive the same places.
-    pub fn episode_seed(&self) -> u64 {
-        seeds::derive(self.seed, &format!("{} {} {} {}", self.suite, self.town, self.task.kind, self.episode))
-    }
-}
-
-impl Selection {
-    /// The episodes, town by town so that an environment serves many.
-    pub fn plan(&self, suite: Suite) -> Vec<Case> {
-        fn or<T: Clone>(given: &[T], own: impl FnOnce() -> Vec<T>) -> Vec<T> {
-            if given.is_empty() { own() } else { given.to_vec() }
-        }
-        let towns = or(&self.towns, || suite.towns().map(String::from).to_vec());
-        let tasks = or(&self.tasks, || suite.tasks().to_vec());
-        let weathers = or(&self.weathers, || suite.weathers().to_vec());
-        let traffic: Vec<Option<TrafficSpec>> =
-            or(&self.traffic.iter().copied().map(Some).collect::<Vec<_>>(), || vec![None]);
-        let seeds = or(&self.seeds, || vec![0]);
-        let agents = or(&self.agents, || vec![DriverSpec::Autopilot]);
-        let mut plan = Vec::new();
-        for agent in &agents {
-            for town in &towns {
-                for &kind in &tasks {
-                    for &weather in &weathers {
-                        for &traffic in &traffic {
-                            for &seed in &seeds {
-                                plan.extend((0..self.episodes.unwrap_or(suite.episodes())).map(|episode| {
-                                    Case {
-                                        suite,
-                                        agent: agent.clone(),
-                                        town: town.clone(),
-                                        task: TaskSpec { traffic, ..TaskSpec::new(kind) }.in_weather(weather),
-                                        seed,
-                                        episode,
-                                    }
-                                }));
-                            }
-                        }
-                    }
-                }
-            }
-        }
-        plan
+        Ok(suite)
     }
 }
 
@@ -164,30 +132,35 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_suite_is_all_of_its_conditions_unless_told_otherwise() {
-        let whole = Selection::default().plan(Suite::Tasks);
-        assert_eq!(whole.len(), 5 * 2 * 5 * 25);
-        let some = Selection {
-            tasks: vec![TaskKind::Cross],
-            towns: vec!["town5".into()],
-            weathers: vec![Preset::MidRainyNoon],
-            seeds: vec![1, 2],
-            episodes: Some(3),
-            ..Selection::default()
-        };
-        let plan = some.plan(Suite::Tasks);
-        assert_eq!(plan.len(), 6);
-        let mut seeds: Vec<u64> = plan.iter().map(Case::episode_seed).collect();
-        seeds.sort_unstable();
-        seeds.dedup();
-        assert_eq!(seeds.len(), 6);
+    fn the_shipped_suites_are_what_the_spec_says() {
+        assert_eq!(names(), ["tasks", "composite", "corl2017", "nocrash", "infractions"]);
+        let nocrash = Suite::find("nocrash").unwrap();
+        assert!(nocrash.termination.collision && !nocrash.termination.red_light);
+        let weathers: usize = nocrash.conditions.iter().map(|c| c.weathers.len()).sum();
+        assert_eq!(nocrash.tasks.len() * weathers * nocrash.episodes as usize, 450);
+        assert_eq!(Suite::find("corl2017").unwrap().termination, Termination::none());
+        assert_eq!(Suite::find("tasks").unwrap().termination, Termination::default());
+        assert_eq!(Suite::find("infractions").unwrap().tasks[0].tick_limit, Some(4000));
     }
 
     #[test]
-    fn agents_and_weathers_drive_the_same_places() {
-        let plan = Selection { episodes: Some(1), ..Selection::default() }.plan(Suite::Composite);
-        let seeds: Vec<u64> = plan.iter().map(Case::episode_seed).collect();
-        assert_eq!(seeds[..5], [seeds[0]; 5]);
-        assert_ne!(seeds[0], seeds[5], "another town");
+    fn what_is_no_suite_says_what_is() {
+        let error = Suite::find("nocash").unwrap_err().to_string();
+        assert!(error.contains("nocash") && error.contains("corl2017"), "{error}");
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("mine.json");
+        let find = || Suite::find(&path.to_string_lossy());
+        assert!(find().unwrap_err().to_string().contains("mine.json"));
+        let own = include_str!("suites/nocrash.json").replace("nocrash", "mine");
+        std::fs::write(&path, &own).unwrap();
+        assert_eq!(find().unwrap().name, "mine");
+        for (from, to, expected) in [
+            ("\"episodes\"", "\"epsiodes\"", "epsiodes"),
+            ("\"dense\", \"kind\"", "\"empty\", \"kind\"", "two tasks"),
+        ] {
+            std::fs::write(&path, own.replacen(from, to, 1)).unwrap();
+            let error = find().unwrap_err().to_string();
+            assert!(error.contains(expected) && error.contains("mine.json"), "{error}");
+        }
     }
 }

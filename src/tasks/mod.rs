@@ -133,12 +133,22 @@ pub struct TaskSpec {
     /// None: drawn from the seed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub placement: Option<Placement>,
+    /// The route never ends: a further destination is drawn before each is reached.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub endless: bool,
 }
 
 impl TaskSpec {
     /// The task with its own traffic and limit, in ClearNoon, at a place drawn from the seed.
     pub fn new(kind: TaskKind) -> Self {
-        Self { kind, traffic: None, weather: Preset::ClearNoon, tick_limit: None, placement: None }
+        Self {
+            kind,
+            traffic: None,
+            weather: Preset::ClearNoon,
+            tick_limit: None,
+            placement: None,
+            endless: false,
+        }
     }
 
     /// In another weather.

@@ -163,7 +163,8 @@ mod tests {
         let guard = Guard { loopback: false, token: Some(token) };
         let ask = |query| guard.check(Some("car.local:8765"), None, query);
         assert_eq!(ask(Some("a=1&token=correct-horse")), Ok(()));
-        for wrong in [None, Some(""), Some("token="), Some("token=correct-hors"), Some("token=correct-horsf")] {
+        for wrong in [None, Some(""), Some("token="), Some("token=correct-hors"), Some("token=correct-horsf")]
+        {
             assert_eq!(ask(wrong), Err(Refusal::Token), "{wrong:?}");
         }
         assert!("short".parse::<Token>().is_err() && "with space in".parse::<Token>().is_err());

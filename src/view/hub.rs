@@ -244,7 +244,11 @@ pub struct Viewer {
 impl Viewer {
     pub fn join(hub: &Arc<Hub>) -> Self {
         hub.viewers.fetch_add(1, Ordering::Relaxed);
-        Self { id: hub.next_viewer.fetch_add(1, Ordering::Relaxed), hub: Arc::clone(hub), look: (false, false) }
+        Self {
+            id: hub.next_viewer.fetch_add(1, Ordering::Relaxed),
+            hub: Arc::clone(hub),
+            look: (false, false),
+        }
     }
 
     /// Passes a request on. False where too many wait already: it is dropped.

@@ -4,15 +4,15 @@ use super::artist::Artist;
 use super::hub::{Hub, Shot};
 use super::net;
 use super::protocol::{EgoNow, Note, Noted, Request, State};
+use super::score::{Score, Tick};
 use super::server::{Listener, ViewError};
+use crate::autopilot::{Autopilot, AutopilotParams, EgoModel};
 use crate::camera::Preset;
 use crate::criteria::{EgoOnRoute, Event};
 use crate::network::{Network, Route};
-use crate::autopilot::{Autopilot, AutopilotParams, EgoModel};
-use super::score::{Score, Tick};
+use crate::replay::{Frame, Recording};
 use crate::telemetry::{LeaderRecord, LightRecord};
 use crate::vehicle::EgoParams;
-use crate::replay::{Frame, Recording};
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::sync::Arc;
@@ -116,7 +116,13 @@ fn course(recording: &Recording, network: &Network, route: &Route, ego: &EgoPara
 }
 
 impl Show {
-    fn of(recording: Recording, route: Option<Route>, network: &Network, ego: &EgoParams, who: (String, String)) -> Self {
+    fn of(
+        recording: Recording,
+        route: Option<Route>,
+        network: &Network,
+        ego: &EgoParams,
+        who: (String, String),
+    ) -> Self {
         let course = route.as_ref().map(|route| course(&recording, network, route, ego)).unwrap_or_default();
         Self { recording, route: route.map(Arc::new), course, driver: who.0, ending: who.1 }
     }
@@ -225,7 +231,8 @@ impl Player {
                 None => {
                     self.at += 1;
                     let factor = if self.state.speed_factor > 0.0 { self.state.speed_factor } else { 50.0 };
-                    self.due = (self.due + Duration::from_secs_f64(self.state.dt / factor)).max(Instant::now());
+                    self.due =
+                        (self.due + Duration::from_secs_f64(self.state.dt / factor)).max(Instant::now());
                     self.show();
                 }
             }
@@ -335,7 +342,8 @@ impl Player {
 /// The events of an episode with the frames at which they happened.
 fn notes(frames: &[Frame]) -> Vec<(usize, Noted)> {
     let mut n = 0;
-    let events = frames.iter().enumerate().flat_map(|(i, f)| f.events.iter().map(move |e| (i, f.world.time, e)));
+    let events =
+        frames.iter().enumerate().flat_map(|(i, f)| f.events.iter().map(move |e| (i, f.world.time, e)));
     events
         .map(|(i, time, event)| {
             n += 1;

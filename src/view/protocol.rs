@@ -34,26 +34,48 @@ pub enum Request {
         analog: bool,
     },
     /// Who drives: `autopilot`, `manual` (this viewer) or an agent's name.
-    Driver { name: String },
-    Pause { on: bool },
+    Driver {
+        name: String,
+    },
+    Pause {
+        on: bool,
+    },
     /// One tick, then pause.
     Step {},
     /// Times real time; 0: as fast as it goes.
-    Speed { factor: f64 },
+    Speed {
+        factor: f64,
+    },
     Respawn {},
     NewRoute {},
-    Weather { name: Preset },
-    Traffic { vehicles: usize, pedestrians: usize },
+    Weather {
+        name: Preset,
+    },
+    Traffic {
+        vehicles: usize,
+        pedestrians: usize,
+    },
     /// Begin or end a film in the run's folder.
-    Record { on: bool },
+    Record {
+        on: bool,
+    },
     /// Which pictures this viewer looks at beside the front camera.
-    Look { chase: bool, stages: bool },
+    Look {
+        chase: bool,
+        stages: bool,
+    },
     /// This tick has been drawn.
-    Shown { seq: u64 },
+    Shown {
+        seq: u64,
+    },
     /// A replay: to this tick.
-    Seek { tick: usize },
+    Seek {
+        tick: usize,
+    },
     /// A replay: another episode.
-    Open { episode: String },
+    Open {
+        episode: String,
+    },
     /// Something changed for the page: show the present state again.
     #[serde(skip)]
     Refresh,

@@ -40,7 +40,9 @@ pub enum ViewError {
 }
 
 fn free_port(free: Option<SocketAddr>) -> String {
-    free.map_or("name another with --view HOST:PORT".to_string(), |free| format!("{free} is free: --view {free}"))
+    free.map_or("name another with --view HOST:PORT".to_string(), |free| {
+        format!("{free} is free: --view {free}")
+    })
 }
 
 /// `--view`'s value: where to listen, and whether the user said so.
@@ -195,7 +197,10 @@ fn refusal(guard: &Guard, uri: &Uri, headers: &HeaderMap) -> Option<Refusal> {
     (secret || refusal != Refusal::Token).then_some(refusal)
 }
 
-async fn file(kind: &'static str, text: &'static str) -> ([(header::HeaderName, &'static str); 1], &'static str) {
+async fn file(
+    kind: &'static str,
+    text: &'static str,
+) -> ([(header::HeaderName, &'static str); 1], &'static str) {
     ([(header::CONTENT_TYPE, kind)], text)
 }
 
@@ -232,7 +237,11 @@ const MOST_WRONG: u32 = 20;
 async fn talk(mut socket: WebSocket, hub: Arc<Hub>) {
     let mut viewer = Viewer::join(&hub);
     let reason = serve_viewer(&mut socket, &hub, &mut viewer).await;
-    tracing::info!("viewer {} has gone{}", viewer.id, if reason.is_empty() { "" } else { ": " }.to_string() + reason);
+    tracing::info!(
+        "viewer {} has gone{}",
+        viewer.id,
+        if reason.is_empty() { "" } else { ": " }.to_string() + reason
+    );
     drop(viewer);
     if !reason.is_empty() {
         let code = if reason == OVER { close_code::AWAY } else { close_code::POLICY };
@@ -356,7 +365,8 @@ mod tests {
 
     #[test]
     fn a_busy_port_is_named_with_a_free_one_and_an_open_one_wants_a_token() {
-        let listen = |address: SocketAddr| Listener::bind(ViewAddress(address), None).err().map(|e| e.to_string());
+        let listen =
+            |address: SocketAddr| Listener::bind(ViewAddress(address), None).err().map(|e| e.to_string());
         let taken = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = taken.local_addr().unwrap();
         let text = listen(address).unwrap();

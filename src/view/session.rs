@@ -103,7 +103,12 @@ impl RunView {
     ///
     /// # Errors
     /// The threads cannot be started.
-    pub fn open(listener: Listener, drive: &Drive, artist: Artist, setting: RunSetting) -> Result<Self, ViewError> {
+    pub fn open(
+        listener: Listener,
+        drive: &Drive,
+        artist: Artist,
+        setting: RunSetting,
+    ) -> Result<Self, ViewError> {
         let (hub, requests) = Hub::new();
         let bridge = drive.bridge();
         let polygons = crate::drive::polygons(bridge, bridge.network());
@@ -129,7 +134,10 @@ impl RunView {
                 }
                 artist.work(&hub, 0);
             };
-            std::thread::Builder::new().name("view artist".to_string()).spawn(work).map_err(ViewError::Thread)?
+            std::thread::Builder::new()
+                .name("view artist".to_string())
+                .spawn(work)
+                .map_err(ViewError::Thread)?
         };
         let serving = listener.serve(Arc::clone(&hub))?;
         let state = State {
@@ -328,7 +336,8 @@ impl RunView {
         let route = Arc::new(now.clone());
         self.state.route_id += 1;
         let id = self.state.route_id;
-        let text = json!({ "type": "route", "id": id, "line": net::line(&route.centre_line, 3.0) }).to_string();
+        let text =
+            json!({ "type": "route", "id": id, "line": net::line(&route.centre_line, 3.0) }).to_string();
         self.hub.set_route(id, text);
         self.route = Some(Arc::clone(&route));
         route

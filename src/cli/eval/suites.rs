@@ -1,39 +1,58 @@
-//! `eval tasks`, `eval composite`: drive the episodes of a suite, and say how they ended.
+//! `eval SUITE`: drive the episodes of a suite, and say how they ended.
 
+use crate::cli::agents;
 use crate::cli::progress::Bar;
 use crate::cli::{Exit, print};
 use anyhow::Context;
+use clap::ValueHint;
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::io::Write;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use wad_cosim::agent::Agent;
-use wad_cosim::camera::{CameraConfig, Preset};
-use wad_cosim::env::EnvOptions;
+use std::time::{Duration, Instant};
+use wad_cosim::agent::external::Limits;
+use wad_cosim::camera::Preset;
+use wad_cosim::env::{Assets, EnvOptions};
 use wad_cosim::eval::{
-    self, DriverError, DriverSpec, EpisodeRecord, EvalError, Evaluation, Row, Selection, Suite,
+    self, DriverError, DriverSpec, EpisodeRecord, EvalError, Evaluation, Fault, Keep, Manifest, Row, Score,
+    Selection, Shard, Store, StoreError, Suite, SuiteError,
 };
-use wad_cosim::latent::Encoder;
-use wad_cosim::tasks::TaskKind;
+use wad_cosim::traci::process::SumoInstall;
 use wad_cosim::traffic::TrafficSpec;
 
-/// Options of `eval tasks` and `eval composite`.
+const EXAMPLES: &str = "\
+Examples:
+  wad-cosim eval nocrash --agent wad-t --jobs 2 --out runs/nocrash     450 episodes, in both towns
+  wad-cosim eval nocrash --condition new --traffic dense --episodes 5  a part of it, under the autopilot
+  wad-cosim eval nocrash --out runs/nocrash --agent wad-t --resume     goes on where it stopped
+  wad-cosim eval nocrash --agent 'exec:python3 scripts/example_agent.py'  a model of your own
+  wad-cosim eval nocrash --shard 1/2 --out a  (elsewhere: --shard 2/2 --out b), then eval merge a b --out all
+  wad-cosim report runs/nocrash                                        tables, figures, maps
+
+Exit codes: 0 done; 2 usage or input; 3 SUMO failed; 4 interrupted, results kept; 1 anything else.";
+
+/// Options of `eval SUITE`.
 #[derive(clap::Args, Debug)]
+#[command(after_help = EXAMPLES)]
 pub struct Args {
-    /// Who drives: wad-t, wad-s, a trained agent's file, autopilot, random, constant[:THROTTLE,STEER,BRAKE]. May be given several times.
+    /// Who drives: wad-t, wad-s, a trained agent's file, autopilot, random, constant[:THROTTLE,STEER,BRAKE], exec:COMMAND. May be given several times.
     #[arg(long = "agent", value_name = "NAME", default_value = "autopilot")]
     agents: Vec<DriverSpec>,
-    /// Only this task; may be given several times.
+    /// Only this condition of the suite, e.g. training or new; may be given several times.
+    #[arg(long = "condition", value_name = "NAME")]
+    conditions: Vec<String>,
+    /// Only this task of the suite; may be given several times.
     #[arg(long = "task", value_name = "NAME")]
-    tasks: Vec<TaskKind>,
-    /// Only this town; may be given several times.
-    #[arg(long = "town", value_name = "CONFIG")]
+    tasks: Vec<String>,
+    /// Only this town, or a net of your own (CONFIG); may be given several times.
+    #[arg(long = "town", value_name = "CONFIG", value_hint = ValueHint::FilePath)]
     towns: Vec<String>,
-    /// Only this weather; may be given several times.
+    /// In this weather instead of the suite's; may be given several times.
     #[arg(long = "weather", value_name = "NAME")]
     weathers: Vec<Preset>,
-    /// Other background traffic than the task's own: empty, regular, dense or V,P.
+    /// Only the suite's tasks with this traffic, or, where it has none, other traffic than the tasks'
+    /// own: empty, regular, dense or V,P; may be given several times.
     #[arg(long, value_name = "SPEC")]
     traffic: Vec<TrafficSpec>,
     /// Episodes per task, town and weather.
@@ -42,102 +61,262 @@ pub struct Args {
     /// The evaluation's seed; may be given several times.
     #[arg(long = "seed", value_name = "N")]
     seeds: Vec<u64>,
+    /// Route file for a town that brings none (eval routes makes one).
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
+    routes: Option<PathBuf>,
+    #[arg(long, help = format!("Who detects: {}", wad_cosim::perception::DETECTORS), default_value = "truth", value_name = "NAME")]
+    detector: String,
     /// Environments at a time; each takes a core.
     #[arg(long, value_name = "N", default_value_t = 1)]
     jobs: usize,
-    /// Folder for config.json, episodes.jsonl and summary.json.
-    #[arg(long, value_name = "DIR")]
+    /// Drive the K-th of N parts of the suite only; `eval merge` puts them together.
+    #[arg(long, value_name = "K/N")]
+    shard: Option<Shard>,
+    /// Folder for the results: config.json, episodes.jsonl, summary.json, and failures in episodes/.
+    #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     out: Option<PathBuf>,
+    /// Go on with the results in --out.
+    #[arg(long, requires = "out")]
+    resume: bool,
+    /// Which episodes are kept for `replay`: none, failures or all.
+    #[arg(long, value_name = "WHICH", default_value = "failures")]
+    keep: Keep,
+    /// Longest time that an external agent may take for an answer.
+    #[arg(long, value_name = "SECONDS", default_value_t = 10.0)]
+    agent_timeout: f64,
     /// Print one JSON object as the last line of stdout; everything else goes to stderr.
     #[arg(long)]
     json: bool,
 }
 
-/// `summary.json`, and the last line of `--json`.
+/// `summary.json`: nothing in it depends on when, where or in which order the episodes were driven.
 #[derive(Serialize)]
-struct Summary {
-    suite: Suite,
-    episodes: u64,
-    planned: u64,
+pub struct Summary {
+    pub suite: String,
+    pub episodes: u64,
+    pub planned: u64,
+    pub totals: Vec<Total>,
+    pub rows: Vec<Row>,
+}
+
+/// A task of one agent in one condition, over all weathers and seeds.
+#[derive(Serialize)]
+pub struct Total {
+    agent: String,
+    condition: String,
+    town: String,
+    task: String,
+    #[serde(flatten)]
+    score: Score,
+}
+
+/// The last line of `--json`.
+#[derive(Serialize)]
+struct Answer<'a> {
+    #[serde(flatten)]
+    summary: &'a Summary,
     interrupted: bool,
-    rows: Vec<Row>,
+    /// Of this call.
+    driven: u64,
+    wall_seconds: f64,
+    episodes_per_hour: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
-    out: Option<PathBuf>,
+    out: Option<&'a PathBuf>,
+}
+
+impl Summary {
+    /// Of the episodes of a plan, in its order.
+    pub fn of(suite: &str, planned: usize, episodes: &[EpisodeRecord]) -> Self {
+        let key = |e: &EpisodeRecord| {
+            let c = &e.case;
+            (c.agent.to_string(), c.condition.clone(), c.town.clone(), c.task.clone(), traffic_key(e))
+        };
+        let totals = eval::grouped(episodes.iter(), key).into_iter().map(|group| {
+            let case = &group[0].case;
+            Total {
+                agent: case.agent.to_string(),
+                condition: case.condition.clone(),
+                town: case.town.clone(),
+                task: case.task.clone(),
+                score: Score::of(&group),
+            }
+        });
+        Self {
+            suite: suite.to_string(),
+            episodes: episodes.len() as u64,
+            planned: planned as u64,
+            totals: totals.collect(),
+            rows: eval::rows(episodes),
+        }
+    }
+}
+
+fn traffic_key(episode: &EpisodeRecord) -> String {
+    episode.case.spec.traffic().to_string()
 }
 
 /// Runs the command.
-pub fn run(suite: Suite, args: Args) -> anyhow::Result<Exit> {
-    let options = EnvOptions::evaluation();
-    let selection = Selection {
-        agents: args.agents.clone(),
-        tasks: args.tasks.clone(),
-        towns: args.towns.clone(),
-        weathers: args.weathers.clone(),
-        traffic: args.traffic.clone(),
-        seeds: args.seeds.clone(),
-        episodes: args.episodes,
+pub fn run(suite: &str, args: Args) -> anyhow::Result<Exit> {
+    let suite = Suite::find(suite).map_err(|e| Exit::Input.because(e))?;
+    let selection = selection(&suite, &args);
+    let options = EnvOptions {
+        termination: suite.termination,
+        detector: args.detector.clone(),
+        ..EnvOptions::evaluation()
     };
-    let plan = selection.plan(suite);
-    let mut file = args.out.as_ref().map(|out| Folder::create(out, &selection, &options)).transpose()?;
+    let mut towns: BTreeMap<String, Arc<Assets>> = BTreeMap::new();
+    for town in selection.towns(&suite).map_err(|e| Exit::Input.because(e))? {
+        let assets = Assets::load(&town).map_err(|e| with_exit(e.into()))?;
+        towns.insert(town, assets);
+    }
+    let plan = (|| -> Result<_, SuiteError> { selection.plan(&suite, &selection.routes(&suite, &towns)?) })()
+        .map_err(|e| Exit::Input.because(e))?;
+    let mine = plan.iter().enumerate().filter(|(i, _)| args.shard.is_none_or(|s| s.has(*i)));
+    let mine: Vec<_> = mine.map(|(_, case)| case.clone()).collect();
+    let limits = Limits { answer: seconds(args.agent_timeout)?, ..Limits::default() };
+    let make_agent = agents::maker(options.camera, limits);
+    let ids = selection.agents.iter().filter(|agent| agent.looks()).map(|agent| {
+        let made = make_agent(agent).map_err(|e| with_exit(e.into()))?;
+        Ok((agent.to_string(), made.id))
+    });
+    let ids = ids.collect::<anyhow::Result<_>>()?;
+    let manifest = Manifest {
+        build: env!("WAD_COSIM_VERSION").to_string(),
+        sumo: sumo_version()?,
+        suite: suite.clone(),
+        selection,
+        options: options.clone(),
+        agents: ids,
+        nets: towns.iter().map(|(town, assets)| (town.clone(), assets.net_hash().to_string())).collect(),
+        shard: args.shard,
+    };
+    let opened = args.out.as_ref().map(|out| Store::open(out, &manifest, args.resume)).transpose();
+    let (mut store, mut episodes) = match opened.map_err(|e| with_exit(e.into()))? {
+        Some((store, episodes)) => (Some(store), episodes),
+        None => (None, Vec::new()),
+    };
+    // Those in which SUMO died say nothing of the agent, and are tried again.
+    episodes.retain(|episode| episode.fault != Some(Fault::Simulator));
+    let left: Vec<_> = (mine.iter().zip(eval::in_order(&mine, &episodes)))
+        .filter(|(_, done)| done.is_none())
+        .map(|(case, _)| case.clone())
+        .collect();
     let stop = wad_cosim::interrupt::flag().context("cannot listen for Ctrl-C")?;
-    let bar = Bar::new(plan.len() as u64, "episodes");
-    let mut shown = 0u64;
-    let camera = options.camera;
-    let evaluation =
-        Evaluation { options, jobs: args.jobs, make_agent: &|name| open(name, &camera), stop: &stop };
-    let result = eval::run(&plan, &evaluation, |record| {
-        shown += 1;
-        bar.show(shown, "");
-        if !record.ending.success && record.case.agent == DriverSpec::Autopilot {
-            bar.say(&failure(record));
+    let bar = Bar::new(mine.len() as u64, "episodes");
+    let before = (mine.len() - left.len()) as u64;
+    bar.show(before, "");
+    let evaluation = Evaluation {
+        options,
+        jobs: args.jobs,
+        make_agent: &make_agent,
+        keep: args.out.clone().map(|out| (out, args.keep)),
+        build: env!("WAD_COSIM_VERSION"),
+        stop: &stop,
+    };
+    let began = Instant::now();
+    let mut driven = 0;
+    let result = eval::run(&left, &towns, &evaluation, |record| {
+        driven += 1;
+        if let Some(store) = &mut store {
+            store.add(&record)?;
         }
-        file.as_mut().map_or(Ok(()), |file| file.add(record))
+        if !record.ending.success {
+            tracing::info!("{}", failure(&record));
+        }
+        if record.fault == Some(Fault::Agent) {
+            bar.say(&failure(&record));
+        }
+        episodes.push(record);
+        bar.show(before + driven, "");
+        Ok(())
     });
     bar.clear();
-    let records = result.map_err(with_exit)?;
-    let interrupted = stop.load(Ordering::Relaxed) && records.len() < plan.len();
-    let summary = Summary {
-        suite,
-        episodes: records.len() as u64,
-        planned: plan.len() as u64,
+    result.map_err(with_exit)?;
+    let wall_seconds = began.elapsed().as_secs_f64();
+    let done: Vec<EpisodeRecord> = eval::in_order(&mine, &episodes).into_iter().flatten().cloned().collect();
+    let interrupted = stop.load(Ordering::Relaxed) && done.len() < mine.len();
+    let summary = Summary::of(&suite.name, mine.len(), &done);
+    if let Some(store) = store {
+        store.finish(&summary).map_err(|e| with_exit(e.into()))?;
+    }
+    let per_hour = if driven == 0 { 0.0 } else { driven as f64 * 3600.0 / wall_seconds };
+    if driven > 0 {
+        eprintln!("{driven} episodes in {wall_seconds:.0} s, {per_hour:.0} an hour");
+    }
+    let answer = Answer {
+        summary: &summary,
         interrupted,
-        rows: eval::rows(&records),
-        out: args.out.clone(),
+        driven,
+        wall_seconds,
+        episodes_per_hour: per_hour,
+        out: args.out.as_ref(),
     };
-    if let Some(file) = file {
-        file.finish(&summary)?;
-    }
-    let text = table(&summary.rows);
-    if args.json {
-        eprint!("{text}");
-        print(&format!("{}\n", serde_json::to_string(&summary)?))?;
-    } else {
-        print(&text)?;
-    }
+    report(&summary, args.json.then(|| serde_json::to_string(&answer)).transpose()?)?;
     Ok(if interrupted { Exit::Interrupted } else { Exit::Done })
 }
 
-type Opened = (Box<dyn Agent>, Box<dyn Encoder>);
-
-/// A trained agent, and the encoder that it sees through.
-#[cfg(feature = "learn")]
-fn open(name: &str, camera: &CameraConfig) -> Result<Opened, DriverError> {
-    Ok(wad_cosim::agent::policy::open(name, None, camera)?)
+/// Prints the table, and `json` as the last line where it is wanted.
+pub fn report(summary: &Summary, json: Option<String>) -> anyhow::Result<()> {
+    let text = table(summary);
+    match json {
+        Some(json) => {
+            eprint!("{text}");
+            print(&format!("{json}\n"))
+        }
+        None => print(&text),
+    }
 }
 
-#[cfg(not(feature = "learn"))]
-fn open(name: &str, _: &CameraConfig) -> Result<Opened, DriverError> {
-    Err(DriverError::Unknown { found: name.to_string() })
+/// `--traffic` names the tasks that have it, or other traffic for all tasks.
+fn selection(suite: &Suite, args: &Args) -> Selection {
+    let has = |traffic: TrafficSpec| {
+        suite.tasks.iter().filter(move |t| t.traffic.unwrap_or(t.kind.traffic()) == traffic)
+    };
+    let names_tasks = args.tasks.is_empty()
+        && suite.tasks.len() > 1
+        && !args.traffic.is_empty()
+        && args.traffic.iter().all(|&traffic| has(traffic).next().is_some());
+    let (tasks, traffic) = if names_tasks {
+        let tasks = args.traffic.iter().flat_map(|&traffic| has(traffic)).map(|t| t.name.clone());
+        (tasks.collect(), Vec::new())
+    } else {
+        (args.tasks.clone(), args.traffic.clone())
+    };
+    Selection {
+        agents: args.agents.clone(),
+        tasks,
+        conditions: args.conditions.clone(),
+        towns: args.towns.clone(),
+        weathers: args.weathers.clone(),
+        traffic,
+        seeds: args.seeds.clone(),
+        episodes: args.episodes,
+        routes: args.routes.clone(),
+    }
 }
 
-fn with_exit(error: EvalError) -> anyhow::Error {
+fn sumo_version() -> anyhow::Result<String> {
+    let version = SumoInstall::find().and_then(|install| install.version());
+    let (major, minor, patch) = version.map_err(|e| Exit::Sumo.because(e))?;
+    Ok(format!("{major}.{minor}.{patch}"))
+}
+
+fn seconds(given: f64) -> anyhow::Result<Duration> {
+    Duration::try_from_secs_f64(given).ok().filter(|d| !d.is_zero()).ok_or_else(|| {
+        Exit::Input.because(anyhow::anyhow!("--agent-timeout: expected seconds above 0, found {given}"))
+    })
+}
+
+/// The error with the exit code that belongs to it.
+pub fn with_exit(error: EvalError) -> anyhow::Error {
     let exit = match &error {
-        EvalError::Env(env) if env.is_input() => Exit::Input,
-        EvalError::Env(env) if env.is_sumo() => Exit::Sumo,
+        EvalError::Env(env) | EvalError::Driver(DriverError::Env(env)) if env.is_input() => Exit::Input,
+        EvalError::Env(env) | EvalError::Driver(DriverError::Env(env)) if env.is_sumo() => Exit::Sumo,
         EvalError::Driver(DriverError::Unknown { .. } | DriverError::Constant { .. }) => Exit::Input,
+        EvalError::Store(StoreError::File { .. }) => Exit::Other,
+        EvalError::Store(_) => Exit::Input,
         #[cfg(feature = "learn")]
-        EvalError::Driver(DriverError::Policy(_)) => Exit::Input,
-        EvalError::Driver(DriverError::Env(env)) if env.is_sumo() => Exit::Sumo,
+        EvalError::Driver(DriverError::Policy(_) | DriverError::Encoder(_)) => Exit::Input,
         _ => Exit::Other,
     };
     exit.because(error)
@@ -145,10 +324,11 @@ fn with_exit(error: EvalError) -> anyhow::Error {
 
 fn failure(record: &EpisodeRecord) -> String {
     format!(
-        "{} {} {} episode {}: {} after {} ticks, {:.0} of {:.0} m: {} (from {} {:.1})",
+        "{} {} {} {} episode {}: {} after {} ticks, {:.0} of {:.0} m: {} (from {} {:.1})",
         record.case.agent,
         record.case.town,
-        record.case.task.kind,
+        record.case.task,
+        record.case.spec.weather.name(),
         record.case.episode,
         record.ending.end,
         record.ticks,
@@ -160,64 +340,33 @@ fn failure(record: &EpisodeRecord) -> String {
     )
 }
 
-/// The run folder.
-struct Folder {
-    path: PathBuf,
-    episodes: std::fs::File,
-}
-
-impl Folder {
-    fn create(path: &PathBuf, selection: &Selection, options: &EnvOptions) -> anyhow::Result<Self> {
-        #[derive(Serialize)]
-        struct Config<'a> {
-            selection: &'a Selection,
-            options: &'a EnvOptions,
-        }
-        let cannot = || format!("cannot write into {}", path.display());
-        std::fs::create_dir_all(path).with_context(cannot)?;
-        let config = serde_json::to_string_pretty(&Config { selection, options })?;
-        std::fs::write(path.join("config.json"), config).with_context(cannot)?;
-        let episodes = std::fs::File::create(path.join("episodes.jsonl")).with_context(cannot)?;
-        Ok(Self { path: path.clone(), episodes })
-    }
-
-    fn add(&mut self, record: &EpisodeRecord) -> Result<(), EvalError> {
-        let path = || self.path.join("episodes.jsonl").display().to_string();
-        let line = serde_json::to_string(record)
-            .map_err(|error| EvalError::Write { path: path(), source: error.into() })?;
-        writeln!(self.episodes, "{line}").map_err(|source| EvalError::Write { path: path(), source })
-    }
-
-    fn finish(self, summary: &Summary) -> anyhow::Result<()> {
-        let path = self.path.join("summary.json");
-        let text = serde_json::to_string_pretty(summary)?;
-        std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))
-    }
-}
-
-/// The rows for people.
-fn table(rows: &[Row]) -> String {
+/// The totals for people.
+fn table(summary: &Summary) -> String {
     let mut text = format!(
-        "{:10} {:7} {:10} {:15} {:>7}  {:>13}  {:>7}  {:>6}  ends\n",
-        "agent", "town", "task", "weather", "success", "95 %", "km/h", "return"
+        "{:10} {:9} {:7} {:18} {:>9}  {:>14}  {:>5}  {:>6}  ends\n",
+        "agent", "condition", "town", "task", "success", "95 %", "km/h", "return"
     );
-    for row in rows {
-        let ends: BTreeMap<&str, u64> = row.ends.iter().map(|(end, n)| (end.name(), *n)).collect();
-        let ends: Vec<String> = ends.iter().map(|(end, n)| format!("{end} {n}")).collect();
+    for total in &summary.totals {
+        let score = &total.score;
+        let ends: Vec<String> = score.ends.iter().map(|(end, n)| format!("{end} {n}")).collect();
         text += &format!(
-            "{:10} {:7} {:10} {:15} {:>3}/{:<3}  {:>5.1}-{:<5.1} %  {:>7.1}  {:>6.0}  {}\n",
-            row.agent,
-            row.town,
-            row.task.name(),
-            row.weather.name(),
-            row.successes,
-            row.episodes,
-            100.0 * row.interval.0,
-            100.0 * row.interval.1,
-            3.6 * row.mean_speed_mps,
-            row.mean_return,
+            "{:10} {:9} {:7} {:18} {:>4}/{:<4}  {:>5.1}-{:<5.1} %  {:>5.1}  {:>6.0}  {}{}\n",
+            total.agent,
+            total.condition,
+            total.town,
+            total.task,
+            score.successes,
+            score.episodes,
+            100.0 * score.interval.0,
+            100.0 * score.interval.1,
+            3.6 * score.mean_speed_mps,
+            score.mean_return,
             ends.join(", "),
+            if score.lost > 0 { format!("; lost with SUMO: {}", score.lost) } else { String::new() },
         );
+    }
+    if summary.episodes < summary.planned {
+        text += &format!("{} of {} episodes\n", summary.episodes, summary.planned);
     }
     text
 }

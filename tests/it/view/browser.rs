@@ -53,10 +53,9 @@ fn program() -> String {
         let answer = Command::new(name).arg("--version").stdin(Stdio::null()).output();
         answer.is_ok_and(|answer| answer.status.success())
     };
-    own.into_iter()
-        .chain(NAMES.map(str::to_string))
-        .find(runs)
-        .expect("a Chromium that runs: `scripts/setup --test` installs Debian's, WAD_COSIM_CHROMIUM names another")
+    own.into_iter().chain(NAMES.map(str::to_string)).find(runs).expect(
+        "a Chromium that runs: `scripts/setup --test` installs Debian's, WAD_COSIM_CHROMIUM names another",
+    )
 }
 
 impl Browser {
@@ -75,7 +74,8 @@ impl Browser {
         let mut lines = BufReader::new(child.stderr.take().expect("its stderr")).lines();
         let mut said = String::new();
         let url = loop {
-            let line = lines.next().unwrap_or_else(|| panic!("Chromium does not start: {said}")).expect("text");
+            let line =
+                lines.next().unwrap_or_else(|| panic!("Chromium does not start: {said}")).expect("text");
             if let Some(url) = line.strip_prefix("DevTools listening on ") {
                 break url.trim().to_string();
             }
@@ -100,7 +100,8 @@ impl Browser {
         let answer = async {
             socket.send(Message::text(message.to_string())).await.expect("Chromium listens");
             loop {
-                let Message::Text(text) = socket.next().await.expect("Chromium answers").expect("a message") else {
+                let Message::Text(text) = socket.next().await.expect("Chromium answers").expect("a message")
+                else {
                     continue;
                 };
                 let mut value: Value = serde_json::from_str(&text).expect("JSON");
@@ -182,7 +183,9 @@ impl Drop for Browser {
 fn complaint(method: &str, params: &Value) -> Option<String> {
     match method {
         "Runtime.exceptionThrown" => Some(params["exceptionDetails"].to_string()),
-        "Runtime.consoleAPICalled" if ["error", "warning", "assert"].iter().any(|kind| params["type"] == *kind) => {
+        "Runtime.consoleAPICalled"
+            if ["error", "warning", "assert"].iter().any(|kind| params["type"] == *kind) =>
+        {
             Some(params["args"].to_string())
         }
         "Log.entryAdded" if params["entry"]["level"] == "error" || params["entry"]["level"] == "warning" => {

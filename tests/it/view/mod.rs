@@ -40,7 +40,8 @@ impl Viewed {
         std::thread::spawn(move || lines.map_while(Result::ok).for_each(|line| drop(sender.send(line))));
         let mut all = String::new();
         let address = loop {
-            let line = said.recv_timeout(Duration::from_secs(60)).unwrap_or_else(|_| panic!("no view: {all}"));
+            let line =
+                said.recv_timeout(Duration::from_secs(60)).unwrap_or_else(|_| panic!("no view: {all}"));
             if let Some(url) = line.strip_prefix("live view: http://") {
                 break url.trim_end_matches('/').to_string();
             }
@@ -351,7 +352,10 @@ fn beyond_this_machine_a_token_is_asked_for() {
     let mut viewer = Viewer::join_at(&format!("ws://{address}/ws?{query}"));
     viewer.tick();
     let own = format!("Host: {address}\r\n");
-    assert!(request(address, "/", &own).contains("403") && request(address, "/map.json?token=", &own).contains("403"));
+    assert!(
+        request(address, "/", &own).contains("403")
+            && request(address, "/map.json?token=", &own).contains("403")
+    );
     assert!(request(address, &format!("/?{query}"), &own).contains("200"));
 }
 
@@ -406,7 +410,10 @@ fn the_page_in_a_browser() {
 
     // A page that is loaded again is there again.
     browser.reload(&page);
-    browser.wait(&page, "window.wad && wad.frames > 2 && document.getElementById('link').textContent === 'live'");
+    browser.wait(
+        &page,
+        "window.wad && wad.frames > 2 && document.getElementById('link').textContent === 'live'",
+    );
     let mut latencies: Vec<f64> =
         serde_json::from_value(browser.ask(&page, "wad.latencies")).expect("numbers of ms");
     latencies.sort_by(f64::total_cmp);

@@ -1,0 +1,169 @@
+//! `wad-cosim replay`: a kept episode again, as it was recorded, or simulated anew.
+
+use super::progress::Bar;
+use super::{Exit, agents, print};
+use anyhow::Context;
+use clap::ValueHint;
+use std::path::PathBuf;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+use wad_cosim::agent::external::Limits;
+use wad_cosim::camera::Weather;
+use wad_cosim::env::{Assets, EnvError};
+use wad_cosim::eval::kept::{self, Kept, KeptError};
+use wad_cosim::record::{Codec, RecordView, Recorder};
+use wad_cosim::replay::Recording;
+
+const EXAMPLES: &str = "\
+Examples:
+  wad-cosim replay runs/nocrash/episodes/NAME                          what happened, in words
+  wad-cosim replay runs/nocrash --view                                 all of them in the browser, with a timeline
+  wad-cosim replay runs/nocrash/episodes/NAME --record film.mp4        a film, from behind
+  wad-cosim replay runs/nocrash/episodes/NAME --record film.mp4 --record-view all
+  wad-cosim replay runs/nocrash/episodes/NAME --gui                    simulated again in sumo-gui
+  wad-cosim replay runs/nocrash/episodes/NAME --verify                 simulated again, every bit compared";
+
+/// Show a kept episode again.
+#[derive(clap::Args, Debug)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// An episode's folder, as `eval` keeps of each failure; with --view a folder above such folders will do.
+    #[arg(value_name = "EPISODE", value_hint = ValueHint::DirPath)]
+    episode: PathBuf,
+    /// Film the recorded states: a .mp4 file, or a folder with a trailing / for numbered PNG pictures.
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::AnyPath)]
+    record: Option<PathBuf>,
+    /// What the film shows: front, chase, bird, or all.
+    #[arg(long, value_name = "VIEW", default_value = "chase", requires = "record")]
+    record_view: RecordView,
+    /// Codec of a .mp4 film: auto (H.264, else MPEG-4), h264, mp4v, or another four-character code.
+    #[arg(long, value_name = "CODEC", default_value = "auto", requires = "record")]
+    record_codec: Codec,
+    #[command(flatten)]
+    view: super::view::ViewArgs,
+    /// Only the last N seconds.
+    #[arg(long, value_name = "SECONDS")]
+    last: Option<f64>,
+    /// Simulate it again and compare every bit of every tick.
+    #[arg(long)]
+    verify: bool,
+    /// Simulate it again in sumo-gui, in real time.
+    #[arg(long)]
+    gui: bool,
+    /// Print one JSON object as the last line of stdout; everything else goes to stderr.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> anyhow::Result<Exit> {
+    if args.view.view.is_some() {
+        return super::replay_view::run(&args.episode, &args.view);
+    }
+    let (kept, recording) = Kept::open(&args.episode).map_err(with_exit)?;
+    let episode = &kept.episode;
+    let text = format!(
+        "{} in {}, {}, {}, {} traffic: {} after {:.1} s, {:.0} of {:.0} m: {}\n",
+        episode.case.agent,
+        episode.case.town,
+        episode.case.task,
+        episode.case.spec.weather.name(),
+        episode.case.spec.traffic(),
+        episode.ending.end,
+        episode.ticks as f64 * episode.tick_s,
+        episode.driven_m,
+        episode.route_length_m,
+        episode.ending.cause,
+    );
+    eprint!("{text}");
+    if kept.build != env!("WAD_COSIM_VERSION") {
+        eprintln!("recorded by {}, this is {}", kept.build, env!("WAD_COSIM_VERSION"));
+    }
+    let mut answer = serde_json::json!({ "episode": episode, "ticks": recording.frames().len() - 1 });
+    if let Some(path) = &args.record {
+        film(args, path, &recording)?;
+        answer["record"] = path.display().to_string().into();
+    }
+    let mut exit = Exit::Done;
+    if args.verify || args.gui {
+        let verdict = again(args, &kept, &recording)?;
+        exit = if verdict.same { Exit::Done } else { Exit::Other };
+        let all = verdict.ticks == recording.frames().len() as u64;
+        match &verdict.first_difference {
+            None if all => eprintln!("simulated again: {} states, every bit the same", verdict.ticks),
+            None => {
+                eprintln!("interrupted after {} states, every bit the same so far", verdict.ticks);
+                exit = Exit::Interrupted;
+            }
+            Some((tick, what)) => eprintln!("simulated again: it differs from tick {tick} on: {what}"),
+        }
+        answer["verify"] = serde_json::to_value(&verdict)?;
+    }
+    if args.json {
+        print(&format!("{answer}\n"))?;
+    }
+    Ok(exit)
+}
+
+fn with_exit(error: KeptError) -> anyhow::Error {
+    let exit = match &error {
+        KeptError::Env(env) if env.is_sumo() => Exit::Sumo,
+        KeptError::Driver(wad_cosim::eval::DriverError::Env(env)) if env.is_sumo() => Exit::Sumo,
+        _ => Exit::Input,
+    };
+    exit.because(error)
+}
+
+fn env_error(error: EnvError) -> anyhow::Error {
+    with_exit(error.into())
+}
+
+/// The recorded states as a film.
+fn film(args: &Args, path: &std::path::Path, recording: &Recording) -> anyhow::Result<()> {
+    let header = recording.header();
+    let mut town = Assets::load(&header.config).map_err(env_error)?.town();
+    let weather = Weather::from(header.weather);
+    let fps = 1000.0 / header.tick_ms;
+    let mut film = Recorder::create(path, args.record_view, fps, args.record_codec, 0)
+        .map_err(|e| Exit::Input.because(e))?;
+    let frames = recording.frames();
+    let shown = args.last.map_or(frames.len(), |s| ((s.max(0.0) * fps) as usize).min(frames.len()));
+    let stop = wad_cosim::interrupt::flag().context("cannot listen for Ctrl-C")?;
+    let bar = Bar::new(shown as u64, "pictures");
+    let first = frames.len() - shown;
+    for (index, frame) in frames.iter().enumerate() {
+        // Those before the first picture still move wheels and legs to where they are by then.
+        town.follow(&frame.world, Some(&recording.ego_actor(frame)));
+        if index < first {
+            continue;
+        }
+        if stop.load(Ordering::Relaxed) {
+            break;
+        }
+        film.add(&town, &frame.ego.pose, &weather, None)?;
+        bar.show((index + 1 - first) as u64, "");
+    }
+    bar.clear();
+    film.finish()?;
+    eprintln!("{}", path.display());
+    Ok(())
+}
+
+/// Simulates the episode again.
+fn again(args: &Args, kept: &Kept, recording: &Recording) -> anyhow::Result<kept::Verdict> {
+    let stop = wad_cosim::interrupt::flag().context("cannot listen for Ctrl-C")?;
+    let bar = Bar::new(recording.frames().len() as u64, "states");
+    let make_agent = agents::maker(kept.options.camera, Limits::default());
+    let tick = Duration::from_secs_f64(recording.header().tick_ms / 1000.0);
+    let mut due = Instant::now();
+    let verdict = kept::verify(kept, recording, &make_agent, args.gui, |at| {
+        bar.show(at, "");
+        if args.gui {
+            due = (due + tick).max(Instant::now() - tick);
+            std::thread::sleep(due.saturating_duration_since(Instant::now()));
+        }
+        !stop.load(Ordering::Relaxed)
+    });
+    bar.clear();
+    verdict.map_err(with_exit)
+}
