@@ -230,6 +230,8 @@ impl Player {
                 Some((_, request)) => self.grant(request),
                 None => {
                     self.at += 1;
+                    // At the end it waits to be played again.
+                    self.state.paused = self.at + 1 == self.played.recording.frames().len();
                     let factor = if self.state.speed_factor > 0.0 { self.state.speed_factor } else { 50.0 };
                     self.due =
                         (self.due + Duration::from_secs_f64(self.state.dt / factor)).max(Instant::now());

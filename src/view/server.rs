@@ -167,8 +167,14 @@ async fn serve(listener: TcpListener, hub: Arc<Hub>, guard: Guard) -> std::io::R
             tracing::debug!("TCP_NODELAY: {error}");
         }
     });
+    let mut ended = closing.clone();
     let over = async move { closed(&mut closing).await };
-    axum::serve(listener, app).with_graceful_shutdown(over).await
+    let serving = axum::serve(listener, app).with_graceful_shutdown(over);
+    tokio::select! {
+        served = serving => served,
+        // Somebody who keeps a connection open does not keep the run.
+        () = async { closed(&mut ended).await; tokio::time::sleep(LEAVE).await } => Ok(()),
+    }
 }
 
 /// Lets in who may; the scripts and styles hold no secrets and need no token.
@@ -225,6 +231,8 @@ async fn upgrade(State(shared): State<Arc<Shared>>, upgrade: WebSocketUpgrade) -
         .on_upgrade(move |socket| talk(socket, hub))
 }
 
+/// Time that viewers have to hear that it is over.
+const LEAVE: Duration = Duration::from_millis(300);
 const MOST_VIEWERS: usize = 64;
 /// Packets that a viewer has not drawn yet; what comes meanwhile is left out.
 const IN_FLIGHT: u64 = 2;

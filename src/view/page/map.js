@@ -59,7 +59,8 @@ export class StreetMap {
     }
     this.net = { lanes: [...lanes.values()].sort((a, b) => b.kind - a.kind), areas, junctions: all(net.junctions), crossings: all(net.crossings), stops: [...stops.values()], bounds: net.bounds };
     this.stillOf = null;
-    if (!this.state) this.showAll();
+    const [x0, y0, x1, y1] = net.bounds;
+    if (!this.state) this.centre = [(x0 + x1) / 2, (y0 + y1) / 2];
   }
 
   setRoute(line) {

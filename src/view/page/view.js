@@ -35,6 +35,7 @@ map = new StreetMap($("map"), $("map-scale"), (m) => {
   $("map-turn").setAttribute("aria-pressed", m.turn);
 });
 const send = (message) => { if (socket?.readyState === 1) socket.send(typeof message === "string" ? message : JSON.stringify(message)); };
+wad.send = send;
 const hands = new Hands(send, $("pads"));
 
 // ---- connection ----
@@ -212,7 +213,7 @@ function paint() {
   put("latency", late >= 0 && late < 9999 && hello.mode === "run" ? late.toFixed(0) + " ms" : "–");
   setLink(s.over ? "wait" : "on", s.over || (hello.mode === "replay" ? "replay" : s.paused ? "paused" : "live"));
   $("pause").setAttribute("aria-pressed", s.paused);
-  put("pause", s.paused ? "Go on" : "Pause");
+  put("pause", s.paused ? (s.over && hello.mode === "replay" ? "Play again" : "Go on") : "Pause");
   if (document.activeElement !== $("speed")) $("speed").value = String(s.speed_factor);
   if (document.activeElement !== $("weather")) $("weather").value = s.weather;
   traffic(s.wanted_traffic);
@@ -315,12 +316,12 @@ function replay(message) {
   points = message.course || [];
   map.trail = [];
   $("counts").textContent = "";
-  marks();
   const list = message.episodes || [], outcomes = [...new Set(list.map((e) => e.outcome))].sort();
   const chosen = $("outcome").value;
   options($("outcome"), [["", `all (${list.length})`], ...outcomes.map((o) => [o, `${o.replace(/_/g, " ")} (${list.filter((e) => e.outcome === o).length})`])]);
   $("outcome").value = outcomes.includes(chosen) ? chosen : "";
   episodes();
+  requestAnimationFrame(marks);
 }
 function marks() {
   const canvas = $("marks"), bar = $("scrub").getBoundingClientRect(), all = $("timeline").getBoundingClientRect();

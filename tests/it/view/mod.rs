@@ -421,3 +421,59 @@ fn the_page_in_a_browser() {
     assert_eq!(browser.complaints, Vec::<String>::new());
     assert_eq!(run.stop(), Some(4));
 }
+
+/// A crash of a driver who only accelerates, as `eval` keeps it.
+#[cfg(feature = "vision")]
+fn kept_crashes(folder: &Path) -> String {
+    let out = folder.join("eval");
+    let evaluated = Command::new(env!("CARGO_BIN_EXE_wad-cosim"))
+        .args(["eval", "tasks", "--agent", "constant:1,0,0", "--town", "town5", "--task", "one_turn"])
+        .args(["--weather", "WetCloudySunset", "--episodes", "2", "--out"])
+        .arg(&out)
+        .output()
+        .unwrap();
+    assert!(evaluated.status.success(), "{}", String::from_utf8_lossy(&evaluated.stderr));
+    out.display().to_string()
+}
+
+#[cfg(feature = "vision")]
+#[test]
+fn a_kept_episode_is_played_and_scrubbed_in_a_browser() {
+    let folder = tempfile::tempdir().unwrap();
+    let kept = kept_crashes(folder.path());
+    let replay = Viewed::start(&["replay", &kept]);
+    drop(Viewer::join(&replay.address));
+    let mut browser = Browser::start();
+    let page = browser.open(&replay.url(), (1366, 768));
+    browser.wait(&page, "window.wad && wad.frames > 1 && wad.hello.mode === 'replay'");
+    assert!(browser.ask(&page, "wad.hello.ticks").as_u64().unwrap() > 5);
+    assert_eq!(browser.ask(&page, "document.querySelectorAll('#episodes li').length"), 2);
+
+    // It plays to its end, which says how it ended.
+    browser.ask(&page, "wad.send({ do: 'speed', factor: 10 })");
+    browser.wait(&page, "wad.state.over");
+    let last = browser.ask(&page, "wad.hello.ticks - 1");
+    assert_eq!(browser.ask(&page, "wad.state.tick"), last);
+    assert!(browser.ask(&page, "document.querySelectorAll('#events li.bad, #events li.warn').length") != 0);
+
+    // The timeline goes where it is dragged, and the same state comes back.
+    let scrub = |tick: u64| {
+        format!("(() => {{ const s = document.getElementById('scrub'); s.value = {tick}; s.dispatchEvent(new Event('input')); s.dispatchEvent(new Event('change')); }})()")
+    };
+    assert_eq!(browser.ask(&page, "wad.state.paused"), true);
+    let mut seen = Vec::new();
+    for tick in [4, 1, 4] {
+        browser.ask(&page, &scrub(tick));
+        browser.wait(&page, &format!("wad.state.tick === {tick}"));
+        seen.push(browser.ask(&page, "[wad.state.ego.x, wad.state.ego.y, wad.state.time].join()"));
+    }
+    assert!(seen[0] == seen[2] && seen[0] != seen[1], "{seen:?}");
+
+    // Another one from the list.
+    let first = browser.ask(&page, "wad.hello.episode");
+    browser.ask(&page, "[...document.querySelectorAll('#episodes button')].find((b) => !b.hasAttribute('aria-current')).click()");
+    browser.wait(&page, &format!("wad.hello.episode !== {first}"));
+    browser.wait(&page, "wad.state.tick > 1 && document.querySelector('#episodes [aria-current]')");
+    assert_eq!(browser.complaints, Vec::<String>::new());
+    assert_eq!(replay.stop(), Some(0));
+}
