@@ -90,6 +90,8 @@ pub struct Bridge {
     signals: SignalWatch,
     population: Option<Population>,
     traffic_seed: u64,
+    /// Vehicles have been taken out by hand: arrivals no longer tell how many there are.
+    resized: bool,
     batch: Batch,
     sight: f64,
     gui: bool,
@@ -180,6 +182,7 @@ impl Bridge {
             catalog: ActorCatalog::default(),
             population,
             traffic_seed,
+            resized: false,
             batch: Batch::new(),
             sight: options.sight,
             gui: options.gui,
@@ -349,6 +352,9 @@ impl Bridge {
             population.update(&events, &replies, pose, &near, &mut self.batch);
             // Those that the population itself took out do not arrive.
             self.counts.1 = population.alive().pedestrians;
+            if self.resized {
+                self.counts.0 = population.alive().vehicles;
+            }
         }
         Ok(replies)
     }
@@ -391,6 +397,7 @@ impl Bridge {
     /// # Errors
     /// SUMO fails.
     pub async fn set_traffic(&mut self, counts: Counts) -> Result<(), BridgeError> {
+        self.resized = true;
         if self.resize_traffic(counts) {
             return Ok(());
         }

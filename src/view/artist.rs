@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use std::sync::Arc;
 
 /// Size of the view from behind (pixels).
-const CHASE: (usize, usize) = (800, 450);
+const CHASE: (usize, usize) = (720, 540);
 /// JPEG quality: of the cameras, and of the stages, whose few colours must stay what they are.
 const QUALITY: u8 = 80;
 const STAGE_QUALITY: u8 = 92;

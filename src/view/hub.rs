@@ -13,8 +13,11 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::{mpsc, watch};
 
-/// A driver who says nothing for so long has gone.
+/// A driver whose browser is silent for so long has gone: it answers pings even while its page is busy.
 pub const GRIP: Duration = Duration::from_millis(800);
+/// A page that says nothing of its driver's hands for so long: the pedals are let go, and later the wheel.
+const BUSY: Duration = Duration::from_millis(800);
+const HUNG: Duration = Duration::from_secs(3);
 /// Ticks whose course a page that comes later gets to know.
 const HISTORY: usize = 900;
 /// Requests that wait for the next tick at most.
@@ -67,7 +70,9 @@ pub struct Hub {
 struct Grip {
     viewer: u64,
     wanted: Wanted,
+    /// When its browser was last heard of, and when its page told of its hands.
     seen: Instant,
+    told: Instant,
 }
 
 /// The wheel before a tick.
@@ -212,7 +217,8 @@ impl Hub {
         if grip.is_some_and(|grip| grip.viewer != viewer) {
             return false;
         }
-        *grip = Some(Grip { viewer, wanted: Wanted::default(), seen: Instant::now() });
+        let now = Instant::now();
+        *grip = Some(Grip { viewer, wanted: Wanted::default(), seen: now, told: now });
         true
     }
 
@@ -225,10 +231,11 @@ impl Hub {
         let mut grip = lock(&self.grip);
         match *grip {
             None => Hands::Off,
-            Some(Grip { viewer, seen, .. }) if seen.elapsed() > GRIP => {
+            Some(Grip { viewer, seen, told, .. }) if seen.elapsed() > GRIP || told.elapsed() > HUNG => {
                 *grip = None;
                 Hands::Lost(viewer)
             }
+            Some(Grip { viewer, told, .. }) if told.elapsed() > BUSY => Hands::On(viewer, Wanted::default()),
             Some(Grip { viewer, wanted, .. }) => Hands::On(viewer, wanted),
         }
     }
@@ -251,13 +258,25 @@ impl Viewer {
         }
     }
 
+    /// Something came from it, if only the answer to a ping.
+    pub fn is_there(&self) {
+        if let Some(grip) = lock(&self.hub.grip).as_mut().filter(|grip| grip.viewer == self.id) {
+            grip.seen = Instant::now();
+        }
+    }
+
+    /// Whether it drives.
+    pub fn drives(&self) -> bool {
+        lock(&self.hub.grip).is_some_and(|grip| grip.viewer == self.id)
+    }
+
     /// Passes a request on. False where too many wait already: it is dropped.
     pub fn ask(&mut self, request: Request) -> bool {
         match request {
             Request::Drive { steer, throttle, brake, analog } => {
                 if let Some(grip) = lock(&self.hub.grip).as_mut().filter(|grip| grip.viewer == self.id) {
                     grip.wanted = Wanted { steer, throttle, brake, analog };
-                    grip.seen = Instant::now();
+                    grip.told = Instant::now();
                 }
                 true
             }
@@ -305,7 +324,9 @@ mod tests {
         assert!(hub.take_wheel(one.id) && !hub.take_wheel(two.id));
         assert!(one.ask(Request::Drive { steer: 0.5, throttle: 1.0, brake: 0.0, analog: false }));
         assert!(matches!(hub.hands(), Hands::On(id, wanted) if id == one.id && wanted.steer == 0.5));
+        one.is_there();
         let id = one.id;
+        assert!(one.drives() && !two.drives());
         drop(one);
         assert_eq!(hub.hands(), Hands::Lost(id));
         assert_eq!(hub.hands(), Hands::Off);

@@ -12,6 +12,7 @@ use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use axum::serve::ListenerExt;
+use bytes::Bytes;
 use serde_json::json;
 use std::net::{SocketAddr, TcpListener};
 use std::str::FromStr;
@@ -231,6 +232,8 @@ async fn upgrade(State(shared): State<Arc<Shared>>, upgrade: WebSocketUpgrade) -
         .on_upgrade(move |socket| talk(socket, hub))
 }
 
+/// How often the browser of a driver is asked whether it is there.
+const PULSE: Duration = Duration::from_millis(200);
 /// Time that viewers have to hear that it is over.
 const LEAVE: Duration = Duration::from_millis(300);
 const MOST_VIEWERS: usize = 64;
@@ -271,10 +274,12 @@ async fn serve_viewer(socket: &mut WebSocket, hub: &Arc<Hub>, viewer: &mut Viewe
     let mut closing = hub.closing.subscribe();
     let mut budget = Budget::new(Instant::now());
     let (mut wrong, mut in_flight, mut route) = (0_u32, 0_u64, 0_u64);
+    let mut pulse = tokio::time::interval(PULSE);
     viewer.ask(Request::Refresh);
     loop {
         tokio::select! {
             message = socket.recv() => {
+                viewer.is_there();
                 let text = match message {
                     Some(Ok(Message::Text(text))) => text,
                     Some(Ok(Message::Ping(_) | Message::Pong(_))) => continue,
@@ -323,6 +328,11 @@ async fn serve_viewer(socket: &mut WebSocket, hub: &Arc<Hub>, viewer: &mut Viewe
                     return GONE;
                 }
                 in_flight += 1;
+            }
+            _ = pulse.tick(), if viewer.drives() => {
+                if !send(socket, Message::Ping(Bytes::new())).await {
+                    return GONE;
+                }
             }
             Ok(()) = greeting.changed() => {
                 if !greet(socket, hub, viewer.id).await {

@@ -81,7 +81,9 @@ async function greet(message) {
   points = message.history;
   noted = 0;
   counts = {};
-  $("events").replaceChildren();
+  const none = Object.assign(document.createElement("li"), { className: "none", textContent: "nothing yet" });
+  $("events").replaceChildren(none);
+  put("counts", "");
   $("town").textContent = message.town;
   document.title = `${message.town} · wad-cosim`;
   document.body.classList.toggle("replay", message.mode === "replay");
@@ -152,7 +154,9 @@ async function show(buffer) {
 
 function remember(next) {
   const last = points.length ? points[points.length - 1][0] : -1;
-  if (next.time < last - 1e-3 && hello.mode !== "replay") points = [];
+  // Put down elsewhere: another course begins.
+  const far = state && Math.hypot(next.ego.x - state.ego.x, next.ego.y - state.ego.y) > 25;
+  if ((far || next.time < last - 1e-3) && hello.mode !== "replay") points = [];
   if (next.time > last && hello.mode !== "replay") points.push([next.time, next.ego.speed, next.limit, ...next.reward]);
   if (points.length > 900 && hello.mode !== "replay") points.shift();
 }
@@ -193,13 +197,13 @@ function overlay() {
 
 // ---- gauges ----
 const put = (id, text) => { const e = $(id); if (e.textContent !== text) e.textContent = text; };
-const option = { LaneFollow: "follow the lane", Left: "← left", Right: "right →", Straight: "↑ straight on", ChangeLaneLeft: "↖ change lane", ChangeLaneRight: "↗ change lane" };
+const option = { LaneFollow: "follow lane", Left: "← left", Right: "right →", Straight: "↑ straight on", ChangeLaneLeft: "↖ change lane", ChangeLaneRight: "↗ change lane" };
 const light = { red: "red", red_yellow: "red and yellow", yellow: "yellow", green_minor: "green, give way", green_major: "green", stop_then_go: "stop, then go", off: "off" };
 const lightColour = { red: "bad", red_yellow: "bad", yellow: "warn", green_minor: "good", green_major: "good", stop_then_go: "bad" };
 
 function clock(s) {
-  const m = Math.floor(s / 60);
-  return `${m}:${(s - 60 * m).toFixed(1).padStart(4, "0")}`;
+  const tenths = Math.round(s * 10), m = Math.floor(tenths / 600);
+  return `${m}:${((tenths - 600 * m) / 10).toFixed(1).padStart(4, "0")}`;
 }
 
 function paint() {
@@ -315,7 +319,6 @@ function replay(message) {
   $("scrub").max = Math.max(0, message.ticks - 1);
   points = message.course || [];
   map.trail = [];
-  $("counts").textContent = "";
   const list = message.episodes || [], outcomes = [...new Set(list.map((e) => e.outcome))].sort();
   const chosen = $("outcome").value;
   options($("outcome"), [["", `all (${list.length})`], ...outcomes.map((o) => [o, `${o.replace(/_/g, " ")} (${list.filter((e) => e.outcome === o).length})`])]);
@@ -355,7 +358,7 @@ function setLook(next) {
   look = next;
   kept("look", next);
   for (const b of $("looks").children) b.setAttribute("aria-checked", b.dataset.look === next);
-  document.querySelector(".camera").classList.toggle("wide", next === "chase");
+  document.body.classList.toggle("wide", next === "chase");
   send({ do: "look", chase: next === "chase", stages: Boolean(hello?.stages) });
 }
 const pause = () => send({ do: "pause", on: !state?.paused });

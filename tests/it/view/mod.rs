@@ -458,7 +458,9 @@ fn a_kept_episode_is_played_and_scrubbed_in_a_browser() {
 
     // The timeline goes where it is dragged, and the same state comes back.
     let scrub = |tick: u64| {
-        format!("(() => {{ const s = document.getElementById('scrub'); s.value = {tick}; s.dispatchEvent(new Event('input')); s.dispatchEvent(new Event('change')); }})()")
+        format!(
+            "(() => {{ const s = document.getElementById('scrub'); s.value = {tick}; s.dispatchEvent(new Event('input')); s.dispatchEvent(new Event('change')); }})()"
+        )
     };
     assert_eq!(browser.ask(&page, "wad.state.paused"), true);
     let mut seen = Vec::new();
