@@ -25,6 +25,7 @@
 //! | [`train`] | training of the networks |
 //! | [`agent`] | agents that learn to drive |
 //! | [`tasks`] | what is to be driven, and where on a net that can be done |
+//! | [`scenario`] | situations drawn in netedit, and what makes them happen |
 //! | [`reward`] | the paper's six reward terms |
 //! | [`env`] | all of that as `reset` and `step` |
 //! | [`eval`] | suites of episodes, driven in parallel |
@@ -65,6 +66,7 @@ pub mod perception;
 pub mod record;
 pub mod replay;
 pub mod reward;
+pub mod scenario;
 pub mod seeds;
 pub mod sight;
 pub mod sumo_config;

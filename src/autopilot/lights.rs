@@ -52,7 +52,7 @@ impl Lights {
             None if distance < params.unknown_light_distance => Verdict::Stop,
             None => by_rules,
             Some(SignalState::Red | SignalState::RedYellow) => {
-                if needed < params.emergency_deceleration || speed < 1.0 { Verdict::Stop } else { by_rules }
+                if needed < params.emergency_deceleration || speed < 2.0 { Verdict::Stop } else { by_rules }
             }
             Some(SignalState::Yellow) => {
                 if self.passing_yellow == Some(plan.link) {

@@ -8,11 +8,13 @@
 //! bridge.step(&mut [&mut ego]) poses in, one SUMO step, a new WorldState for each ego
 //! ```
 
+mod director;
 mod ego;
 mod error;
 mod observe;
 mod signals;
 
+pub use director::{Director, Scene};
 pub use ego::{Ego, Lamps};
 pub use error::BridgeError;
 
@@ -53,6 +55,9 @@ pub struct BridgeOptions {
     pub tick_timeout: f64,
     /// Folder for SUMO's files: effective config, log, redirected outputs.
     pub output_dir: PathBuf,
+    /// The config is a scenario: what it has drawn stays beside the background population, but for its ego.
+    #[serde(default)]
+    pub scenario: bool,
 }
 
 impl BridgeOptions {
@@ -68,6 +73,7 @@ impl BridgeOptions {
             attach: None,
             tick_timeout: 60.0,
             output_dir: output_dir.into(),
+            scenario: false,
         }
     }
 }
@@ -90,8 +96,11 @@ pub struct Bridge {
     signals: SignalWatch,
     population: Option<Population>,
     traffic_seed: u64,
+    /// Those that the config brings are taken out.
+    traffic_alone: bool,
     /// Vehicles have been taken out by hand: arrivals no longer tell how many there are.
     resized: bool,
+    director: Option<Box<dyn Director>>,
     batch: Batch,
     sight: f64,
     gui: bool,
@@ -169,8 +178,10 @@ impl Bridge {
         };
         client.set_timeout(Some(timeout));
         let traffic_seed = seeds::derive(options.seed, "traffic");
-        let population = options.traffic.counts(&config.name());
-        let population = population.map(|counts| population_of(&network, counts, traffic_seed));
+        let traffic_alone = !options.scenario;
+        let population = options.traffic.counts(&config.town());
+        let population =
+            population.map(|counts| population_of(&network, counts, traffic_seed, traffic_alone));
         let core = process.as_ref().filter(|_| !options.gui).map(|process| SharedCore::with(process.id()));
         Ok(Self {
             client,
@@ -182,7 +193,9 @@ impl Bridge {
             catalog: ActorCatalog::default(),
             population,
             traffic_seed,
+            traffic_alone,
             resized: false,
+            director: None,
             batch: Batch::new(),
             sight: options.sight,
             gui: options.gui,
@@ -231,6 +244,11 @@ impl Bridge {
         self.process.as_ref().map(SumoProcess::id)
     }
 
+    /// Has somebody act beside the egos from the first spawn on: a scenario's events. To be set before it.
+    pub fn set_director(&mut self, director: Box<dyn Director>) {
+        self.director = Some(director);
+    }
+
     /// Brings an ego into SUMO with its first step. The population appears round it.
     ///
     /// # Errors
@@ -257,6 +275,13 @@ impl Bridge {
             StepEvents::subscribe(&mut self.batch);
             if let Some(population) = &mut self.population {
                 population.define_types(&mut self.batch);
+            }
+            let (time, tick) = (self.ticks as f64 * self.tick(), self.tick());
+            if let (Some(director), Some(ego)) = (&mut self.director, egos.first()) {
+                // Before the population: what the scenario has put somewhere stands there.
+                director.begin(&Scene { network: &self.network, time, tick, ego }, &mut self.batch);
+            }
+            if let Some(population) = &mut self.population {
                 population.populate(&mut self.batch, egos.first().map(|ego| ego.state().pose));
             }
         }
@@ -291,6 +316,10 @@ impl Bridge {
 
     /// Sends what is in the batch with the egos' poses and the step, and reads the new worlds.
     async fn exchange(&mut self, egos: &mut [&mut Ego]) -> Result<Replies, BridgeError> {
+        let (time, tick) = (self.ticks as f64 * self.tick(), self.tick());
+        if let (Some(director), Some(ego)) = (&mut self.director, egos.first()) {
+            director.direct(&Scene { network: &self.network, time, tick, ego }, &mut self.batch);
+        }
         let observers: Vec<Point> = egos.iter().map(|ego| ego.state().pose.xy()).collect();
         self.signals.follow(&self.network, &observers, &mut self.batch);
         let reported: Vec<_> =
@@ -404,13 +433,15 @@ impl Bridge {
         let mut ask = Batch::new();
         let (vehicles, persons) = (ask.get(vehicle::ID_LIST, ""), ask.get(person::ID_LIST, ""));
         let replies = self.ask(&ask).await?;
-        let mut population = population_of(&self.network, Counts::default(), self.traffic_seed);
+        let mut population =
+            population_of(&self.network, Counts::default(), self.traffic_seed, self.traffic_alone);
         for id in replies.get(vehicles).map_err(traci::Error::from)? {
-            if !KEPT.contains(&id.as_str()) {
+            if self.traffic_alone && !KEPT.contains(&id.as_str()) {
                 vehicle::remove(&mut self.batch, &id, RemoveReason::Vaporized);
             }
         }
-        for id in replies.get(persons).map_err(traci::Error::from)? {
+        let persons = replies.get(persons).map_err(traci::Error::from)?;
+        for id in persons.into_iter().filter(|_| self.traffic_alone) {
             person::remove(&mut self.batch, &id, RemoveReason::Vaporized);
         }
         population.define_types(&mut self.batch);
@@ -507,9 +538,9 @@ impl Bridge {
 /// Who is in SUMO beside the population.
 const KEPT: [&str; 2] = ["ego", OBSTACLE];
 
-fn population_of(network: &Arc<Network>, counts: Counts, seed: u64) -> Population {
+fn population_of(network: &Arc<Network>, counts: Counts, seed: u64, alone: bool) -> Population {
     let keep = KEPT.map(str::to_string).to_vec();
-    let behaviour = traffic::Options { alone: true, keep, ..Default::default() };
+    let behaviour = traffic::Options { alone, keep, ..Default::default() };
     Population::new(Arc::clone(network), counts, seed, behaviour)
 }
 
@@ -544,6 +575,7 @@ fn overrides(options: &BridgeOptions, config: &SumoConfig, tick_ms: f64) -> Over
         output_dir: options.output_dir.clone(),
         set,
         default,
-        drop_demand: !options.traffic.keeps_config_demand(),
+        drop_demand: !options.traffic.keeps_config_demand() && !options.scenario,
+        drop_type: options.scenario.then_some(crate::scenario::EGO_TYPE),
     }
 }

@@ -43,6 +43,7 @@ pub use frame::{Frame, ObjectTruth, Outputs};
 pub use picture::Picture;
 pub use town::Town;
 pub use view::View;
+pub(crate) use weather::distance;
 pub use weather::{Preset, Weather};
 
 use crate::geometry::Pose;

@@ -17,6 +17,7 @@ mod replay;
 mod replay_view;
 mod report;
 mod run;
+mod scenario;
 mod snapshot;
 mod train;
 mod view;
@@ -62,6 +63,8 @@ enum Command {
     Replay(replay::Args),
     /// Make pictures and tables of what was trained and measured.
     Report(report::Args),
+    /// Make, edit, check, list and drive scenarios: folders of SUMO files that netedit opens.
+    Scenario(Box<scenario::Args>),
     /// Check what this machine has for wad-cosim, and say what to do about what is missing.
     Doctor(doctor::Args),
 }
@@ -79,6 +82,7 @@ pub fn main() -> ExitCode {
         Command::Eval(args) => eval::run(args),
         Command::Replay(args) => replay::run(&args),
         Command::Report(args) => report::run(args),
+        Command::Scenario(args) => scenario::run(*args),
         Command::Doctor(args) => doctor::run(args),
     };
     match result {

@@ -2,6 +2,7 @@
 
 use super::LatentError;
 use super::encoder::TchEncoder;
+use super::packed::Scratch;
 use super::probe::{Probe, Regression, auc, explained};
 use super::score::{ObjectScore, psnr, ssim};
 use crate::bench::median;
@@ -202,10 +203,10 @@ pub fn judge(
 /// Median CPU time of one image through the encoder (ms).
 fn encode_ms(encoder: &TchEncoder) -> Result<f64, JudgeError> {
     let image = TransformedImage::default();
-    let mut times = Vec::new();
+    let (mut scratch, mut latent, mut times) = (Scratch::default(), Vec::new(), Vec::new());
     for _ in 0..100 {
         let before = cpu_time::of_thread();
-        encoder.encode_all(&[&image], 1)?;
+        encoder.encode_one(&image, &mut scratch, &mut latent)?;
         times.extend(cpu_time::of_thread().zip(before).map(|(after, before)| 1000.0 * (after - before)));
     }
     Ok(median(times))

@@ -1,5 +1,6 @@
 //! Batches of camera pictures and targets for CenterNet, made ahead by threads of their own.
 
+use super::weathering::{self, View};
 use crate::camera::model::ObjectClass;
 use crate::dataset::{BoxRecord, CameraCodec, Dataset, DatasetError, decode_camera};
 use crate::perception::centernet::targets::{Centre, Wanted, Window, encode};
@@ -142,7 +143,7 @@ pub struct Show {
     pub batch: usize,
     /// Width and height of the small windows; None: whole pictures only.
     pub window: Option<(usize, usize)>,
-    /// Vary light and colours.
+    /// Vary weather, light and colours ([`weathering`]).
     pub vary: bool,
 }
 
@@ -212,7 +213,7 @@ pub struct Batch {
 }
 
 impl Batch {
-    /// `count` windows of the picked samples, mirrored at random, their light and colours varied.
+    /// `count` windows of the picked samples, mirrored at random, their weather varied.
     fn new(
         show: &Show,
         samples: &[Sample],
@@ -240,18 +241,20 @@ impl Batch {
             }
             let wanted: Vec<Wanted> = samples[index].wanted().collect();
             let window = show.place(size, &wanted, rng);
-            let mirrored = rng.random::<bool>();
             let start = batch.pixels.len();
             for y in window.top..window.top + height {
-                let row = &rgb[(y * SIDE + window.left) * 3..][..width * 3];
-                if mirrored {
-                    batch.pixels.extend(row.as_chunks::<3>().0.iter().rev().flatten());
-                } else {
-                    batch.pixels.extend(row);
-                }
+                batch.pixels.extend(&rgb[(y * SIDE + window.left) * 3..][..width * 3]);
             }
             if show.vary {
-                vary(&mut batch.pixels[start..], rng);
+                let Window { left, top, .. } = window;
+                let view = View { left, top, width, objects: &samples[index].objects };
+                weathering::weather(&mut batch.pixels[start..], view, rng);
+            }
+            let mirrored = rng.random::<bool>();
+            if mirrored {
+                for row in batch.pixels[start..].chunks_exact_mut(3 * width) {
+                    row.as_chunks_mut::<3>().0.reverse();
+                }
             }
             let shown = wanted.iter().filter_map(|one| window.view(one, cuts_rows)).map(|mut one| {
                 if mirrored {
@@ -294,33 +297,6 @@ impl Batch {
         Ok((x, Target { heat, cells, size: pairs(&|c| c.size)?, offset: pairs(&|c| c.offset)? }))
     }
 }
-
-/// Other light, other colours, less contrast, some noise: towards the weathers that training never sees.
-/// A table per colour, since a picture has many pixels and a byte few values.
-fn vary(rgb: &mut [u8], rng: &mut impl RngExt) {
-    let gamma = rng.random_range(-0.45_f32..0.45).exp();
-    let (gain, contrast) = (rng.random_range(0.7..1.25), rng.random_range(0.55..1.2));
-    let tables: [[f32; 256]; 3] = std::array::from_fn(|_| {
-        let gain: f32 = gain * rng.random_range(0.88..1.12);
-        std::array::from_fn(|v| {
-            let value: f32 = (v as f32 / 255.0 - MIDDLE) * contrast + MIDDLE;
-            255.0 * gain * value.clamp(0.0, 1.0).powf(gamma)
-        })
-    });
-    let noise = rng.random_range(0.0_f32..NOISE) / 128.0;
-    for pixel in rgb.as_chunks_mut::<3>().0 {
-        let dice = rng.random::<u32>().to_le_bytes();
-        for c in 0..3 {
-            let off = noise * (f32::from(dice[c]) - 127.5);
-            pixel[c] = (tables[c][usize::from(pixel[c])] + off + 0.5) as u8;
-        }
-    }
-}
-
-/// What contrast is varied about.
-const MIDDLE: f32 = 0.45;
-/// The most that noise changes a byte by.
-const NOISE: f32 = 10.0;
 
 /// Makes the batches of an epoch on `workers` threads and hands each to `take`, in an order that does not
 /// depend on their number. `take` says whether to go on.

@@ -219,6 +219,7 @@ fn kind(kind: ActorKind) -> u8 {
         ActorKind::Motorcycle => 4,
         ActorKind::Bicycle => 5,
         ActorKind::Pedestrian => 6,
+        ActorKind::Object => 7,
     }
 }
 

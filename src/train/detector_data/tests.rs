@@ -114,20 +114,3 @@ fn batches_do_not_depend_on_the_number_of_threads() {
     assert!(one[0] != one[1]);
     assert!(one == run(3));
 }
-
-#[test]
-fn varied_pictures_keep_their_order_of_light() {
-    let mut rng = seeds::rng(3, "vary");
-    let mut means = Vec::new();
-    for _ in 0..20 {
-        let mut rgb: Vec<u8> = [40, 40, 40].repeat(500);
-        rgb.extend([200, 200, 200].repeat(500));
-        vary(&mut rgb, &mut rng);
-        let mean = |part: &[u8]| part.iter().map(|&v| f64::from(v)).sum::<f64>() / part.len() as f64;
-        let (dark, bright) = (mean(&rgb[..1500]), mean(&rgb[1500..]));
-        assert!(bright > dark + 30.0, "{dark} and {bright}");
-        means.push(bright);
-    }
-    let spread = means.iter().copied().fold(0.0, f64::max) - means.iter().copied().fold(255.0, f64::min);
-    assert!(spread > 50.0, "{spread}");
-}

@@ -227,7 +227,7 @@ export class StreetMap {
     c.rotate(heading);
     const grow = Math.max(1, thin(5) / width);
     const [l, w] = [length * Math.min(grow, 1.6), width * grow];
-    c.fillStyle = kind >= 4 ? col.two : col.car;
+    c.fillStyle = kind === 7 ? col.bad : kind >= 4 ? col.two : col.car;
     c.beginPath();
     c.roundRect(-l / 2, -w / 2, l, w, w * 0.25);
     c.fill();
