@@ -32,7 +32,7 @@ async fn play(path: &Path, args: &ViewArgs) -> anyhow::Result<Exit> {
     let mut interrupt = Interrupt::listen()?;
     let mut towns = BTreeMap::new();
     let first = load(&episodes, &episodes.first, &mut towns)?;
-    let mut player = Player::open(listener, first, episodes.listed.clone())?;
+    let mut player = Player::open(listener, first, episodes.listed.clone(), args.view_speed)?;
     loop {
         let next = tokio::select! {
             () = interrupt.wait() => break,

@@ -28,7 +28,7 @@ pub struct ViewArgs {
     view_token: Option<Token>,
     /// The live view's pace, times real time; 0: as fast as it goes. The page can change it.
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, requires = "view")]
-    view_speed: f64,
+    pub view_speed: f64,
 }
 
 impl ViewArgs {

@@ -129,11 +129,17 @@ impl Show {
 }
 
 impl Player {
-    /// Opens the page for an episode; `episodes` are those to pick from.
+    /// Opens the page for an episode, played at `speed_factor` times real time; `episodes` are those to
+    /// pick from.
     ///
     /// # Errors
     /// The threads cannot be started.
-    pub fn open(listener: Listener, played: Played, episodes: Vec<Listed>) -> Result<Self, ViewError> {
+    pub fn open(
+        listener: Listener,
+        played: Played,
+        episodes: Vec<Listed>,
+        speed_factor: f64,
+    ) -> Result<Self, ViewError> {
         let (hub, requests) = Hub::new();
         let Played { recording, listed, network, route, ego, driver, ending, map, artist } = played;
         let show = Show::of(recording, route, &network, &ego, (driver, ending));
@@ -145,7 +151,7 @@ impl Player {
             played: Box::new(show),
             episodes,
             at: 0,
-            state: State { speed_factor: 1.0, ..State::default() },
+            state: State { speed_factor, ..State::default() },
             weather: Preset::ClearNoon,
             due: Instant::now(),
             notes: Vec::new(),

@@ -81,9 +81,7 @@ async function greet(message) {
   points = message.history;
   noted = 0;
   counts = {};
-  const none = Object.assign(document.createElement("li"), { className: "none", textContent: "nothing yet" });
-  $("events").replaceChildren(none);
-  put("counts", "");
+  noEvents();
   $("town").textContent = message.town;
   document.title = `${message.town} · wad-cosim`;
   document.body.classList.toggle("replay", message.mode === "replay");
@@ -142,7 +140,7 @@ async function show(buffer) {
   map.update(next);
   paintPictures(drawn);
   paint();
-  for (const n of next.notes) if (n.n > noted) { noted = n.n; note(n); }
+  tellNotes(next.notes);
   requestAnimationFrame(() => {
     send({ do: "shown", seq: next.seq });
     wad.frames++;
@@ -297,6 +295,16 @@ const EVENTS = {
   vehicle_blocked: () => ["warn", "stood too long for no reason"],
   arrival: () => ["good", "arrived"],
 };
+// A replay that is dragged back has fewer of them.
+function tellNotes(notes) {
+  const last = notes.length ? notes[notes.length - 1].n : 0;
+  if (last < noted && hello.mode === "replay") { noted = 0; counts = {}; noEvents(); }
+  for (const n of notes) if (n.n > noted) { noted = n.n; note(n); }
+}
+function noEvents() {
+  $("events").replaceChildren(Object.assign(document.createElement("li"), { className: "none", textContent: "nothing yet" }));
+  put("counts", "");
+}
 function note(n, forced) {
   let [kind, text] = n.event ? (EVENTS[n.event] || (() => ["", n.event]))(n) : [forced || "", n.said];
   if (n.event) counts[n.event] = (counts[n.event] || 0) + 1;
