@@ -1,9 +1,10 @@
-//! The towns that travel with the binary, and how a name on the command line becomes a file.
+//! The towns and scenarios that travel with the binary, and how a name on the command line becomes a file.
 
 use include_dir::{Dir, DirEntry, include_dir};
 use std::path::{Path, PathBuf};
 
 static TOWNS: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/sumo_nets");
+static SCENARIOS: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/scenarios");
 static ENCODERS: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/models/encoder");
 static WAD_T: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/models/wad_t");
 static WAD_S: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/models/wad_s");
@@ -13,8 +14,9 @@ static DETECTORS: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/models/detector");
 #[derive(Debug, thiserror::Error)]
 pub enum ResolveError {
     #[error(
-        "no such config: `{name}` is neither a file (.sumocfg, .net.xml, .net.xml.gz) nor a bundled town; bundled towns: {}",
-        bundled.join(", ")
+        "no such config: `{name}` is neither a file (.sumocfg, .net.xml, .net.xml.gz), nor a bundled town ({}), nor a bundled scenario ({})",
+        bundled.join(", "),
+        scenarios().join(", ")
     )]
     NotFound { name: String, bundled: Vec<String> },
     #[error("`{}` is a folder with {found} .sumocfg files; name the one to run", path.display())]
@@ -29,6 +31,17 @@ pub fn towns() -> Vec<String> {
         .dirs()
         .filter_map(|dir| dir.path().file_name()?.to_str().map(String::from))
         .filter(|name| TOWNS.get_file(format!("{name}/{name}.sumocfg")).is_some())
+        .collect();
+    names.sort();
+    names
+}
+
+/// Names of the bundled scenarios, sorted.
+pub fn scenarios() -> Vec<String> {
+    let mut names: Vec<String> = SCENARIOS
+        .dirs()
+        .filter_map(|dir| dir.path().file_name()?.to_str().map(String::from))
+        .filter(|name| SCENARIOS.get_file(format!("{name}/{name}.sumocfg")).is_some())
         .collect();
     names.sort();
     names
@@ -75,7 +88,8 @@ pub fn cache_dir() -> PathBuf {
 }
 
 /// The file that `name` means: a path that exists wins (a folder means the one .sumocfg in it),
-/// then the bundled town of that file name (`nets/town5.sumocfg`, `town5.sumocfg` and `town5` alike).
+/// then the bundled town of that file name (`nets/town5.sumocfg`, `town5.sumocfg` and `town5` alike), then
+/// the bundled scenario.
 pub fn resolve(name: &str) -> Result<PathBuf, ResolveError> {
     let path = Path::new(name);
     if path.is_file() {
@@ -100,12 +114,20 @@ pub fn resolve(name: &str) -> Result<PathBuf, ResolveError> {
         .unwrap_or(file);
     let bundled = towns();
     if !bundled.iter().any(|town| town == stem) {
+        if scenarios().iter().any(|scenario| scenario == stem) {
+            return Ok(unpack()?.join("scenarios").join(stem).join(format!("{stem}.sumocfg")));
+        }
         return Err(ResolveError::NotFound { name: name.to_string(), bundled });
     }
-    let root = unpack()?;
+    let root = unpack()?.join("sumo_nets");
     let net_only = file.ends_with(".net.xml") || file.ends_with(".net.xml.gz");
     let town = root.join(stem);
     Ok(if net_only { net_file(&town, stem) } else { town.join(format!("{stem}.sumocfg")) })
+}
+
+/// Whether a file is one of the bundled ones, as they lie unpacked in the cache.
+pub fn is_unpacked(path: &Path) -> bool {
+    path.starts_with(cache_dir().join("towns"))
 }
 
 fn net_file(town: &Path, stem: &str) -> PathBuf {
@@ -113,9 +135,10 @@ fn net_file(town: &Path, stem: &str) -> PathBuf {
     if plain.is_file() { plain } else { town.join(format!("{stem}.net.xml.gz")) }
 }
 
-/// Writes the bundled towns into the cache once per content and returns the folder.
+/// Writes the bundled towns and scenarios into the cache once per content, side by side as in the
+/// repository, and returns the folder.
 fn unpack() -> Result<PathBuf, ResolveError> {
-    let root = cache_dir().join("towns").join(format!("{:016x}", content_hash(&TOWNS)));
+    let root = cache_dir().join("towns").join(format!("{:016x}", content_hash(&[&TOWNS, &SCENARIOS])));
     if root.is_dir() {
         return Ok(root);
     }
@@ -123,8 +146,13 @@ fn unpack() -> Result<PathBuf, ResolveError> {
     // Unpacked beside its place and moved there, so that a torn copy is never used and two
     // processes at once do not see each other's half.
     let staging = root.with_extension(format!("tmp{}", std::process::id()));
-    std::fs::create_dir_all(&staging).map_err(fail)?;
-    let moved = TOWNS.extract(&staging).and_then(|()| std::fs::rename(&staging, &root));
+    let (towns, scenarios) = (staging.join("sumo_nets"), staging.join("scenarios"));
+    std::fs::create_dir_all(&towns).map_err(fail)?;
+    std::fs::create_dir_all(&scenarios).map_err(fail)?;
+    let moved = TOWNS
+        .extract(&towns)
+        .and_then(|()| SCENARIOS.extract(&scenarios))
+        .and_then(|()| std::fs::rename(&staging, &root));
     if let Err(error) = moved {
         let _ = std::fs::remove_dir_all(&staging);
         if !root.is_dir() {
@@ -135,7 +163,7 @@ fn unpack() -> Result<PathBuf, ResolveError> {
 }
 
 /// FNV-1a over the names and contents, in a fixed order.
-fn content_hash(dir: &Dir<'_>) -> u64 {
+fn content_hash(dirs: &[&Dir<'_>]) -> u64 {
     fn add(hash: u64, bytes: &[u8]) -> u64 {
         bytes.iter().fold(hash, |h, &b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3))
     }
@@ -151,7 +179,7 @@ fn content_hash(dir: &Dir<'_>) -> u64 {
         }
         hash
     }
-    walk(0xcbf2_9ce4_8422_2325, dir)
+    dirs.iter().fold(0xcbf2_9ce4_8422_2325, |hash, dir| walk(hash, dir))
 }
 
 #[cfg(test)]

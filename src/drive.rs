@@ -4,8 +4,11 @@ use crate::autopilot::{Autopilot, AutopilotParams, Decision, EgoModel};
 use crate::bridge::{Bridge, BridgeError, BridgeOptions, Ego, Lamps};
 use crate::criteria::{Cause, Criteria, CriteriaParams, Event, Situation};
 use crate::destination::{self, DestinationError, Destinations};
+use crate::env::episode;
+use crate::env::{Ending, Termination};
 use crate::learned_driver::{DriverRecord, LearnedDriver, LearnedDriverError};
 use crate::network::{LanePosition, Network, Polygon, Route, Shapes};
+use crate::scenario::{Director, Scenario};
 use crate::telemetry::{
     FolderError, LeaderRecord, LightRecord, RouteRecord, RunFolder, TickRecord, WriteError,
 };
@@ -14,6 +17,7 @@ use crate::vehicle::{self, Control, EgoParams, PartnerKind};
 use crate::{cpu_time, seeds};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
 /// What a run is made of; saved as its `config.json`.
@@ -27,6 +31,9 @@ pub struct DriveOptions {
     pub criteria: CriteriaParams,
     /// The run's folder.
     pub out: PathBuf,
+    /// The scenario that the config is, to be played: its route, its events, its end.
+    #[serde(skip)]
+    pub scenario: Option<Arc<Scenario>>,
 }
 
 impl DriveOptions {
@@ -39,6 +46,7 @@ impl DriveOptions {
             autopilot: Default::default(),
             criteria: Default::default(),
             out,
+            scenario: None,
         }
     }
 
@@ -123,6 +131,11 @@ pub struct Summary {
     pub vehicles_mean: f64,
     pub pedestrians_mean: f64,
     pub end: String,
+    /// Of a scenario: whether its task counts the end as a success, and why it ended.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub success: Option<bool>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cause: Option<String>,
     pub interrupted: bool,
     /// The run's folder.
     pub out: PathBuf,
@@ -148,6 +161,9 @@ pub struct Drive {
     totals: Totals,
     timings: Timings,
     began: Instant,
+    /// Ticks that the scenario may take, and how it ended.
+    limit: Option<u64>,
+    ending: Option<Ending>,
 }
 
 /// Where the wall time of the ticks so far went (s).
@@ -200,22 +216,34 @@ impl Drive {
     ) -> Result<Self, DriveError> {
         let config = RunConfig { options: &options, driver: driver.as_ref().map(LearnedDriver::record) };
         let folder = RunFolder::create(&options.out, &config)?;
+        let mut options = options;
+        if let Some(scenario) = &options.scenario {
+            options.bridge.scenario = true;
+            options.bridge.closed_lanes.clone_from(&scenario.closed_lanes);
+        }
         let mut bridge = Bridge::start(&options.bridge).await?;
         let network = bridge.network().clone();
         let rng = seeds::rng(options.bridge.seed, "route");
         let mut destinations = Destinations::new(&network, rng)?;
-        let route = match &options.route {
-            Some(text) => {
+        if let Some(scenario) = &options.scenario {
+            bridge.set_director(Box::new(Director::new(Arc::clone(scenario))));
+        }
+        let route = match (&options.route, &options.scenario) {
+            (None, Some(scenario)) => scenario.route.clone(),
+            (Some(text), _) => {
                 let (from, to) = destination::parse_route(&network, text)?;
                 network.route(from, to, destination::EGO_CLASS).map_err(DestinationError::from)?
             }
-            None => first_route(&network, &mut destinations)?,
+            (None, None) => first_route(&network, &mut destinations)?,
         };
         let mut ego = Ego::new("ego", options.ego.clone(), route, 0.0);
         ego.vehicle_mut().set_statics(vehicle::statics_from_network(&network, &polygons(&bridge, &network)));
         bridge.spawn(&mut ego).await?;
         let autopilot = Autopilot::new(options.autopilot, EgoModel::from(&options.ego));
+        let limit = options.scenario.as_ref().map(|scenario| scenario.tick_limit(bridge.tick()));
         Ok(Self {
+            limit,
+            ending: None,
             bridge,
             ego,
             autopilot,
@@ -235,9 +263,19 @@ impl Drive {
         &self.bridge
     }
 
+    /// The same, for what is to be asked of SUMO beside the drive.
+    pub fn bridge_mut(&mut self) -> &mut Bridge {
+        &mut self.bridge
+    }
+
     /// The ego.
     pub fn ego(&self) -> &Ego {
         &self.ego
+    }
+
+    /// How the scenario ended, where it is one and has.
+    pub fn ending(&self) -> Option<&Ending> {
+        self.ending.as_ref()
     }
 
     /// Where the wall time went.
@@ -312,10 +350,7 @@ impl Drive {
             before,
             after,
             contacts: &contacts,
-            static_label: &|key| {
-                let bodies = self.ego.vehicle().statics();
-                bodies.get(key as usize).map_or_else(|| key.to_string(), |body| body.label.clone())
-            },
+            static_label: &|key| self.ego.static_label(key),
             length: params.length,
             width: params.width,
             wheelbase: params.wheelbase,
@@ -327,9 +362,28 @@ impl Drive {
         self.totals.outside_ticks += u64::from(self.criteria.is_outside_lane());
         let record = self.record(&network, &decision, events);
         self.folder.record(&record)?;
-        self.go_on(&network, &record.events).await?;
+        match self.options.scenario.clone() {
+            Some(scenario) => self.judge(&scenario, &network, &record.events),
+            None => self.go_on(&network, &record.events).await?,
+        }
         let elapsed = self.began.elapsed().as_secs_f64().max(1e-9);
         Ok(Status { record, ticks_per_second: self.totals.ticks as f64 / elapsed })
+    }
+
+    /// Whether the scenario has ended with this tick.
+    fn judge(&mut self, scenario: &Scenario, network: &Network, events: &[Event]) {
+        if self.ending.is_some() {
+            return;
+        }
+        let ticks = self.totals.ticks;
+        self.ending = match Termination::default().decide(events) {
+            Some((end, cause)) => Some(episode::ending(scenario.task, end, cause)),
+            None if self.limit.is_some_and(|limit| ticks >= limit) => {
+                let (kind, placement) = (scenario.task, &scenario.placement);
+                Some(episode::judge_limit(kind, placement, ticks, network, &self.ego))
+            }
+            None => None,
+        };
     }
 
     fn record(&self, network: &Network, decision: &Decision, events: Vec<Event>) -> TickRecord {
@@ -423,7 +477,9 @@ impl Drive {
             respawns: t.respawns,
             vehicles_mean: per_tick(t.vehicles as f64),
             pedestrians_mean: per_tick(t.pedestrians as f64),
-            end: end.to_string(),
+            end: self.ending.as_ref().map_or(end, |ending| ending.end.name()).to_string(),
+            success: self.ending.as_ref().map(|ending| ending.success),
+            cause: self.ending.as_ref().map(|ending| ending.cause.clone()),
             interrupted,
             out: self.folder.path().to_path_buf(),
         }

@@ -12,6 +12,7 @@
 //! |---|---|
 //! | [`traci`] | the TraCI client: codec, connection, domains, SUMO as a child process |
 //! | [`network`] | `.net.xml` into lanes, links, crossings, signals; routes in (s, d) |
+//! | [`nets`] | nets built, imported, enriched, looked over |
 //! | [`world`] | one picture of the traffic round an ego per tick |
 //! | [`traffic`] | the background population |
 //! | [`vehicle`] | the ego's physics |
@@ -25,6 +26,7 @@
 //! | [`train`] | training of the networks |
 //! | [`agent`] | agents that learn to drive |
 //! | [`tasks`] | what is to be driven, and where on a net that can be done |
+//! | [`scenario`] | situations drawn in netedit, and what makes them happen |
 //! | [`reward`] | the paper's six reward terms |
 //! | [`env`] | all of that as `reset` and `step` |
 //! | [`eval`] | suites of episodes, driven in parallel |
@@ -58,12 +60,14 @@ pub mod geometry;
 pub mod interrupt;
 pub mod latent;
 pub mod learned_driver;
+pub mod nets;
 pub mod network;
 pub mod observation;
 pub mod perception;
 pub mod record;
 pub mod replay;
 pub mod reward;
+pub mod scenario;
 pub mod seeds;
 pub mod sight;
 pub mod sumo_config;

@@ -113,6 +113,8 @@ pub struct Overrides {
     pub default: Vec<(String, String)>,
     /// Leaves out the file's own routes.
     pub drop_demand: bool,
+    /// Leaves out trips and vehicles of this type, as a scenario's ego, which the bridge brings itself.
+    pub drop_type: Option<&'static str>,
 }
 
 impl SumoConfig {
@@ -188,6 +190,18 @@ impl SumoConfig {
         self.files("additional-files")
     }
 
+    /// Route files (the demand), absolute.
+    pub fn route_files(&self) -> Vec<PathBuf> {
+        self.files("route-files")
+    }
+
+    /// The town: the net's file name without its endings.
+    pub fn town(&self) -> String {
+        let net = self.net_files().into_iter().next().unwrap_or_else(|| self.path.clone());
+        let file = net.file_name().map(|f| f.to_string_lossy().to_string()).unwrap_or_default();
+        file.split('.').next().unwrap_or_default().to_string()
+    }
+
     fn files(&self, option: &str) -> Vec<PathBuf> {
         let value = self.options.get(option).map(String::as_str).unwrap_or_default();
         value.split(',').map(str::trim).filter(|v| !v.is_empty()).map(PathBuf::from).collect()
@@ -231,7 +245,9 @@ impl SumoConfig {
         schema: &OptionSchema,
         overrides: &Overrides,
     ) -> Result<PathBuf, ConfigError> {
-        let dir = &overrides.output_dir;
+        // SUMO counts relative paths from the configuration's own folder, not from ours.
+        let dir =
+            &std::path::absolute(&overrides.output_dir).unwrap_or_else(|_| overrides.output_dir.clone());
         std::fs::create_dir_all(dir).map_err(|source| ConfigError::Write { path: dir.clone(), source })?;
         let mut options = self.options.clone();
         for dropped in DROPPED {
@@ -250,6 +266,13 @@ impl SumoConfig {
             let mut kept = Vec::with_capacity(files.len());
             for file in files {
                 kept.push(redirect_outputs(&file, dir)?.to_string_lossy().to_string());
+            }
+            *value = kept.join(",");
+        }
+        if let (Some(dropped), Some(value)) = (overrides.drop_type, options.get_mut("route-files")) {
+            let mut kept = Vec::new();
+            for file in self.route_files() {
+                kept.push(without_type(&file, dropped, dir)?.to_string_lossy().to_string());
             }
             *value = kept.join(",");
         }
@@ -349,18 +372,61 @@ fn output_attribute(element: &str) -> Option<&'static str> {
     }
 }
 
-/// `file` itself where it writes nothing, else a copy in `dir` whose outputs go to `dir`.
-fn redirect_outputs(file: &Path, dir: &Path) -> Result<PathBuf, ConfigError> {
+/// `file` itself where nobody in it is of type `dropped`, else a copy in `dir` without those.
+fn without_type(file: &Path, dropped: &str, dir: &Path) -> Result<PathBuf, ConfigError> {
+    let text = read_plain(file)?;
+    let malformed = |problem: String| ConfigError::Malformed { path: file.to_path_buf(), problem };
+    let mut reader = quick_xml::Reader::from_str(&text);
+    let mut writer = quick_xml::Writer::new(Vec::with_capacity(text.len()));
+    let (mut inside, mut found) = (0usize, false);
+    let is_dropped = |start: &BytesStart<'_>| {
+        start.attributes().flatten().any(|a| a.key.0 == "type" && a.value.as_ref() == dropped)
+    };
+    loop {
+        let event = reader.read_event().map_err(|e| malformed(e.to_string()))?;
+        let drop = match &event {
+            Event::Eof => break,
+            Event::Start(start) if inside > 0 || is_dropped(start) => {
+                inside += 1;
+                true
+            }
+            Event::End(_) if inside > 0 => {
+                inside -= 1;
+                true
+            }
+            Event::Empty(start) => inside > 0 || is_dropped(start),
+            _ => inside > 0,
+        };
+        found |= drop;
+        if !drop {
+            writer.write_event(event).map_err(|e| malformed(e.to_string()))?;
+        }
+    }
+    if !found {
+        return Ok(file.to_path_buf());
+    }
+    let name = file.file_name().map(|f| f.to_string_lossy().to_string()).unwrap_or_default();
+    let path = dir.join(format!("without-{dropped}-{}", name.trim_end_matches(".gz")));
+    std::fs::write(&path, writer.into_inner())
+        .map_err(|source| ConfigError::Write { path: path.clone(), source })?;
+    Ok(path)
+}
+
+/// A file's text, plain or gzipped.
+fn read_plain(file: &Path) -> Result<String, ConfigError> {
     let read_error = |source| ConfigError::Read { path: file.to_path_buf(), source };
     let bytes = std::fs::read(file).map_err(read_error)?;
-    let text = if bytes.starts_with(&[0x1f, 0x8b]) {
-        let mut text = String::new();
-        let read = flate2::read::MultiGzDecoder::new(&bytes[..]).read_to_string(&mut text);
-        read.map_err(read_error)?;
-        text
-    } else {
-        String::from_utf8_lossy(&bytes).into_owned()
-    };
+    if !bytes.starts_with(&[0x1f, 0x8b]) {
+        return Ok(String::from_utf8_lossy(&bytes).into_owned());
+    }
+    let mut text = String::new();
+    flate2::read::MultiGzDecoder::new(&bytes[..]).read_to_string(&mut text).map_err(read_error)?;
+    Ok(text)
+}
+
+/// `file` itself where it writes nothing, else a copy in `dir` whose outputs go to `dir`.
+fn redirect_outputs(file: &Path, dir: &Path) -> Result<PathBuf, ConfigError> {
+    let text = read_plain(file)?;
     let writers =
         ["Detector", "ductionLoop", "edgeData", "laneData", "meanData", "Probe", "calibrator", "timedEvent"];
     if !writers.iter().any(|w| text.contains(w)) {

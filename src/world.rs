@@ -15,6 +15,8 @@ pub enum ActorKind {
     Motorcycle,
     Bicycle,
     Pedestrian,
+    /// No road user: a barrier or a cone that stands in a lane.
+    Object,
 }
 
 /// What SUMO says of a vehicle type, asked once.

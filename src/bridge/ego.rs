@@ -5,7 +5,7 @@ use crate::geometry::{Pose, Vector};
 use crate::network::{EdgeKind, LaneId, Network, Route};
 use crate::traci::{Batch, Color, CommandError, Replies, Ticket, route, vehicle, vehicle_type};
 use crate::vehicle::{Contact, Control, EgoParams, EgoState, EgoVehicle, MovingBody, PartnerKind};
-use crate::world::{Actor, VehicleSignals, WorldState};
+use crate::world::{Actor, ActorKind, VehicleSignals, WorldState};
 use std::collections::HashSet;
 
 /// Blinkers and brake light that others see.
@@ -60,6 +60,9 @@ pub(super) struct Reported {
 /// Edges of the route that SUMO is told of at once, and how many ahead of the ego it always knows.
 const TOLD_EDGES: usize = 5;
 const KEPT_EDGES: usize = 3;
+
+/// Added to the keys of barriers and cones, which physics takes for fixed bodies.
+const OBJECT_KEYS: u64 = 1 << 40;
 
 /// Route projection window behind and ahead of the last place (m).
 const BACK: f64 = 10.0;
@@ -146,6 +149,16 @@ impl Ego {
         &self.vehicle
     }
 
+    /// What a report calls the fixed body of that key, see [`crate::criteria::Situation`].
+    pub fn static_label(&self, key: u64) -> String {
+        let body = usize::try_from(key).ok().and_then(|index| self.vehicle.statics().get(index));
+        match body {
+            Some(body) => body.label.clone(),
+            None if key >= OBJECT_KEYS => "barrier or cone".to_string(),
+            None => key.to_string(),
+        }
+    }
+
     /// What it is made of.
     pub fn params(&self) -> &EgoParams {
         self.vehicle.params()
@@ -175,8 +188,13 @@ impl Ego {
     pub fn advance(&mut self, control: Control, duration: f64) -> Vec<Contact> {
         let bodies = |kind: PartnerKind| {
             move |actor: &Actor| MovingBody {
-                key: actor.key,
-                kind,
+                // Beyond the keys of what stands by itself.
+                key: if actor.actor_type.kind == ActorKind::Object {
+                    actor.key + OBJECT_KEYS
+                } else {
+                    actor.key
+                },
+                kind: if actor.actor_type.kind == ActorKind::Object { PartnerKind::Static } else { kind },
                 pose: actor.pose,
                 speed: actor.speed,
                 length: actor.actor_type.length,

@@ -8,11 +8,13 @@
 //! bridge.step(&mut [&mut ego]) poses in, one SUMO step, a new WorldState for each ego
 //! ```
 
+mod director;
 mod ego;
 mod error;
 mod observe;
 mod signals;
 
+pub use director::{Director, Scene};
 pub use ego::{Ego, Lamps};
 pub use error::BridgeError;
 
@@ -53,6 +55,12 @@ pub struct BridgeOptions {
     pub tick_timeout: f64,
     /// Folder for SUMO's files: effective config, log, redirected outputs.
     pub output_dir: PathBuf,
+    /// The config is a scenario: what it has drawn stays beside the background population, but for its ego.
+    #[serde(default)]
+    pub scenario: bool,
+    /// Lanes that the scenario closes: the background population keeps off them from the start.
+    #[serde(default)]
+    pub closed_lanes: Vec<String>,
 }
 
 impl BridgeOptions {
@@ -68,6 +76,8 @@ impl BridgeOptions {
             attach: None,
             tick_timeout: 60.0,
             output_dir: output_dir.into(),
+            scenario: false,
+            closed_lanes: Vec::new(),
         }
     }
 }
@@ -89,6 +99,7 @@ pub struct Bridge {
     catalog: ActorCatalog,
     signals: SignalWatch,
     population: Option<Population>,
+    director: Option<Box<dyn Director>>,
     batch: Batch,
     sight: f64,
     gui: bool,
@@ -165,13 +176,17 @@ impl Bridge {
             }
         };
         client.set_timeout(Some(timeout));
-        let population = options.traffic.counts(&config.name()).map(|counts| {
+        let population = options.traffic.counts(&config.town()).map(|counts| {
             let behaviour = traffic::Options {
-                alone: true,
+                alone: !options.scenario,
                 keep: vec!["ego".to_string(), OBSTACLE.to_string()],
                 ..Default::default()
             };
-            Population::new(Arc::clone(&network), counts, seeds::derive(options.seed, "traffic"), behaviour)
+            let roads = match options.closed_lanes.as_slice() {
+                [] => Arc::clone(&network),
+                closed => Arc::new(network.without_lanes(closed)),
+            };
+            Population::new(roads, counts, seeds::derive(options.seed, "traffic"), behaviour)
         });
         let core = process.as_ref().filter(|_| !options.gui).map(|process| SharedCore::with(process.id()));
         Ok(Self {
@@ -183,6 +198,7 @@ impl Bridge {
             config,
             catalog: ActorCatalog::default(),
             population,
+            director: None,
             batch: Batch::new(),
             sight: options.sight,
             gui: options.gui,
@@ -231,6 +247,11 @@ impl Bridge {
         self.process.as_ref().map(SumoProcess::id)
     }
 
+    /// Has somebody act beside the egos from the first spawn on: a scenario's events. To be set before it.
+    pub fn set_director(&mut self, director: Box<dyn Director>) {
+        self.director = Some(director);
+    }
+
     /// Brings an ego into SUMO with its first step. The population appears round it.
     ///
     /// # Errors
@@ -257,6 +278,13 @@ impl Bridge {
             StepEvents::subscribe(&mut self.batch);
             if let Some(population) = &mut self.population {
                 population.define_types(&mut self.batch);
+            }
+            let (time, tick) = (self.ticks as f64 * self.tick(), self.tick());
+            if let (Some(director), Some(ego)) = (&mut self.director, egos.first()) {
+                // Before the population: what the scenario has put somewhere stands there.
+                director.begin(&Scene { network: &self.network, time, tick, ego }, &mut self.batch);
+            }
+            if let Some(population) = &mut self.population {
                 population.populate(&mut self.batch, egos.first().map(|ego| ego.state().pose));
             }
         }
@@ -291,6 +319,10 @@ impl Bridge {
 
     /// Sends what is in the batch with the egos' poses and the step, and reads the new worlds.
     async fn exchange(&mut self, egos: &mut [&mut Ego]) -> Result<Replies, BridgeError> {
+        let (time, tick) = (self.ticks as f64 * self.tick(), self.tick());
+        if let (Some(director), Some(ego)) = (&mut self.director, egos.first()) {
+            director.direct(&Scene { network: &self.network, time, tick, ego }, &mut self.batch);
+        }
         let observers: Vec<Point> = egos.iter().map(|ego| ego.state().pose.xy()).collect();
         self.signals.follow(&self.network, &observers, &mut self.batch);
         let reported: Vec<_> =
@@ -503,6 +535,7 @@ fn overrides(options: &BridgeOptions, config: &SumoConfig, tick_ms: f64) -> Over
         output_dir: options.output_dir.clone(),
         set,
         default,
-        drop_demand: !options.traffic.keeps_config_demand(),
+        drop_demand: !options.traffic.keeps_config_demand() && !options.scenario,
+        drop_type: options.scenario.then_some(crate::scenario::EGO_TYPE),
     }
 }

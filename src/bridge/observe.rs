@@ -11,6 +11,9 @@ use std::sync::Arc;
 /// Ticks after which an actor that is out of sight is forgotten.
 const FORGET_AFTER: u64 = 2000;
 
+/// Begins the types of things that SUMO takes for vehicles.
+const OBJECTS: &str = "wad_object";
+
 /// Remembers ids and types of the actors seen, so that a tick copies numbers only.
 ///
 /// What can be known without SUMO is not subscribed to, since each value costs SUMO about a
@@ -202,7 +205,11 @@ impl ActorCatalog {
             let [length, width, height, min_gap] = measures;
             let actor_type = ActorType {
                 id: (*name).to_string(),
-                kind: kind_of(replies.get_ref(class)?, replies.get_ref(shape)?),
+                kind: if name.starts_with(OBJECTS) {
+                    ActorKind::Object
+                } else {
+                    kind_of(replies.get_ref(class)?, replies.get_ref(shape)?)
+                },
                 length: replies.get(length)?,
                 width: replies.get(width)?,
                 height: replies.get(height)?,

@@ -11,10 +11,12 @@ mod dataset;
 mod doctor;
 mod eval;
 mod exit;
+mod net;
 mod progress;
 mod replay;
 mod report;
 mod run;
+mod scenario;
 mod snapshot;
 mod train;
 
@@ -59,6 +61,10 @@ enum Command {
     Replay(replay::Args),
     /// Make pictures and tables of what was trained and measured.
     Report(report::Args),
+    /// Make, edit, check, list and drive scenarios: folders of SUMO files that netedit opens.
+    Scenario(Box<scenario::Args>),
+    /// Facts about a net; build, import and enrich nets.
+    Net(Box<net::Args>),
     /// Check what this machine has for wad-cosim, and say what to do about what is missing.
     Doctor(doctor::Args),
 }
@@ -76,6 +82,8 @@ pub fn main() -> ExitCode {
         Command::Eval(args) => eval::run(args),
         Command::Replay(args) => replay::run(&args),
         Command::Report(args) => report::run(args),
+        Command::Scenario(args) => scenario::run(*args),
+        Command::Net(args) => net::run(*args),
         Command::Doctor(args) => doctor::run(args),
     };
     match result {

@@ -6,9 +6,9 @@ use clap::ValueHint;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::IsTerminal;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 use wad_cosim::bridge::{BridgeError, BridgeOptions};
-use wad_cosim::bundled;
 use wad_cosim::camera::{CameraConfig, Preset, Town, Weather};
 use wad_cosim::criteria::Event;
 use wad_cosim::drive::{Drive, DriveError, DriveOptions, Status, Summary};
@@ -16,8 +16,11 @@ use wad_cosim::env::EnvOptions;
 use wad_cosim::learned_driver::LearnedDriver;
 use wad_cosim::perception::{self, Percept};
 use wad_cosim::record::{Codec, RecordView, Recorder};
+use wad_cosim::scenario::{self, Scenario};
 use wad_cosim::sight;
+use wad_cosim::sumo_config::{OptionSchema, SumoConfig};
 use wad_cosim::telemetry::FolderError;
+use wad_cosim::traci::process::SumoInstall;
 use wad_cosim::traffic::TrafficSpec;
 use wad_cosim::watch::Watch;
 
@@ -38,7 +41,7 @@ Exit codes: 0 done; 2 usage or input; 3 SUMO failed; 4 interrupted, results kept
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
-    /// A .sumocfg, a .net.xml(.gz), a folder with one .sumocfg, or a bundled town (town3, town5).
+    /// A .sumocfg, a .net.xml(.gz), a scenario's folder, a bundled town (town3, town5) or a shipped scenario.
     #[arg(value_hint = ValueHint::FilePath)]
     config: String,
     /// Who drives: autopilot, wad-t, wad-s, a file that `train agent` wrote, or exec:COMMAND (docs/evaluate.md).
@@ -57,9 +60,10 @@ pub struct Args {
     /// Everything random derives from it [default: the config's seed, or 0].
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
-    /// Background traffic: as-is (the config's own), empty, regular, dense, or VEHICLES,PEDESTRIANS.
-    #[arg(long, default_value = "as-is", value_name = "T")]
-    traffic: TrafficSpec,
+    /// Background traffic: as-is (the config's own), empty, regular, dense, or VEHICLES,PEDESTRIANS
+    /// [default: as-is, or the scenario's].
+    #[arg(long, value_name = "T")]
+    traffic: Option<TrafficSpec>,
     /// Drive from one edge (or lane) to another first; later destinations are drawn.
     #[arg(long, value_name = "FROM,TO", allow_hyphen_values = true)]
     route: Option<String>,
@@ -72,9 +76,9 @@ pub struct Args {
     /// Show it in sumo-gui, the ego followed.
     #[arg(long)]
     gui: bool,
-    /// The weather that agent and recording see, by CARLA's name.
-    #[arg(long, default_value = "ClearNoon", value_name = "NAME")]
-    weather: Preset,
+    /// The weather that agent and recording see, by CARLA's name [default: ClearNoon, or the scenario's].
+    #[arg(long, value_name = "NAME")]
+    weather: Option<Preset>,
     /// Film the run: a .mp4 file, or a folder with a trailing / for numbered PNG pictures.
     #[arg(long, value_name = "FILE", value_hint = ValueHint::AnyPath)]
     record: Option<PathBuf>,
@@ -114,7 +118,18 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
 }
 
 async fn drive(args: Args) -> anyhow::Result<Exit> {
-    let config = bundled::resolve(&args.config).map_err(|e| Exit::Input.because(e))?;
+    let config = super::scenario::resolve(&args.config)?;
+    let scenario = scenario_of(&args, &config)?;
+    let mut args = args;
+    if let Some(scenario) = &scenario {
+        args.weather = args.weather.or(Some(scenario.weather));
+        args.traffic = Some(match args.traffic.unwrap_or(scenario.traffic) {
+            // What is drawn is there anyway.
+            TrafficSpec::AsIs => TrafficSpec::Empty,
+            traffic => traffic,
+        });
+    }
+    let args = args;
     let seed = args.seed.unwrap_or(0);
     let out = args.out.clone().unwrap_or_else(|| default_folder(&config, seed));
     let driver = driver(&args, seed)?;
@@ -122,7 +137,8 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
         bridge: BridgeOptions {
             seed,
             tick_ms: args.tick_ms,
-            traffic: args.traffic,
+            traffic: args.traffic.unwrap_or_default(),
+            scenario: scenario.is_some(),
             gui: args.gui,
             attach: args.attach.clone(),
             tick_timeout: args.tick_timeout,
@@ -133,6 +149,7 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
         ego: Default::default(),
         autopilot: Default::default(),
         criteria: Default::default(),
+        scenario,
     };
     let mut interrupt = Interrupt::listen()?;
     let started = tokio::select! {
@@ -172,6 +189,9 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
             }
         }
         ticks += 1;
+        if drive.ending().is_some() {
+            break;
+        }
         if args.realtime {
             let due = began + Duration::from_secs_f64(ticks as f64 * tick);
             tokio::select! {
@@ -189,6 +209,21 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
     Ok(if interrupted { Exit::Interrupted } else { Exit::Done })
 }
 
+/// The scenario that the config is, where somebody in it is the ego and no other route is asked for.
+fn scenario_of(args: &Args, config: &std::path::Path) -> anyhow::Result<Option<Arc<Scenario>>> {
+    if args.route.is_some() || args.attach.is_some() || config.extension().is_none_or(|e| e != "sumocfg") {
+        return Ok(None);
+    }
+    let install = SumoInstall::find().map_err(|e| Exit::Sumo.because(e))?;
+    let schema = OptionSchema::cached(&install, false).map_err(|e| Exit::Sumo.because(e))?;
+    let loaded = SumoConfig::load(config, &schema).map_err(|e| Exit::Input.because(e))?;
+    if !scenario::has_ego(&loaded) {
+        return Ok(None);
+    }
+    let scenario = Scenario::load(config).map_err(|e| Exit::Input.because(e))?;
+    Ok(Some(Arc::new(scenario)))
+}
+
 /// The trained or external agent that was asked for; None: the autopilot.
 fn driver(args: &Args, seed: u64) -> anyhow::Result<Option<LearnedDriver>> {
     if args.agent == "autopilot" {
@@ -197,7 +232,8 @@ fn driver(args: &Args, seed: u64) -> anyhow::Result<Option<LearnedDriver>> {
     let options = EnvOptions { detector: args.detector.clone(), ..EnvOptions::evaluation() };
     let (agent, encoder) = agents::for_run(&args.agent, args.encoder.as_deref(), &options.camera)
         .map_err(|e| Exit::Input.because(e))?;
-    let driver = LearnedDriver::new(&args.config, agent, encoder, &options, args.weather, seed);
+    let weather = args.weather.unwrap_or_default();
+    let driver = LearnedDriver::new(&args.config, agent, encoder, &options, weather, seed);
     Ok(Some(driver.map_err(|e| Exit::Input.because(e))?))
 }
 
@@ -286,7 +322,8 @@ impl Sight {
             .map(|path| Recorder::create(path, args.record_view, fps, args.record_codec, panels))
             .transpose()
             .map_err(|e| Exit::Input.because(e))?;
-        let (town, weather) = (sight::town(drive.bridge(), seed), Weather::from(args.weather));
+        let (town, weather) =
+            (sight::town(drive.bridge(), seed), Weather::from(args.weather.unwrap_or_default()));
         Ok(Some(Self { town, weather, watch, says: args.perception, recorder }))
     }
 
@@ -465,7 +502,7 @@ fn report(summary: &Summary, json: bool) -> anyhow::Result<()> {
          collisions: {} vehicle, {} pedestrian, {} static (caused: {}, {}, {}); red lights run {}; \
          outside lane {} ticks; blocked {}\n\
          traffic: {:.1} vehicles, {:.1} pedestrians on average\n\
-         results in {}\n",
+         {}results in {}\n",
         s.town,
         s.ticks,
         s.sim_seconds,
@@ -486,6 +523,12 @@ fn report(summary: &Summary, json: bool) -> anyhow::Result<()> {
         s.vehicle_blocked,
         s.vehicles_mean,
         s.pedestrians_mean,
+        s.success.map_or(String::new(), |success| format!(
+            "scenario: {}, ended by {}: {}\n",
+            if success { "success" } else { "failure" },
+            s.end,
+            s.cause.as_deref().unwrap_or_default(),
+        )),
         s.out.display(),
     );
     if json {

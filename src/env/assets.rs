@@ -4,6 +4,7 @@ use super::EnvError;
 use crate::bundled;
 use crate::camera::Town;
 use crate::network::{Network, Shapes};
+use crate::scenario::{self, Scenario};
 use crate::sumo_config::{OptionSchema, SumoConfig};
 use crate::tasks::{Placement, Places, TaskError, TaskKind};
 use crate::traci::process::SumoInstall;
@@ -16,6 +17,9 @@ pub struct Assets {
     config: PathBuf,
     net_hash: String,
     name: String,
+    town_name: String,
+    /// Where the config is a scenario's.
+    scenario: Option<Arc<Scenario>>,
     network: Arc<Network>,
     statics: Vec<StaticBody>,
     shapes: Shapes,
@@ -50,10 +54,16 @@ impl Assets {
                 Err(error) => tracing::warn!("no polygons from an additional file: {error}"),
             }
         }
+        let scenario = match scenario::has_ego(&loaded) {
+            true => Some(Arc::new(scenario::inspect_on(&loaded, &network).into_scenario()?)),
+            false => None,
+        };
         Ok(Arc::new(Self {
             config,
             net_hash,
             name: loaded.name(),
+            town_name: loaded.town(),
+            scenario,
             statics: vehicle::statics_from_network(&network, &shapes.polygons),
             network: Arc::new(network),
             shapes,
@@ -77,6 +87,16 @@ impl Assets {
         &self.name
     }
 
+    /// The name of the net alone: a scenario's town.
+    pub fn town_name(&self) -> &str {
+        &self.town_name
+    }
+
+    /// The scenario, where the config is one.
+    pub fn scenario(&self) -> Option<&Arc<Scenario>> {
+        self.scenario.as_ref()
+    }
+
     /// The network.
     pub fn network(&self) -> &Arc<Network> {
         &self.network
@@ -87,11 +107,14 @@ impl Assets {
         &self.statics
     }
 
-    /// A place for a task, drawn from a seed.
+    /// A place for a task, drawn from a seed; in a scenario always the scenario's own.
     ///
     /// # Errors
     /// The net has none.
     pub fn place(&self, task: TaskKind, seed: u64) -> Result<Placement, TaskError> {
+        if let Some(scenario) = &self.scenario {
+            return Ok(scenario.placement.clone());
+        }
         self.places.draw(&self.network, task, seed)
     }
 

@@ -5,7 +5,7 @@ use super::{End, Ending};
 use crate::bridge::Ego;
 use crate::criteria::{Criteria, CriteriaParams, Event};
 use crate::geometry::{Pose, Vector};
-use crate::network::Route;
+use crate::network::{Network, Route};
 use crate::reward::{self, Facts, Light, RewardParams};
 use crate::tasks::{Placement, TaskKind, TaskSpec};
 use crate::vehicle::{Control, EgoState};
@@ -48,7 +48,7 @@ impl Episode {
 
     /// An ending that is no matter of the clock.
     pub fn ending(&self, end: End, cause: String) -> Ending {
-        Ending { end, cause, success: end == End::Arrival && self.task.kind != TaskKind::Obstacle }
+        ending(self.task.kind, end, cause)
     }
 
     /// What the reward of this tick is made from; remembers what the next one needs.
@@ -104,8 +104,19 @@ fn bends(route: &Route, s: f64, speed: f64) -> impl Iterator<Item = (f64, f64)> 
     })
 }
 
-/// How an episode ends whose clock has run out.
-pub fn judge_limit(episode: &Episode, ego: &Ego) -> Ending {
+/// An ending that is no matter of the clock.
+pub fn ending(task: TaskKind, end: End, cause: String) -> Ending {
+    Ending { end, cause, success: end == End::Arrival && task != TaskKind::Obstacle }
+}
+
+/// How an episode ends whose clock has run out after `ticks`.
+pub fn judge_limit(
+    task: TaskKind,
+    placement: &Placement,
+    ticks: u64,
+    network: &Network,
+    ego: &Ego,
+) -> Ending {
     let at = ego.on_route();
     let share = at.s / ego.route().length().max(1.0);
     let ending = |success: bool, cause: String| Ending {
@@ -113,12 +124,15 @@ pub fn judge_limit(episode: &Episode, ego: &Ego) -> Ending {
         cause,
         success,
     };
-    match episode.task.kind {
-        TaskKind::Composite => ending(true, format!("alive after {} ticks", episode.tick)),
+    match task {
+        TaskKind::Composite => ending(true, format!("alive after {ticks} ticks")),
         TaskKind::Navigation => ending(false, format!("{:.0} % of the route driven", 100.0 * share)),
         TaskKind::Obstacle => {
-            let placement = &episode.placement;
-            let way = placement.obstacle.as_ref().map_or(0.0, |o| o.at.s - placement.from.s);
+            let obstacle = placement.obstacle.as_ref().and_then(|o| o.at.on(network).ok());
+            let way = obstacle.map_or(0.0, |at| {
+                let place = network.lane(at.lane).shape.at(at.s).xy();
+                ego.route().centre_line.project(place).s
+            });
             let gap = way - at.s - 0.5 * ego.params().length;
             let stands = at.state.speed.abs() < STANDING;
             let cause =

@@ -6,6 +6,7 @@ use crate::camera::CameraError;
 use crate::latent::LatentError;
 use crate::network::NetworkError;
 use crate::perception::PerceptionError;
+use crate::scenario::ScenarioError;
 use crate::sumo_config::ConfigError;
 use crate::tasks::TaskError;
 use crate::traci::process::InstallError;
@@ -21,6 +22,8 @@ pub enum EnvError {
     Network(#[from] NetworkError),
     #[error(transparent)]
     Install(#[from] InstallError),
+    #[error(transparent)]
+    Scenario(#[from] ScenarioError),
     #[error(transparent)]
     Task(#[from] TaskError),
     #[error(transparent)]
@@ -51,9 +54,12 @@ impl EnvError {
     /// True where the user's input is at fault, not SUMO.
     pub fn is_input(&self) -> bool {
         match self {
-            Self::Resolve(_) | Self::Config(_) | Self::Network(_) | Self::Task(_) | Self::Crowded { .. } => {
-                true
-            }
+            Self::Resolve(_)
+            | Self::Config(_)
+            | Self::Network(_)
+            | Self::Scenario(_)
+            | Self::Task(_)
+            | Self::Crowded { .. } => true,
             Self::Bridge(bridge) => bridge.is_input(),
             Self::Start { source, .. } => source.is_input(),
             _ => false,

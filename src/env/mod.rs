@@ -37,7 +37,7 @@
 
 mod assets;
 mod end;
-mod episode;
+pub(crate) mod episode;
 mod error;
 pub(crate) mod eyes;
 mod green;

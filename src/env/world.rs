@@ -15,6 +15,7 @@ use crate::network::{EdgeKind, LaneId, Network, RoadOption, Route};
 use crate::observation::{Observation, RawState};
 use crate::perception::TransformedImage;
 use crate::reward::{self, RewardTerms};
+use crate::scenario::Director;
 use crate::seeds;
 use crate::tasks::{Placement, TaskError, TaskSpec};
 use crate::traffic::TrafficSpec;
@@ -136,6 +137,7 @@ impl World {
         let (placement, route) = self.place(task, seed)?;
         let traffic = task.traffic();
         let runs_on = self.options.world == WorldMode::Running
+            && self.assets.scenario().is_none()
             && self.sumo.as_ref().is_some_and(|sumo| {
                 let own = |t: TrafficSpec| t == TrafficSpec::AsIs;
                 sumo.episodes < self.options.episodes_per_sumo && own(sumo.traffic) == own(traffic)
@@ -154,7 +156,8 @@ impl World {
         if task.kind.lights_are_green() {
             sumo.held = green::hold(&mut sumo.bridge, ego.route()).await?;
         }
-        if let Some(wanted) = &placement.obstacle {
+        // A scenario's director puts its own.
+        if let (Some(wanted), None) = (&placement.obstacle, self.assets.scenario()) {
             obstacle::put(&mut sumo.bridge, ego, wanted)?;
         }
         // Standing: SUMO learns the new route, and those in sight have a speed.
@@ -181,10 +184,15 @@ impl World {
             traffic,
             sight: self.options.sight,
             tick_timeout: self.options.tick_timeout,
+            scenario: self.assets.scenario().is_some(),
+            closed_lanes: self.assets.scenario().map_or(Vec::new(), |scenario| scenario.closed_lanes.clone()),
             gui: self.options.gui,
             ..BridgeOptions::new(self.assets.config(), self.sumo_folder())
         };
         let mut bridge = Bridge::start_on(&options, Some(Arc::clone(self.assets.network()))).await?;
+        if let Some(scenario) = self.assets.scenario() {
+            bridge.set_director(Box::new(Director::new(Arc::clone(scenario))));
+        }
         let ego = match &mut self.ego {
             Some(ego) => {
                 ego.forget();
@@ -221,7 +229,7 @@ impl World {
             let (Some(sumo), Some(ego)) = (&mut self.sumo, &mut self.ego) else {
                 return Err(EnvError::NoEpisode);
             };
-            if let Some(counts) = task.traffic().counts(self.assets.name()) {
+            if let Some(counts) = task.traffic().counts(self.assets.town_name()) {
                 sumo.bridge.resize_traffic(counts);
             }
             if std::mem::take(&mut sumo.obstacle) {
@@ -291,10 +299,7 @@ impl World {
             before,
             after,
             contacts: &contacts,
-            static_label: &|key| {
-                let bodies = self.assets.statics();
-                bodies.get(key as usize).map_or_else(|| key.to_string(), |body| body.label.clone())
-            },
+            static_label: &|key| ego.static_label(key),
             length: params.length,
             width: params.width,
             wheelbase: params.wheelbase,
@@ -305,7 +310,9 @@ impl World {
         let decided = self.options.termination.decide(&events);
         let ending = match decided {
             Some((end, cause)) => Some(episode.ending(end, cause)),
-            None if episode.tick >= episode.limit => Some(judge_limit(episode, ego)),
+            None if episode.tick >= episode.limit => {
+                Some(judge_limit(episode.task.kind, &episode.placement, episode.tick, network, ego))
+            }
             None => None,
         };
         let facts = episode.facts(&self.options.reward, ego, &self.eyes, &control, &events, ending.as_ref());

@@ -136,9 +136,9 @@ fn point(element: &Element<'_>, network: &Network) -> Option<PointOfInterest> {
         (_, _, Some(lane)) => {
             let lane = network.lane(network.lane_by_id(&lane)?);
             let pos = number(along).unwrap_or(0.0);
-            // A negative position counts from the lane's end; a positive posLat is to the right.
+            // A negative position counts from the lane's end; a positive posLat is to the left.
             let pos = if pos < 0.0 { lane.length + pos } else { pos };
-            let offset = Vector::new(0.0, -number(across).unwrap_or(0.0));
+            let offset = Vector::new(0.0, number(across).unwrap_or(0.0));
             lane.shape.at(lane.arc_length(pos)).to_world(offset)
         }
         _ => return None,
@@ -217,7 +217,7 @@ mod tests {
         assert_eq!(shapes.polygons[0].colour, [128, 64, 0, 255]);
         assert!(shapes.polygons[0].fill && shapes.polygons[0].layer == 4.0);
         assert_eq!(shapes.polygons[1].colour, [10, 11, 12, 255]);
-        assert_eq!(shapes.points[0].position, Point::new(90.0, -2.0));
+        assert_eq!(shapes.points[0].position, Point::new(90.0, 2.0));
         assert_eq!(shapes.points[0].colour, [0, 128, 255, 255]);
     }
 

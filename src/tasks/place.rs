@@ -56,11 +56,19 @@ pub struct Placement {
     /// The ego's centre at the start, standing.
     pub from: Spot,
     pub to: Spot,
+    /// Passed on the way, in this order.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub via: Vec<Spot>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub obstacle: Option<ObstaclePlacement>,
 }
 
 impl Spot {
+    /// A place on a net by name.
+    pub fn at(network: &Network, at: LanePosition) -> Self {
+        Self::of(network, at.lane, at.s)
+    }
+
     fn of(network: &Network, lane: LaneId, s: f64) -> Self {
         // Whole centimetres: the same in a file as here.
         Self { lane: network.lane(lane).id.clone(), s: (s * 100.0).round() / 100.0 }
@@ -84,7 +92,16 @@ impl Placement {
     /// # Errors
     /// The place belongs to another net.
     pub fn route(&self, network: &Network) -> Result<Route, TaskError> {
-        Ok(network.route(self.from.on(network)?, self.to.on(network)?, EGO_CLASS)?)
+        let (from, to) = (self.from.on(network)?, self.to.on(network)?);
+        let Some((first, others)) = self.via.split_first() else {
+            return Ok(network.route(from, to, EGO_CLASS)?);
+        };
+        let mut route = network.route(from, first.on(network)?, EGO_CLASS)?;
+        for spot in others {
+            network.extend_route(&mut route, spot.on(network)?)?;
+        }
+        network.extend_route(&mut route, to)?;
+        Ok(route)
     }
 }
 
@@ -166,6 +183,7 @@ impl Places {
             let placement = Placement {
                 from: Spot::of(network, first, start),
                 to: Spot::of(network, last, way.end(start, length)),
+                via: Vec::new(),
                 obstacle: None,
             };
             // The cheapest route there must be this way.
@@ -192,6 +210,7 @@ impl Places {
             let placement = Placement {
                 from: before_end(network, entry, before),
                 to: beyond_begin(network, exit, after),
+                via: Vec::new(),
                 obstacle: None,
             };
             let Ok(route) = placement.route(network) else { continue };
@@ -283,6 +302,7 @@ fn obstacle(network: &Network, rng: &mut ChaCha8Rng) -> Result<Placement, TaskEr
     Ok(Placement {
         from: Spot::of(network, lane, start),
         to: Spot::of(network, lane, length - 1.0),
+        via: Vec::new(),
         obstacle: Some(ObstaclePlacement { kind, at: Spot::of(network, lane, start + gap) }),
     })
 }
@@ -299,6 +319,7 @@ fn random(network: &Network, task: TaskKind, rng: ChaCha8Rng) -> Result<Placemen
             return Ok(Placement {
                 from: Spot::of(network, from.lane, from.s),
                 to: Spot::of(network, to.lane, to.s),
+                via: Vec::new(),
                 obstacle: None,
             });
         }

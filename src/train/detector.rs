@@ -13,7 +13,7 @@ use crate::latent::weights::{Weights, WeightsError};
 use crate::perception::PerceptionError;
 use crate::perception::centernet::loss::loss;
 use crate::perception::centernet::{Backbone, CenterNet, CenterNetDetector};
-use crate::perception::coco::class_index;
+use crate::perception::coco::{class_index, class_name};
 use crate::perception::metrics::{Found, Scored, average_precision, mean};
 use crate::perception::score::{SMALL, TALL};
 use crate::{seeds, telemetry};
@@ -29,6 +29,9 @@ use tch::{Device, Kind, TchError, Tensor};
 pub struct TrainOptions {
     pub backbone: Backbone,
     pub data: PathBuf,
+    /// More datasets, shown together with it.
+    #[serde(default)]
+    pub more: Vec<PathBuf>,
     pub out: PathBuf,
     pub epochs: u64,
     pub batch: usize,
@@ -41,7 +44,7 @@ pub struct TrainOptions {
     pub window: Option<(usize, usize)>,
     /// Compute the backbone in bfloat16; weights and optimiser stay in single precision.
     pub bfloat16: bool,
-    /// Vary light and colours.
+    /// Vary weather, light and colours.
     pub vary: bool,
     pub seed: u64,
     /// Use a dataset that was not collected to its end.
@@ -60,6 +63,7 @@ impl TrainOptions {
         Self {
             backbone,
             data: data.to_path_buf(),
+            more: Vec::new(),
             out: out.to_path_buf(),
             epochs: 12,
             batch: 16,
@@ -246,15 +250,21 @@ impl<'a> Trainer<'a> {
         if !resume && checkpoint.exists() {
             return Err(TrainError::Taken { path: options.out.clone() });
         }
-        let dataset = Dataset::open(&options.data, options.partial)?;
-        dataset.require_training()?;
+        let folders = std::iter::once(&options.data).chain(&options.more);
+        let datasets: Vec<Dataset> =
+            folders.map(|folder| Dataset::open(folder, options.partial)).collect::<Result<_, _>>()?;
+        datasets.iter().try_for_each(Dataset::require_training)?;
         let write = |path: &Path, source| TrainError::Write { path: path.to_path_buf(), source };
         std::fs::create_dir_all(&options.out).map_err(|e| write(&options.out, e))?;
         let config = options.out.join("config.json");
         telemetry::write_json(&config, options).map_err(|e| write(&config, e.source))?;
-        let (train, validate) = dataset.split();
-        let training = samples(&dataset, &train, usize::MAX)?;
-        let validation = samples(&dataset, &validate, options.validation_frames)?;
+        let (mut training, mut validation) = (Vec::new(), Vec::new());
+        for dataset in &datasets {
+            let (train, validate) = dataset.split();
+            training.extend(samples(dataset, &train, usize::MAX)?);
+            let share = options.validation_frames.div_ceil(datasets.len());
+            validation.extend(samples(dataset, &validate, share)?);
+        }
         tch::manual_seed(seeds::derive(options.seed, "weights") as i64);
         let (network, mut adam);
         let mut reached = Reached::default();
@@ -282,10 +292,21 @@ impl<'a> Trainer<'a> {
         if reached.validation_frames != validation.len() {
             (reached.validation_frames, reached.best) = (validation.len(), None);
         }
-        let m = &dataset.manifest;
-        let weathers: Vec<&str> = m.weathers.iter().map(|w| w.name()).collect();
-        let made_of =
-            format!("{} frames of {} in {}, seed {}", training.len(), m.town, weathers.join(", "), m.seed);
+        let said = |dataset: &Dataset| {
+            let m = &dataset.manifest;
+            let weathers: Vec<&str> = m.weathers.iter().map(|w| w.name()).collect();
+            let showing: Vec<&str> = m.showing.iter().map(|c| class_name(*c)).collect();
+            let only =
+                if showing.is_empty() { String::new() } else { format!(" with {}", showing.join(", ")) };
+            format!(
+                "{} frames{only} of {} in {}, seed {}",
+                dataset.frames(),
+                m.town,
+                weathers.join(", "),
+                m.seed
+            )
+        };
+        let made_of = datasets.iter().map(said).collect::<Vec<_>>().join("; and ");
         let epoch_steps = steps(&training, options.batch, options.epoch_steps) as u64;
         let began = Instant::now();
         Ok(Self {

@@ -15,3 +15,5 @@ pub mod images;
 #[cfg(feature = "learn")]
 mod loss;
 pub mod tensorboard;
+#[cfg(feature = "learn")]
+mod weathering;

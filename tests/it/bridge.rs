@@ -428,16 +428,7 @@ async fn it_drives_on_the_left_where_that_is_the_rule() {
         traffic: TrafficSpec::Counts(Counts::new(15, 15)),
         ..BridgeOptions::new(&net, scene.path("out"))
     };
-    let mut drive = Drive::start(DriveOptions {
-        bridge,
-        route: None,
-        ego: EgoParams::default(),
-        autopilot: AutopilotParams::default(),
-        criteria: wad_cosim::criteria::CriteriaParams::default(),
-        out: scene.path("out"),
-    })
-    .await
-    .expect("a drive");
+    let mut drive = Drive::start(DriveOptions::new(bridge, scene.path("out"))).await.expect("a drive");
     assert!(drive.bridge().network().left_hand);
     for _ in 0..600 {
         drive.tick().await.expect("a tick");
@@ -464,16 +455,8 @@ async fn long_ticks_keep_it_on_the_road() {
             traffic: TrafficSpec::Empty,
             ..BridgeOptions::new(&net, folder.path().join("out"))
         };
-        let mut drive = Drive::start(DriveOptions {
-            bridge,
-            route: None,
-            ego: EgoParams::default(),
-            autopilot: AutopilotParams::default(),
-            criteria: wad_cosim::criteria::CriteriaParams::default(),
-            out: folder.path().join("out"),
-        })
-        .await
-        .expect("a drive");
+        let mut drive =
+            Drive::start(DriveOptions::new(bridge, folder.path().join("out"))).await.expect("a drive");
         for _ in 0..300 {
             drive.tick().await.expect("a tick");
         }

@@ -12,8 +12,11 @@ mod doctor;
 #[cfg(feature = "vision")]
 mod env;
 mod eval;
+mod netedit;
+mod nets;
 mod network;
 mod run;
+mod scenario;
 mod traci;
 mod traffic;
 #[cfg(feature = "vision")]

@@ -4,6 +4,7 @@ mod body;
 mod car;
 mod cycle;
 mod lorry;
+mod object;
 mod palette;
 mod person;
 #[cfg(test)]
@@ -19,7 +20,7 @@ use crate::geometry::Pose;
 use crate::world::{Actor, ActorKind, VehicleSignals, WorldState};
 use car::Body;
 use nalgebra::Vector3;
-use palette::{CAR_COLOURS, HAIRS, LEGS, PersonPalette, SKINS, TOPS, VehiclePalette, pick};
+use palette::{CAR_COLOURS, HAIRS, LEGS, ObjectPalette, PersonPalette, SKINS, TOPS, VehiclePalette, pick};
 use person::{Build, Detail};
 use std::collections::HashMap;
 use std::f32::consts::TAU;
@@ -48,6 +49,8 @@ pub struct Cast {
     /// Walking and standing, by build: adults first.
     people: Vec<(Figure, Figure)>,
     children: Vec<(Figure, Figure)>,
+    barrier: Figure,
+    cone: Figure,
 }
 
 /// Bounding-sphere radius in pixels from which the fine and the middle level are drawn, and anything at all.
@@ -127,7 +130,9 @@ impl Cast {
         let small = [child, Build { long_hair: true, ..child }, Build { backpack: true, ..child }];
         let mut walkers = |builds: &[Build]| builds.iter().map(|b| walker(library, &people, b)).collect();
         let (adults, children) = (walkers(&adults), walkers(&small));
-        Self { cars, vans, bus, truck, motorcycle, bicycle, people: adults, children }
+        let objects = ObjectPalette::new(library, SemanticTag::Static);
+        let (barrier, cone) = (thing(library, &objects, true), thing(library, &objects, false));
+        Self { barrier, cone, cars, vans, bus, truck, motorcycle, bicycle, people: adults, children }
     }
 
     fn vehicle_figure(&self, actor: &Actor) -> Figure {
@@ -142,6 +147,8 @@ impl Cast {
             ActorKind::Bus => Some(self.bus),
             ActorKind::Motorcycle => Some(self.motorcycle.0),
             ActorKind::Bicycle => Some(self.bicycle.0),
+            ActorKind::Object if t.id.contains("cone") => Some(self.cone),
+            ActorKind::Object => Some(self.barrier),
             ActorKind::Pedestrian => None,
         }
         .unwrap_or(self.bus)
@@ -235,6 +242,22 @@ fn heavy(library: &mut Library, name: &str, palette: &VehiclePalette, is_bus: bo
         ]);
     }
     Figure { model: library.model(made), length, width, height, turn: TAU * lorry::WHEEL }
+}
+
+/// A barrier or a cone.
+fn thing(library: &mut Library, palette: &ObjectPalette, barrier: bool) -> Figure {
+    let mesh = |fine: usize, coarse: usize| {
+        shaped(VEHICLE_CREASE, |s| {
+            if barrier { object::barrier(s, palette, fine) } else { object::cone(s, palette, coarse) }
+        })
+    };
+    let (name, [length, width, height]) =
+        if barrier { ("barrier", object::BARRIER) } else { ("cone", object::CONE) };
+    let mut made = model(name, [mesh(8, 12), mesh(4, 6), mesh(2, 4)], vec![Bone::default()]);
+    let (f, w) = (0.5 * length, 0.5 * width);
+    made.bounds = [[-f, -w, 0.0], [f, w, height]];
+    made.shadow_boxes = vec![[[-0.08, -w, 0.2], [0.08, w, height]]];
+    Figure { model: library.model(made), length, width, height, turn: 1.0 }
 }
 
 /// A cycle, and who rides it: apart, since detectors tell them apart.
@@ -446,7 +469,8 @@ fn vehicle(cast: &Cast, actor: &Actor, gone: f64, id: u32) -> Instance {
         ActorKind::Bicycle => bounds.size[2] *= f64::from(cycle::BICYCLE_TOP / figure.height),
         _ => {}
     }
-    instance.object = Some(Object { class, id, bounds });
+    // Nothing that a detector knows the name of.
+    instance.object = (t.kind != ActorKind::Object).then_some(Object { class, id, bounds });
     instance
 }
 

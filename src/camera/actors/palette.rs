@@ -60,6 +60,27 @@ fn lamp(name: &str, tag: SemanticTag, albedo: Rgb, emission: Rgb, channel: Chann
     Material { emission, channel, ..plain(name, tag, albedo, 0.45) }
 }
 
+/// Materials of barriers and cones.
+#[derive(Clone, Debug)]
+pub(super) struct ObjectPalette {
+    pub red: MaterialId,
+    pub white: MaterialId,
+    pub foot: MaterialId,
+    pub lamp: MaterialId,
+}
+
+impl ObjectPalette {
+    pub fn new(library: &mut Library, tag: SemanticTag) -> Self {
+        let mut m = |material| library.material(material);
+        Self {
+            red: m(plain("red sheet", tag, srgb(196, 30, 26), 0.3)),
+            white: m(plain("white sheet", tag, srgb(236, 236, 230), 0.3)),
+            foot: m(plain("rubber foot", tag, srgb(52, 52, 54), 0.05)),
+            lamp: m(plain("amber lamp", tag, srgb(250, 168, 20), 0.5)),
+        }
+    }
+}
+
 impl VehiclePalette {
     pub fn new(library: &mut Library, tag: SemanticTag) -> Self {
         let mut m = |material| library.material(material);

@@ -8,7 +8,7 @@ use super::street::{Site, car_park};
 use super::tiles::{Levels, Tiles};
 use crate::camera::model::MaterialId;
 use crate::geometry::{Point, Vector, polygon_contains, wrap_angle};
-use crate::network::{EdgeId, EdgeKind, Network, Polygon};
+use crate::network::{EdgeId, EdgeKind, Network, PointOfInterest, Polygon};
 use nalgebra::Point3;
 use std::f64::consts::TAU;
 
@@ -67,6 +67,21 @@ pub(super) fn lay(site: &mut Site<'_>, polygons: &[Polygon]) {
             site.tiles.floor(t, &|p| terrain.at(p) + lift, material, Levels::All);
         }
         site.ground.fill(&outline, bits);
+    }
+}
+
+/// Benches where points of type `bench` lie; they look at the nearest road.
+pub(super) fn benches(site: &mut Site<'_>, points: &[PointOfInterest]) {
+    for point in points.iter().filter(|point| point.kind == "bench") {
+        let near = site.network.lanes_near(point.position, None, 30.0);
+        let road = near
+            .iter()
+            .find(|n| site.network.lane(n.lane).permissions.allows(crate::network::VehicleClass::Passenger));
+        let heading = road.map_or(0.0, |n| {
+            let to = site.network.lane(n.lane).shape.at(n.s).xy() - point.position;
+            to.y.atan2(to.x)
+        });
+        site.bench_at(point.position, heading);
     }
 }
 

@@ -96,6 +96,7 @@ pub fn build(network: &Network, shapes: &Shapes, seed: u64) -> (Scene, Cast) {
         dice,
         statics,
     };
+    areas::benches(&mut site, &shapes.points);
     street::build(&mut site);
     areas::plant(&mut site, &shapes.polygons);
     let Site { mut tiles, .. } = site;

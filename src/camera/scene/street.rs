@@ -102,9 +102,16 @@ impl Site<'_> {
         let pose = Pose::new(at.x, at.y, self.terrain.at(at), heading);
         let corners = [(-0.35, -0.95), (0.35, -0.95), (0.35, 0.95), (-0.35, 0.95)]
             .map(|(x, y)| pose.to_world(Vector::new(x, y)));
-        if !self.ground.convex_free(&corners, TAKEN) {
-            return;
+        if self.ground.convex_free(&corners, TAKEN) {
+            self.bench_at(at, heading);
         }
+    }
+
+    /// The same where an author has put it, whatever is there.
+    pub fn bench_at(&mut self, at: Point, heading: f64) {
+        let pose = Pose::new(at.x, at.y, self.terrain.at(at), heading);
+        let corners = [(-0.35, -0.95), (0.35, -0.95), (0.35, 0.95), (-0.35, 0.95)]
+            .map(|(x, y)| pose.to_world(Vector::new(x, y)));
         self.ground.fill(&corners, uses::OBJECT);
         let mut bench = Instance::new(self.furniture.bench, pose);
         let id = self.static_id();

@@ -1,0 +1,285 @@
+//! `wad-cosim scenario`: situations drawn in netedit: make, edit, check, list, drive.
+
+use super::{Exit, print, run};
+use anyhow::Context;
+use clap::Subcommand;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use wad_cosim::bundled;
+use wad_cosim::network::Network;
+use wad_cosim::scenario::template::{self, Base, TEMPLATES};
+use wad_cosim::scenario::{self, Problem};
+use wad_cosim::sumo_config::{OptionSchema, SumoConfig};
+use wad_cosim::traci::process::SumoInstall;
+
+const EXAMPLES: &str = "\
+Examples:
+  wad-cosim scenario list                                        what is there to begin from
+  wad-cosim scenario new my_jam --template accident --town town5 a folder of SUMO files
+  wad-cosim scenario edit my_jam                                 draw in netedit
+  wad-cosim scenario check my_jam                                every mistake, with its fix
+  wad-cosim scenario run my_jam --record jam.mp4                 drive it";
+
+/// Make, edit, check, list and drive scenarios: folders of SUMO files that netedit opens.
+#[derive(clap::Args, Debug)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    /// Make a scenario from a template.
+    New(New),
+    /// Open scenarios' files in netedit.
+    Edit(Edit),
+    /// Name every mistake, with file, element and fix.
+    Check(Check),
+    /// List templates and shipped scenarios.
+    List(List),
+    /// Drive a scenario: the same as `run`.
+    Run(Box<run::Args>),
+}
+
+#[derive(Debug, clap::Args)]
+struct New {
+    /// Its name, or the path of its folder. A plain name goes into scenarios/ where that is here.
+    name: PathBuf,
+    /// What to begin from; see `scenario list`.
+    #[arg(long, value_name = "T", default_value = "straight")]
+    template: String,
+    /// The net: a bundled town, a .sumocfg or a .net.xml(.gz).
+    #[arg(long, value_name = "CONFIG", default_value = "town5")]
+    town: String,
+    /// Another number, another place in the town.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    seed: u64,
+}
+
+#[derive(Debug, clap::Args)]
+struct Edit {
+    /// A scenario's folder or name.
+    name: String,
+    /// More options for netedit, after `--`.
+    #[arg(last = true)]
+    more: Vec<String>,
+}
+
+#[derive(Debug, clap::Args)]
+struct Check {
+    /// Scenarios' folders or names [default: all shipped ones].
+    names: Vec<String>,
+    /// Print one JSON object as the last line of stdout; everything else goes to stderr.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, clap::Args)]
+struct List {
+    /// Print one JSON object as the last line of stdout.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+pub fn run(args: Args) -> anyhow::Result<Exit> {
+    match args.what {
+        What::New(args) => new(&args),
+        What::Edit(args) => edit(&args),
+        What::Check(args) => check(&args),
+        What::List(args) => list(&args),
+        What::Run(args) => run::run(*args),
+    }
+}
+
+/// The `.sumocfg` of a scenario's name or folder. A plain name is looked for in scenarios/ too.
+pub fn resolve(name: &str) -> anyhow::Result<PathBuf> {
+    let here = Path::new("scenarios").join(name);
+    let name = if !Path::new(name).exists() && here.is_dir() {
+        here.to_string_lossy().to_string()
+    } else {
+        name.to_string()
+    };
+    bundled::resolve(&name).map_err(|e| Exit::Input.because(e))
+}
+
+fn new(args: &New) -> anyhow::Result<Exit> {
+    let template = template::find(&args.template).map_err(|e| Exit::Input.because(e))?;
+    let plain = args.name.components().count() == 1;
+    let folder = if plain && Path::new("scenarios").is_dir() {
+        Path::new("scenarios").join(&args.name)
+    } else {
+        args.name.clone()
+    };
+    if folder.exists() {
+        return Err(Exit::Input.because(template::TemplateError::Taken { path: folder }));
+    }
+    let config = bundled::resolve(&args.town).map_err(|e| Exit::Input.because(e))?;
+    let town = load(&config)?;
+    let net = town.net_file().map_err(|e| Exit::Input.because(e))?;
+    let network = Network::load(&net).map_err(|e| Exit::Input.because(e))?;
+    let mut needed = vec![net];
+    needed.extend(town.additional_files().into_iter().filter(|file| has_polygons(file)));
+    let names = place_files(&folder, &needed, bundled::is_unpacked(&config));
+    let base = Base {
+        network: &network,
+        net: names[0].1.clone(),
+        additional: names[1..].iter().map(|n| n.1.clone()).collect(),
+    };
+    let made = template::create(&folder, template, &base, args.seed).map_err(|error| match error {
+        template::TemplateError::Write { .. } => Exit::Other.because(error),
+        error => Exit::Input.because(error),
+    })?;
+    for (file, name, copy) in &names {
+        if *copy {
+            let to = folder.join(name);
+            std::fs::copy(file, &to).with_context(|| format!("cannot write {}", to.display()))?;
+        }
+    }
+    print(&format!(
+        "{}: {}\nedit it:   wad-cosim scenario edit {folder}\ncheck it:  wad-cosim scenario check {folder}\ndrive it:  wad-cosim scenario run {folder}\n",
+        made.display(),
+        template.about,
+        folder = folder.display(),
+    ))?;
+    Ok(Exit::Done)
+}
+
+fn load(config: &Path) -> anyhow::Result<SumoConfig> {
+    let install = SumoInstall::find().map_err(|e| Exit::Sumo.because(e))?;
+    let schema = OptionSchema::cached(&install, false).map_err(|e| Exit::Sumo.because(e))?;
+    SumoConfig::load(config, &schema).map_err(|e| Exit::Input.because(e))
+}
+
+/// Buildings and the like come along with a net; vehicle types and detectors do not.
+fn has_polygons(file: &Path) -> bool {
+    file.to_string_lossy().contains(".poly.xml")
+}
+
+/// How the scenario names each file, and whether it gets a copy: a bundled town is named where it lies
+/// beside the scenario as in the repository, and copied elsewhere, so that the folder can be given away;
+/// an author's own net is named where it is.
+fn place_files(folder: &Path, files: &[PathBuf], bundled: bool) -> Vec<(PathBuf, String, bool)> {
+    let place = |file: &PathBuf| {
+        let base = file.file_name().unwrap_or_default().to_string_lossy().to_string();
+        if !bundled {
+            return (file.clone(), relative(folder, file), false);
+        }
+        let town = file.parent().and_then(Path::file_name).unwrap_or_default();
+        let beside = Path::new("../../sumo_nets").join(town).join(&base);
+        if folder
+            .parent()
+            .is_some_and(|scenarios| scenarios.join("../sumo_nets").join(town).join(&base).is_file())
+        {
+            (file.clone(), beside.to_string_lossy().to_string(), false)
+        } else {
+            (file.clone(), base, true)
+        }
+    };
+    files.iter().map(place).collect()
+}
+
+/// `file` as seen from `folder`.
+fn relative(folder: &Path, file: &Path) -> String {
+    let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
+    let (from, to) = (absolute(folder), absolute(file));
+    let (from, to): (Vec<_>, Vec<_>) = (from.components().collect(), to.components().collect());
+    let same = from.iter().zip(&to).take_while(|(a, b)| a == b).count();
+    let mut path = PathBuf::new();
+    path.extend(std::iter::repeat_n("..", from.len() - same));
+    path.extend(&to[same..]);
+    path.to_string_lossy().to_string()
+}
+
+fn edit(args: &Edit) -> anyhow::Result<Exit> {
+    let config = resolve(&args.name)?;
+    if bundled::is_unpacked(&config) {
+        eprintln!(
+            "{} is the shipped copy: what you change here is lost at the next update; `scenario new` makes one of your own",
+            config.display()
+        );
+    }
+    let install = SumoInstall::find().map_err(|e| Exit::Sumo.because(e))?;
+    let mut command = install.command("netedit");
+    command.arg("--sumocfg-file").arg(&config).args(&args.more);
+    let status = command.status().map_err(|error| {
+        Exit::Sumo.because(anyhow::anyhow!(
+            "cannot start {}: {error}; run wad-cosim doctor",
+            install.program("netedit").display()
+        ))
+    })?;
+    if !status.success() {
+        return Err(Exit::Sumo.because(anyhow::anyhow!(
+            "netedit ended with {status}; it needs a display (DISPLAY is `{}`)",
+            std::env::var("DISPLAY").unwrap_or_default()
+        )));
+    }
+    Ok(Exit::Done)
+}
+
+#[derive(Serialize)]
+struct Checked {
+    name: String,
+    config: PathBuf,
+    ok: bool,
+    problems: Vec<Problem>,
+}
+
+fn check(args: &Check) -> anyhow::Result<Exit> {
+    let names = if args.names.is_empty() { bundled::scenarios() } else { args.names.clone() };
+    let mut checked = Vec::with_capacity(names.len());
+    for name in &names {
+        let config = resolve(name)?;
+        let found = scenario::inspect(&config);
+        let mut text = String::new();
+        for problem in &found.problems {
+            text += &format!("{problem}\n");
+        }
+        if let (true, Some(s)) = (found.problems.is_empty(), &found.scenario) {
+            text += &format!(
+                "{name}: ok: {}, {:.0} m, {}, traffic {}, {} things\n",
+                s.task,
+                s.route.length(),
+                s.weather.name(),
+                s.traffic,
+                s.things.len()
+            );
+        }
+        if args.json {
+            eprint!("{text}")
+        } else {
+            print(&text)?
+        }
+        let ok = found.problems.is_empty();
+        checked.push(Checked { name: name.clone(), config, ok, problems: found.problems });
+    }
+    let bad = checked.iter().filter(|c| !c.ok).count();
+    if args.json {
+        let ok = bad == 0;
+        print(&format!("{}\n", serde_json::json!({ "ok": ok, "scenarios": checked })))?;
+    }
+    Ok(if bad == 0 { Exit::Done } else { Exit::Input })
+}
+
+fn list(args: &List) -> anyhow::Result<Exit> {
+    if args.json {
+        let templates: Vec<_> =
+            TEMPLATES.iter().map(|t| serde_json::json!({ "name": t.name, "about": t.about })).collect();
+        print(&format!(
+            "{}\n",
+            serde_json::json!({ "templates": templates, "scenarios": bundled::scenarios() })
+        ))?;
+        return Ok(Exit::Done);
+    }
+    let mut text = "templates, for `scenario new NAME --template T`:\n".to_string();
+    for template in TEMPLATES {
+        text += &format!("  {:14} {}\n", template.name, template.about);
+    }
+    text += "scenarios, for `run` and `scenario run`:\n";
+    for name in bundled::scenarios() {
+        text += &format!("  {name}\n");
+    }
+    print(&text)?;
+    Ok(Exit::Done)
+}
