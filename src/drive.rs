@@ -220,6 +220,11 @@ impl Drive {
     ) -> Result<Self, DriveError> {
         let config = RunConfig { options: &options, driver: driver.as_ref().map(LearnedDriver::record) };
         let folder = RunFolder::create(&options.out, &config)?;
+        let mut options = options;
+        if let Some(scenario) = &options.scenario {
+            options.bridge.scenario = true;
+            options.bridge.closed_lanes.clone_from(&scenario.closed_lanes);
+        }
         let mut bridge = Bridge::start(&options.bridge).await?;
         let network = bridge.network().clone();
         let rng = seeds::rng(options.bridge.seed, "route");
@@ -262,6 +267,11 @@ impl Drive {
     /// The co-simulation.
     pub fn bridge(&self) -> &Bridge {
         &self.bridge
+    }
+
+    /// The same, for what is to be asked of SUMO beside the drive.
+    pub fn bridge_mut(&mut self) -> &mut Bridge {
+        &mut self.bridge
     }
 
     /// The ego.

@@ -12,6 +12,7 @@
 //! |---|---|
 //! | [`traci`] | the TraCI client: codec, connection, domains, SUMO as a child process |
 //! | [`network`] | `.net.xml` into lanes, links, crossings, signals; routes in (s, d) |
+//! | [`nets`] | nets built, imported, enriched, looked over |
 //! | [`world`] | one picture of the traffic round an ego per tick |
 //! | [`traffic`] | the background population |
 //! | [`vehicle`] | the ego's physics |
@@ -60,6 +61,7 @@ pub mod geometry;
 pub mod interrupt;
 pub mod latent;
 pub mod learned_driver;
+pub mod nets;
 pub mod network;
 pub mod observation;
 pub mod perception;

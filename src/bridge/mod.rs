@@ -58,6 +58,9 @@ pub struct BridgeOptions {
     /// The config is a scenario: what it has drawn stays beside the background population, but for its ego.
     #[serde(default)]
     pub scenario: bool,
+    /// Lanes that the scenario closes: the background population keeps off them from the start.
+    #[serde(default)]
+    pub closed_lanes: Vec<String>,
 }
 
 impl BridgeOptions {
@@ -74,6 +77,7 @@ impl BridgeOptions {
             tick_timeout: 60.0,
             output_dir: output_dir.into(),
             scenario: false,
+            closed_lanes: Vec::new(),
         }
     }
 }
@@ -95,6 +99,8 @@ pub struct Bridge {
     catalog: ActorCatalog,
     signals: SignalWatch,
     population: Option<Population>,
+    /// Where background traffic drives: the network less the lanes that are closed.
+    traffic_roads: Arc<Network>,
     traffic_seed: u64,
     /// Those that the config brings are taken out.
     traffic_alone: bool,
@@ -179,9 +185,13 @@ impl Bridge {
         client.set_timeout(Some(timeout));
         let traffic_seed = seeds::derive(options.seed, "traffic");
         let traffic_alone = !options.scenario;
+        let traffic_roads = match options.closed_lanes.as_slice() {
+            [] => Arc::clone(&network),
+            closed => Arc::new(network.without_lanes(closed)),
+        };
         let population = options.traffic.counts(&config.town());
         let population =
-            population.map(|counts| population_of(&network, counts, traffic_seed, traffic_alone));
+            population.map(|counts| population_of(&traffic_roads, counts, traffic_seed, traffic_alone));
         let core = process.as_ref().filter(|_| !options.gui).map(|process| SharedCore::with(process.id()));
         Ok(Self {
             client,
@@ -192,6 +202,7 @@ impl Bridge {
             config,
             catalog: ActorCatalog::default(),
             population,
+            traffic_roads,
             traffic_seed,
             traffic_alone,
             resized: false,
@@ -434,7 +445,7 @@ impl Bridge {
         let (vehicles, persons) = (ask.get(vehicle::ID_LIST, ""), ask.get(person::ID_LIST, ""));
         let replies = self.ask(&ask).await?;
         let mut population =
-            population_of(&self.network, Counts::default(), self.traffic_seed, self.traffic_alone);
+            population_of(&self.traffic_roads, Counts::default(), self.traffic_seed, self.traffic_alone);
         for id in replies.get(vehicles).map_err(traci::Error::from)? {
             if self.traffic_alone && !KEPT.contains(&id.as_str()) {
                 vehicle::remove(&mut self.batch, &id, RemoveReason::Vaporized);

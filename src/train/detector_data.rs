@@ -2,7 +2,7 @@
 
 use super::weathering::{self, View};
 use crate::camera::model::ObjectClass;
-use crate::dataset::{BoxRecord, CameraCodec, Dataset, DatasetError, decode_camera};
+use crate::dataset::{BoxRecord, CameraPlace, Dataset, DatasetError, decode_camera};
 use crate::perception::centernet::targets::{Centre, Wanted, Window, encode};
 use crate::perception::centernet::{Backbone, loss::Target, network::STRIDE};
 use crate::perception::coco::class_index;
@@ -26,12 +26,19 @@ const EMPTY: f64 = 0.25;
 /// The side of a camera picture (pixels).
 pub const SIDE: usize = 512;
 
-/// A frame: the picture as it lies in the shard, and its objects.
+/// A frame: where its picture lies, and its objects.
 #[derive(Clone, Debug)]
 pub struct Sample {
-    codec: CameraCodec,
-    picture: Vec<u8>,
+    picture: Picture,
     objects: Vec<BoxRecord>,
+}
+
+/// Pictures are read from their shard each time: the system keeps what fits into the memory anyway.
+#[derive(Clone, Debug)]
+enum Picture {
+    Shard(CameraPlace),
+    #[cfg(test)]
+    Bytes(Vec<u8>),
 }
 
 impl Sample {
@@ -40,7 +47,11 @@ impl Sample {
     /// # Errors
     /// It is damaged, or has another size than the camera's.
     pub fn rgb(&self) -> Result<Vec<u8>, DatasetError> {
-        decode_camera(self.codec, &self.picture, SIDE, SIDE)
+        match &self.picture {
+            Picture::Shard(place) => decode_camera(place.codec(), &place.read()?, SIDE, SIDE),
+            #[cfg(test)]
+            Picture::Bytes(png) => decode_camera(crate::dataset::CameraCodec::Png, png, SIDE, SIDE),
+        }
     }
 
     /// What the network is taught.
@@ -78,15 +89,15 @@ pub fn samples(dataset: &Dataset, shards: &[usize], most: usize) -> Result<Vec<S
     let (mut found, mut seen) = (Vec::new(), 0_usize);
     for &shard in shards {
         let mut reader = dataset.reader(shard)?;
-        let Some(codec) = reader.header().camera_codec else {
+        if reader.header().camera_codec.is_none() {
             return Err(DatasetError::Empty {
                 path: dataset.folder.clone(),
                 hint: " with camera pictures; collect it with --camera",
             });
-        };
-        while let Some(frame) = reader.next_frame()? {
+        }
+        while let Some((record, place)) = reader.next_place()? {
             if seen.is_multiple_of(every) {
-                found.push(Sample { codec, picture: frame.camera, objects: frame.record.boxes });
+                found.push(Sample { picture: Picture::Shard(place), objects: record.boxes });
             }
             seen += 1;
         }

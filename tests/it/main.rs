@@ -11,8 +11,12 @@ mod dataset;
 mod doctor;
 #[cfg(feature = "vision")]
 mod env;
+mod eval;
+mod netedit;
+mod nets;
 mod network;
 mod run;
+mod scenario;
 mod traci;
 mod traffic;
 mod view;

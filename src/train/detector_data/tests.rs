@@ -1,4 +1,5 @@
 use super::*;
+use crate::dataset::CameraCodec;
 use crate::perception::centernet::Backbone;
 
 /// A blue picture with the object in red: `bounds` are left, top, right, bottom.
@@ -12,8 +13,8 @@ pub(in crate::train) fn sample(class: ObjectClass, bounds: [u32; 4]) -> Sample {
     let pixels = (bounds[2] - bounds[0]) * (bounds[3] - bounds[1]);
     let full = bounds.map(|v| v as f32);
     let object = BoxRecord { class, id: 1, visible: bounds, full, pixels, depth: 10.0 };
-    let codec = CameraCodec::Png;
-    Sample { codec, picture: codec.encode(&rgb, SIDE, SIDE).unwrap(), objects: vec![object] }
+    let png = CameraCodec::Png.encode(&rgb, SIDE, SIDE).unwrap();
+    Sample { picture: Picture::Bytes(png), objects: vec![object] }
 }
 
 fn show(window: Option<(usize, usize)>) -> Show {

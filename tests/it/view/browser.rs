@@ -104,11 +104,11 @@ impl Browser {
                 else {
                     continue;
                 };
-                let mut value: Value = serde_json::from_str(&text).expect("JSON");
+                let value: Value = serde_json::from_str(&text).expect("JSON");
                 if value["id"] == id {
                     return value;
                 }
-                complaints.extend(complaint(value["method"].as_str().unwrap_or(""), &value["params"].take()));
+                complaints.extend(complaint(value["method"].as_str().unwrap_or(""), &value["params"]));
             }
         };
         let limit = Duration::from_secs(30);
