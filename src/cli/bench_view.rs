@@ -106,7 +106,7 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
     let mut sight = None;
     'turns: for turn in 0..args.repeat {
         for (viewers, times) in crowds.iter().zip(&mut times) {
-            let crowd = Crowd::watch(address, *viewers)?;
+            let crowd = Crowd::watch(address, *viewers, view.cores())?;
             let began = Instant::now();
             for tick in 0..SETTLE + args.ticks {
                 let control = tokio::select! {

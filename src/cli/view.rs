@@ -5,6 +5,7 @@ use super::run::Sight;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use wad_cosim::camera::{CameraConfig, Preset, Town};
+use wad_cosim::cores::Cores;
 use wad_cosim::drive::{Drive, DriveError, Status};
 use wad_cosim::latent::Decoder;
 use wad_cosim::network::Network;
@@ -159,6 +160,11 @@ impl View {
             sight.get_or_insert_with(|| Sight::plain(sight::town(drive.bridge(), LOOK), self.run.weather()));
         sight.begin_film(&path, 1.0 / drive.bridge().tick()).map_err(|e| e.to_string())?;
         Ok(Some(path))
+    }
+
+    /// The cores for all but the simulation.
+    pub fn cores(&self) -> Option<Cores> {
+        self.run.cores()
     }
 
     pub fn show(&mut self, drive: &Drive, status: &Status) {

@@ -17,6 +17,9 @@ const CHASE: (usize, usize) = (720, 540);
 const QUALITY: u8 = 80;
 const STAGE_QUALITY: u8 = 92;
 
+/// JPEGs by their names.
+type Named = Vec<(&'static str, Vec<u8>)>;
+
 /// What is needed to draw.
 pub struct Artist {
     town: Town,
@@ -92,7 +95,7 @@ impl Artist {
     }
 
     /// What the ego makes of the picture that was just taken.
-    fn stages_of(&mut self, shot: &Shot, wanted: bool) -> Option<(Value, Vec<(&'static str, Vec<u8>)>)> {
+    fn stages_of(&mut self, shot: &Shot, wanted: bool) -> Option<(Value, Named)> {
         let (perception, (route, on_route)) = (self.perception.as_mut()?, shot.way.as_ref()?);
         if !wanted {
             return None;

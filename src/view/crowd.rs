@@ -1,5 +1,6 @@
 //! Viewers that look at everything and say so: for measuring what viewers cost.
 
+use crate::cores::Cores;
 use serde_json::Value;
 use std::net::SocketAddr;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -33,15 +34,18 @@ pub struct Got {
 }
 
 impl Crowd {
-    /// So many viewers of the page at `address`.
+    /// So many viewers of the page at `address`, on these cores.
     ///
     /// # Errors
     /// The thread cannot be started.
-    pub fn watch(address: SocketAddr, viewers: usize) -> std::io::Result<Self> {
+    pub fn watch(address: SocketAddr, viewers: usize, cores: Option<Cores>) -> std::io::Result<Self> {
         let (stop, told) = (Arc::new(AtomicBool::new(false)), Arc::new(Told::default()));
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let (halt, tell) = (Arc::clone(&stop), Arc::clone(&told));
         let work = move || {
+            if let Some(cores) = cores {
+                cores.confine(0);
+            }
             runtime.block_on(async {
                 for _ in 0..viewers {
                     let tell = Arc::clone(&tell);

@@ -112,8 +112,11 @@ impl Listener {
         self.address
     }
 
-    /// The cores that there were when it began to listen.
-    pub(super) fn cores(&self) -> Option<Cores> {
+    /// The cores for all but the simulation, which is on the calling thread's.
+    pub(super) fn cores(&mut self) -> Option<Cores> {
+        if let (Some(all), Some(simulation)) = (self.cores, Cores::allowed()) {
+            self.cores = all.without(&simulation).or(self.cores);
+        }
         self.cores
     }
 

@@ -104,12 +104,13 @@ impl RunView {
     /// # Errors
     /// The threads cannot be started.
     pub fn open(
-        listener: Listener,
+        mut listener: Listener,
         drive: &Drive,
         artist: Artist,
         setting: RunSetting,
     ) -> Result<Self, ViewError> {
         let (hub, requests) = Hub::new();
+        let cores = listener.cores();
         let bridge = drive.bridge();
         let polygons = crate::drive::polygons(bridge, bridge.network());
         hub.set_map(net::street_map(bridge.network(), &polygons));
@@ -125,7 +126,6 @@ impl RunView {
             "reconstruction": reconstruction,
             "version": env!("WAD_COSIM_VERSION"),
         }));
-        let cores = listener.cores();
         let drawing = {
             let hub = Arc::clone(&hub);
             let work = move || {
@@ -548,6 +548,11 @@ impl RunView {
             }
         }
         self.show_ego(drive);
+    }
+
+    /// The cores for all but the simulation.
+    pub fn cores(&self) -> Option<Cores> {
+        self.cores
     }
 
     /// Viewers now.
