@@ -12,6 +12,7 @@
 //! |---|---|
 //! | [`traci`] | the TraCI client: codec, connection, domains, SUMO as a child process |
 //! | [`network`] | `.net.xml` into lanes, links, crossings, signals; routes in (s, d) |
+//! | [`nets`] | nets built, imported, enriched, looked over |
 //! | [`world`] | one picture of the traffic round an ego per tick |
 //! | [`traffic`] | the background population |
 //! | [`vehicle`] | the ego's physics |
@@ -33,6 +34,7 @@
 //! | [`autopilot`] | the rule-based expert |
 //! | [`criteria`] | collisions, red lights, lane, blocking, arrival |
 //! | [`learned_driver`] | a trained agent with camera, perception and encoder, for `run` |
+//! | [`view`] | the live view: a run in the browser, and its wheel in people's hands |
 //! | [`drive`] | `run`: from destination to destination, with telemetry |
 //!
 //! World frame: SUMO's, x east, y north, z up, metres. Headings in radians, counter-clockwise from
@@ -59,6 +61,7 @@ pub mod geometry;
 pub mod interrupt;
 pub mod latent;
 pub mod learned_driver;
+pub mod nets;
 pub mod network;
 pub mod observation;
 pub mod perception;
@@ -75,5 +78,6 @@ pub mod traci;
 pub mod traffic;
 pub mod train;
 pub mod vehicle;
+pub mod view;
 pub mod watch;
 pub mod world;

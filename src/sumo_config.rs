@@ -245,7 +245,9 @@ impl SumoConfig {
         schema: &OptionSchema,
         overrides: &Overrides,
     ) -> Result<PathBuf, ConfigError> {
-        let dir = &overrides.output_dir;
+        // SUMO counts relative paths from the configuration's own folder, not from ours.
+        let dir =
+            &std::path::absolute(&overrides.output_dir).unwrap_or_else(|_| overrides.output_dir.clone());
         std::fs::create_dir_all(dir).map_err(|source| ConfigError::Write { path: dir.clone(), source })?;
         let mut options = self.options.clone();
         for dropped in DROPPED {

@@ -25,8 +25,8 @@ use crate::network::{LaneId, Network};
 use crate::seeds;
 use crate::sumo_config::{OptionSchema, Overrides, SumoConfig};
 use crate::traci::process::{LaunchOptions, SumoInstall, SumoProcess};
-use crate::traci::{self, Batch, Replies, TcpClient, gui, simulation, vehicle};
-use crate::traffic::{self, Population, StepEvents, TrafficSpec};
+use crate::traci::{self, Batch, RemoveReason, Replies, TcpClient, gui, person, simulation, vehicle};
+use crate::traffic::{self, Counts, Population, StepEvents, TrafficSpec};
 use observe::ActorCatalog;
 use serde::{Deserialize, Serialize};
 use signals::SignalWatch;
@@ -58,6 +58,9 @@ pub struct BridgeOptions {
     /// The config is a scenario: what it has drawn stays beside the background population, but for its ego.
     #[serde(default)]
     pub scenario: bool,
+    /// Lanes that the scenario closes: the background population keeps off them from the start.
+    #[serde(default)]
+    pub closed_lanes: Vec<String>,
 }
 
 impl BridgeOptions {
@@ -74,6 +77,7 @@ impl BridgeOptions {
             tick_timeout: 60.0,
             output_dir: output_dir.into(),
             scenario: false,
+            closed_lanes: Vec::new(),
         }
     }
 }
@@ -95,6 +99,13 @@ pub struct Bridge {
     catalog: ActorCatalog,
     signals: SignalWatch,
     population: Option<Population>,
+    /// Where background traffic drives: the network less the lanes that are closed.
+    traffic_roads: Arc<Network>,
+    traffic_seed: u64,
+    /// Those that the config brings are taken out.
+    traffic_alone: bool,
+    /// Vehicles have been taken out by hand: arrivals no longer tell how many there are.
+    resized: bool,
     director: Option<Box<dyn Director>>,
     batch: Batch,
     sight: f64,
@@ -172,14 +183,15 @@ impl Bridge {
             }
         };
         client.set_timeout(Some(timeout));
-        let population = options.traffic.counts(&config.town()).map(|counts| {
-            let behaviour = traffic::Options {
-                alone: !options.scenario,
-                keep: vec!["ego".to_string(), OBSTACLE.to_string()],
-                ..Default::default()
-            };
-            Population::new(Arc::clone(&network), counts, seeds::derive(options.seed, "traffic"), behaviour)
-        });
+        let traffic_seed = seeds::derive(options.seed, "traffic");
+        let traffic_alone = !options.scenario;
+        let traffic_roads = match options.closed_lanes.as_slice() {
+            [] => Arc::clone(&network),
+            closed => Arc::new(network.without_lanes(closed)),
+        };
+        let population = options.traffic.counts(&config.town());
+        let population =
+            population.map(|counts| population_of(&traffic_roads, counts, traffic_seed, traffic_alone));
         let core = process.as_ref().filter(|_| !options.gui).map(|process| SharedCore::with(process.id()));
         Ok(Self {
             client,
@@ -190,6 +202,10 @@ impl Bridge {
             config,
             catalog: ActorCatalog::default(),
             population,
+            traffic_roads,
+            traffic_seed,
+            traffic_alone,
+            resized: false,
             director: None,
             batch: Batch::new(),
             sight: options.sight,
@@ -376,6 +392,9 @@ impl Bridge {
             population.update(&events, &replies, pose, &near, &mut self.batch);
             // Those that the population itself took out do not arrive.
             self.counts.1 = population.alive().pedestrians;
+            if self.resized {
+                self.counts.0 = population.alive().vehicles;
+            }
         }
         Ok(replies)
     }
@@ -404,12 +423,43 @@ impl Bridge {
 
     /// Keeps `counts` of background traffic alive from now on; see [`Population::resize`]. False where
     /// the population is the config's own.
-    pub fn resize_traffic(&mut self, counts: traffic::Counts) -> bool {
+    pub fn resize_traffic(&mut self, counts: Counts) -> bool {
         let Some(population) = &mut self.population else { return false };
         if population.wanted() != counts {
             population.resize(counts, &mut self.batch);
         }
         true
+    }
+
+    /// The same whatever the population was: the config's own gives way, with the next step, to one that
+    /// is kept alive.
+    ///
+    /// # Errors
+    /// SUMO fails.
+    pub async fn set_traffic(&mut self, counts: Counts) -> Result<(), BridgeError> {
+        self.resized = true;
+        if self.resize_traffic(counts) {
+            return Ok(());
+        }
+        let mut ask = Batch::new();
+        let (vehicles, persons) = (ask.get(vehicle::ID_LIST, ""), ask.get(person::ID_LIST, ""));
+        let replies = self.ask(&ask).await?;
+        let mut population =
+            population_of(&self.traffic_roads, Counts::default(), self.traffic_seed, self.traffic_alone);
+        for id in replies.get(vehicles).map_err(traci::Error::from)? {
+            if self.traffic_alone && !KEPT.contains(&id.as_str()) {
+                vehicle::remove(&mut self.batch, &id, RemoveReason::Vaporized);
+            }
+        }
+        let persons = replies.get(persons).map_err(traci::Error::from)?;
+        for id in persons.into_iter().filter(|_| self.traffic_alone) {
+            person::remove(&mut self.batch, &id, RemoveReason::Vaporized);
+        }
+        population.define_types(&mut self.batch);
+        // They come with the next updates, out of the ego's sight.
+        population.resize(counts, &mut self.batch);
+        self.population = Some(population);
+        Ok(())
     }
 
     /// Takes background vehicles within `radius` (m) of `place` away with the next step; they come
@@ -494,6 +544,15 @@ impl Bridge {
         }
         Ok(closed?)
     }
+}
+
+/// Who is in SUMO beside the population.
+const KEPT: [&str; 2] = ["ego", OBSTACLE];
+
+fn population_of(network: &Arc<Network>, counts: Counts, seed: u64, alone: bool) -> Population {
+    let keep = KEPT.map(str::to_string).to_vec();
+    let behaviour = traffic::Options { alone, keep, ..Default::default() };
+    Population::new(Arc::clone(network), counts, seed, behaviour)
 }
 
 fn overrides(options: &BridgeOptions, config: &SumoConfig, tick_ms: f64) -> Overrides {

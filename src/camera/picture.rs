@@ -260,8 +260,12 @@ impl Picture {
         Ok(writer.finish()?)
     }
 
+    /// The bytes of a JPEG file.
+    ///
+    /// # Errors
+    /// This build has no OpenCV, or OpenCV fails.
     #[cfg(feature = "vision")]
-    fn jpeg(&self) -> io::Result<Vec<u8>> {
+    pub fn jpeg(&self) -> io::Result<Vec<u8>> {
         use opencv::core::{Mat, Vec3b, Vector};
         use opencv::imgcodecs::{IMWRITE_JPEG_QUALITY, imencode};
         let pixels: Vec<Vec3b> = self.rgb.chunks_exact(3).map(|p| Vec3b::from([p[2], p[1], p[0]])).collect();
@@ -274,8 +278,12 @@ impl Picture {
         Ok(bytes.into())
     }
 
+    /// Always an error: this build has no OpenCV.
+    ///
+    /// # Errors
+    /// See there.
     #[cfg(not(feature = "vision"))]
-    fn jpeg(&self) -> io::Result<Vec<u8>> {
+    pub fn jpeg(&self) -> io::Result<Vec<u8>> {
         Err(io::Error::new(
             io::ErrorKind::Unsupported,
             "this build writes PNG files only: end the name with .png, or build with the feature `vision`",

@@ -7,17 +7,21 @@ mod bench_camera;
 mod bench_tick;
 #[cfg(feature = "learn")]
 mod bench_train;
+mod bench_view;
 mod dataset;
 mod doctor;
 mod eval;
 mod exit;
+mod net;
 mod progress;
 mod replay;
+mod replay_view;
 mod report;
 mod run;
 mod scenario;
 mod snapshot;
 mod train;
+mod view;
 
 use clap::{ArgAction, Parser, Subcommand};
 use std::io::{IsTerminal, Write};
@@ -62,6 +66,8 @@ enum Command {
     Report(report::Args),
     /// Make, edit, check, list and drive scenarios: folders of SUMO files that netedit opens.
     Scenario(Box<scenario::Args>),
+    /// Facts about a net; build, import and enrich nets.
+    Net(Box<net::Args>),
     /// Check what this machine has for wad-cosim, and say what to do about what is missing.
     Doctor(doctor::Args),
 }
@@ -80,6 +86,7 @@ pub fn main() -> ExitCode {
         Command::Replay(args) => replay::run(&args),
         Command::Report(args) => report::run(args),
         Command::Scenario(args) => scenario::run(*args),
+        Command::Net(args) => net::run(*args),
         Command::Doctor(args) => doctor::run(args),
     };
     match result {

@@ -184,8 +184,9 @@ impl World {
             traffic,
             sight: self.options.sight,
             tick_timeout: self.options.tick_timeout,
-            gui: self.options.gui,
             scenario: self.assets.scenario().is_some(),
+            closed_lanes: self.assets.scenario().map_or(Vec::new(), |scenario| scenario.closed_lanes.clone()),
+            gui: self.options.gui,
             ..BridgeOptions::new(self.assets.config(), self.sumo_folder())
         };
         let mut bridge = Bridge::start_on(&options, Some(Arc::clone(self.assets.network()))).await?;

@@ -146,7 +146,9 @@ fn read(path: &Path) -> Result<String, RouteError> {
 }
 
 /// Places drawn for each route that is wanted, before a set stays short.
-const DRAWS: u64 = 4;
+const DRAWS: u64 = 12;
+/// Routes between the same lanes that begin closer together than this are one (m).
+const APART: f64 = 2.0;
 
 /// Finds `count` routes for a kind of task: drawn from `seed`, and kept where the autopilot finishes them
 /// in the empty town without breaking a rule. `tried` hears of each one.
@@ -175,7 +177,7 @@ pub fn find(
         };
         let same = |other: &Placement| {
             (&other.from.lane, &other.to.lane) == (&placement.from.lane, &placement.to.lane)
-                && (other.from.s - placement.from.s).abs() < 10.0
+                && (other.from.s - placement.from.s).abs() < APART
         };
         if found.iter().any(same) {
             continue;

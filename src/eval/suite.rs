@@ -2,8 +2,11 @@
 //! "Conditions"). A suite is a JSON file; the paper's travel with the program.
 
 use super::routes::RouteError;
+use crate::bridge::DEFAULT_TICK_MS;
+use crate::bundled;
 use crate::camera::Preset;
 use crate::env::Termination;
+use crate::scenario::{Scenario, ScenarioError};
 use crate::tasks::TaskKind;
 use crate::traffic::TrafficSpec;
 use serde::{Deserialize, Serialize};
@@ -64,10 +67,13 @@ pub struct SuiteTask {
     pub endless: bool,
 }
 
+/// Times that a scenario is driven: start, traffic and the detector's faults differ by their seeds.
+const SCENARIO_EPISODES: u64 = 5;
+
 /// What is not there to be evaluated.
 #[derive(Debug, thiserror::Error)]
 pub enum SuiteError {
-    #[error("no suite is called `{found}`: expected {}, or a JSON file like those (docs/evaluate.md)", names().join(", "))]
+    #[error("no suite is called `{found}`: expected {}, a JSON file like those (docs/evaluate.md), or a scenario (docs/scenarios.md)", names().join(", "))]
     Unknown { found: String },
     #[error("cannot read the suite {}: {source}", path.display())]
     Read { path: PathBuf, source: std::io::Error },
@@ -79,6 +85,8 @@ pub enum SuiteError {
     Shard { found: String },
     #[error(transparent)]
     Routes(#[from] RouteError),
+    #[error(transparent)]
+    Scenario(#[from] ScenarioError),
 }
 
 const SHIPPED: [&str; 5] = [
@@ -107,7 +115,41 @@ impl Suite {
             return Self::parse(&text).map_err(|why| SuiteError::Format { path: path.to_path_buf(), why });
         }
         let shipped = SHIPPED.iter().filter_map(|text| Self::parse(text).ok()).find(|s| s.name == name);
-        shipped.ok_or_else(|| SuiteError::Unknown { found: name.to_string() })
+        match shipped {
+            Some(suite) => Ok(suite),
+            None => Self::of_scenario(name)?.ok_or_else(|| SuiteError::Unknown { found: name.to_string() }),
+        }
+    }
+
+    /// The suite of one scenario, where `name` is one: its one task, in its weather.
+    fn of_scenario(name: &str) -> Result<Option<Self>, SuiteError> {
+        let Ok(config) = bundled::resolve(name) else { return Ok(None) };
+        if config.extension().is_none_or(|e| e != "sumocfg") {
+            return Ok(None);
+        }
+        let scenario = Scenario::load(&config)?;
+        let title = format!("the scenario {}", scenario.name);
+        Ok(Some(Self {
+            title,
+            source: config.to_string_lossy().to_string(),
+            conditions: vec![Condition {
+                name: "scenario".to_string(),
+                town: name.to_string(),
+                weathers: vec![scenario.weather],
+            }],
+            tasks: vec![SuiteTask {
+                name: scenario.name.clone(),
+                kind: scenario.task,
+                routes: None,
+                traffic: Some(scenario.traffic),
+                tick_limit: Some(scenario.tick_limit(DEFAULT_TICK_MS / 1000.0)),
+                endless: false,
+            }],
+            weathers_in_turn: false,
+            termination: Termination::default(),
+            episodes: SCENARIO_EPISODES,
+            name: scenario.name,
+        }))
     }
 
     fn parse(text: &str) -> Result<Self, String> {

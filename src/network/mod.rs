@@ -293,6 +293,17 @@ impl Network {
         build::build(parse::parse(path, text)?, &build::Source { path, text })
     }
 
+    /// The same network with lanes of these ids closed to everybody.
+    #[must_use]
+    pub fn without_lanes(&self, ids: &[String]) -> Self {
+        let mut network = self.clone();
+        for id in ids.iter().filter_map(|id| self.lane_by_id(id)) {
+            network.lanes[id.index()].permissions = Permissions::NONE;
+            network.drivable.iter_mut().for_each(|lanes| lanes.retain(|lane| *lane != id));
+        }
+        network
+    }
+
     /// The edge with SUMO's id `id`.
     pub fn edge_by_id(&self, id: &str) -> Option<EdgeId> {
         self.names.edges.get(id).copied()

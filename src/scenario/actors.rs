@@ -3,7 +3,7 @@
 use super::things::{Closure, ObjectShape};
 use crate::destination::EGO_CLASS;
 use crate::geometry::Pose;
-use crate::network::{LanePosition, Network};
+use crate::network::{LaneId, LanePosition, Network};
 use crate::traci::{Batch, Color, lane, route, vehicle, vehicle_type};
 use crate::traffic::Model;
 use std::collections::BTreeSet;
@@ -99,8 +99,7 @@ impl Stage {
     /// another for cars.
     pub fn close(&mut self, network: &Network, id: &str, closure: &Closure, batch: &mut Batch) {
         let lane = network.lane(closure.at.lane);
-        let others = network.edge(lane.edge).lanes.iter().filter(|&&other| other != closure.at.lane);
-        if others.into_iter().any(|&other| network.lane(other).permissions.allows(EGO_CLASS)) {
+        if has_other_lane(network, closure.at.lane) {
             batch.set(lane::SET_ALLOWED, &lane.id, &["authority"]);
         }
         let width = (lane.width - 0.5).max(0.5);
@@ -112,6 +111,12 @@ impl Stage {
             self.object(network, &id, (ObjectShape::Barrier, width), at, batch);
         }
     }
+}
+
+/// Whether the road of a lane has another for cars: else nobody could get through, and SUMO has them wait.
+pub fn has_other_lane(network: &Network, lane: LaneId) -> bool {
+    let edge = network.edge(network.lane(lane).edge);
+    edge.lanes.iter().any(|&other| other != lane && network.lane(other).permissions.allows(EGO_CLASS))
 }
 
 /// A vehicle that is held where no lane would have it: askew, or off the middle.

@@ -106,7 +106,10 @@ impl Director {
         };
         let pose = placed(first, thing.s, 0.25, 0.12);
         self.held.push(Held { id: a, pose, length: first.length, hazard: true });
-        let pose = placed(second, thing.s + first.length + 0.4, -0.3, -0.42);
+        // As far across as leaves the next lane free.
+        let room = network.lane(thing.lane).width - 0.9 * second.width;
+        let turn = (room / second.length).clamp(0.08, 0.42);
+        let pose = placed(second, thing.s + first.length + 0.4, -0.2, -turn);
         self.held.push(Held { id: b, pose, length: second.length, hazard: true });
     }
 

@@ -48,6 +48,8 @@ pub struct Scenario {
     /// s; None: the task's own limit.
     pub time_limit: Option<f64>,
     pub things: Vec<Thing>,
+    /// Lanes that it closes to SUMO's traffic, by id.
+    pub closed_lanes: Vec<String>,
 }
 
 /// What was found in a scenario's folder.
@@ -122,6 +124,7 @@ pub fn inspect_on(config: &SumoConfig, network: &Network) -> Inspection {
             weather: plan.weather,
             traffic: plan.traffic,
             time_limit: plan.time_limit,
+            closed_lanes: closed_lanes(&things, network),
             things,
         };
         match scenario.obstacle(network) {
@@ -141,6 +144,16 @@ pub fn has_ego(config: &SumoConfig) -> bool {
     elements(config, &mut Vec::new())
         .iter()
         .any(|e| e.get("type") == Some(EGO_TYPE) && !matches!(e.tag.as_str(), "poi" | "poly"))
+}
+
+fn closed_lanes(things: &[Thing], network: &Network) -> Vec<String> {
+    let closures = things.iter().flat_map(|thing| match &thing.kind {
+        Kind::RoadWorks(closures) => closures.as_slice(),
+        Kind::LaneClosed { closure, .. } => std::slice::from_ref(closure),
+        _ => &[],
+    });
+    let closed = closures.filter(|closure| actors::has_other_lane(network, closure.at.lane));
+    closed.map(|closure| network.lane(closure.at.lane).id.clone()).collect()
 }
 
 fn elements(config: &SumoConfig, problems: &mut Vec<Problem>) -> Vec<xml::Element> {

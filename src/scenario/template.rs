@@ -2,7 +2,7 @@
 
 use crate::destination::EGO_CLASS;
 use crate::geometry::{Point, Vector};
-use crate::network::{EdgeKind, LaneId, LanePosition, Network, Route};
+use crate::network::{EdgeKind, LaneId, LanePosition, Network, Route, VehicleClass};
 use crate::tasks::{Placement, Places, Spot, TaskError, TaskKind};
 use crate::vehicle::EgoParams;
 use std::fmt::Write as _;
@@ -26,6 +26,8 @@ enum Place {
     Task,
     /// Along a road without a junction, of this many lanes for cars at the least.
     Road { lanes: usize },
+    /// The same with a sidewalk.
+    Street,
     /// Over a signalled junction.
     Signal,
 }
@@ -46,17 +48,17 @@ pub const TEMPLATES: &[Template] = &[
         name: "pedestrian",
         about: "a pedestrian steps out in front of the ego",
         task: TaskKind::Navigation,
-        place: Place::Road { lanes: 1 },
+        place: Place::Street,
         draw: |stretch| vec![stretch.point("event.pedestrian", 90.0, stretch.kerb())],
     },
     Template {
-        name: "hidden_child",
-        about: "a child runs out between vehicles that stand at the kerb",
+        name: "child",
+        about: "a child runs out from beside a bench",
         task: TaskKind::Navigation,
-        place: Place::Road { lanes: 1 },
+        place: Place::Street,
         draw: |stretch| {
             let kerb = stretch.kerb();
-            let child = [("wad.person", "child"), ("wad.speed", "2.6"), ("wad.distance", "24")];
+            let child = [("wad.person", "child"), ("wad.speed", "2.6")];
             vec![
                 stretch.point("event.pedestrian", 95.0, kerb).with(&child),
                 stretch.point("bench", 85.0, kerb + 2.5),
@@ -174,10 +176,15 @@ impl Drawn {
 struct Stretch<'a> {
     network: &'a Network,
     route: &'a Route,
+    /// The lane that the ego starts on, where its things are put on that lane whatever the route does.
+    start: Option<LanePosition>,
 }
 
 impl Stretch<'_> {
     fn at(&self, way: f64) -> (LaneId, f64) {
+        if let Some(start) = self.start {
+            return (start.lane, (start.s + way).min(self.network.lane(start.lane).shape.length()));
+        }
         let at = self.route.at(way.min(self.route.length()));
         let lane = self.network.lane(at.lane);
         (at.lane, lane.shape.project(at.pose.xy()).s)
@@ -239,7 +246,7 @@ impl Template {
                 for draw in 0..DRAWS {
                     let placement = places.draw(network, TaskKind::Navigation, seed + draw)?;
                     let route = placement.route(network)?;
-                    let stretch = Stretch { network, route: &route };
+                    let stretch = Stretch { network, route: &route, start: None };
                     if stretch.signal().is_some_and(|stop| (40.0..300.0).contains(&stop)) {
                         return Ok(placement);
                     }
@@ -248,7 +255,8 @@ impl Template {
                     "none of {DRAWS} routes leads over a signal; wad-cosim net enrich adds signals"
                 )))
             }
-            Place::Road { lanes } => {
+            Place::Road { .. } | Place::Street => {
+                let lanes = if let Place::Road { lanes } = self.place { lanes } else { 1 };
                 let mut roads: Vec<(LaneId, LaneId)> = Vec::new();
                 for edge in network.edges.iter().filter(|e| e.kind == EdgeKind::Normal) {
                     let open: Vec<LaneId> = edge
@@ -258,6 +266,10 @@ impl Template {
                         .filter(|l| network.lane(*l).permissions.allows(EGO_CLASS))
                         .collect();
                     let (Some(&first), Some(&last)) = (open.first(), open.last()) else { continue };
+                    let walkers = |l: &LaneId| network.lane(*l).permissions.allows(VehicleClass::Pedestrian);
+                    if self.place == Place::Street && !edge.lanes.iter().any(walkers) {
+                        continue;
+                    }
                     if open.len() < lanes || open.iter().any(|l| network.lane(*l).shape.length() < ROAD) {
                         continue;
                     }
@@ -304,7 +316,11 @@ pub fn create(
     let network = base.network;
     let placement = template.place(network, seed)?;
     let route = placement.route(network)?;
-    let stretch = Stretch { network, route: &route };
+    let start = match template.place {
+        Place::Road { .. } | Place::Street => Some(placement.from.on(network)?),
+        Place::Task | Place::Signal => None,
+    };
+    let stretch = Stretch { network, route: &route, start };
     let drawn = (template.draw)(&stretch);
     let ego = trip(template, network, &placement, &route)?;
     let fail = |path: &Path, source| TemplateError::Write { path: path.to_path_buf(), source };

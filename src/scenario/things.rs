@@ -386,7 +386,8 @@ fn kind_of(
             let name = reader.choice("wad.person", &["adult", "child", "senior"], "adult");
             let speed = reader.number("wad.speed", 1.8, 0.2, 6.0, "metres a second");
             let way = reader.number("wad.way", at.d.abs() + 8.0, 0.5, 60.0, "metres");
-            let trigger = trigger(reader, Some(25.0));
+            // So near that it is a surprise, so far that who is awake can still stop: 2.5 s at the limit.
+            let trigger = trigger(reader, Some((2.5 * lane.speed_limit).max(15.0)));
             on_the_way(reader, found.position, &trigger, route);
             walkable(reader, network);
             Kind::Pedestrian { walker: walker(name), speed, way, trigger }

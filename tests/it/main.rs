@@ -11,9 +11,14 @@ mod dataset;
 mod doctor;
 #[cfg(feature = "vision")]
 mod env;
+mod eval;
+mod netedit;
+mod nets;
 mod network;
 mod run;
+mod scenario;
 mod traci;
 mod traffic;
+mod view;
 #[cfg(feature = "vision")]
 mod watch;

@@ -44,7 +44,7 @@ enum What {
     /// How much of the transformed image the latent holds.
     #[cfg(feature = "learn")]
     Encoder(encoder::Args),
-    /// A suite of your own: a JSON file, with the options of the others.
+    /// A scenario (docs/scenarios.md), or a suite of your own: a JSON file. With the options of the others.
     #[command(external_subcommand)]
     File(Vec<String>),
 }

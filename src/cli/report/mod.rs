@@ -3,16 +3,40 @@
 #[cfg(feature = "learn")]
 mod latents;
 mod plot;
+mod results;
 mod reward;
 
 use super::Exit;
-use clap::Subcommand;
+use clap::{Subcommand, ValueHint};
+use std::path::PathBuf;
 
-/// Make pictures and tables of what was trained and measured.
+const EXAMPLES: &str = "\
+Examples:
+  wad-cosim report runs/nocrash                               runs/nocrash/report/index.html, .md, .csv, .tex
+  wad-cosim report runs/nocrash runs/corl --out report        several suites on one page
+  wad-cosim report runs/* --out report --markdown docs/results.md";
+
+/// Make the report of evaluations, or pictures and tables of what was trained.
 #[derive(clap::Args, Debug)]
+#[command(after_help = EXAMPLES, args_conflicts_with_subcommands = true)]
 pub struct Args {
     #[command(subcommand)]
-    what: What,
+    what: Option<What>,
+    /// Folders that `eval` wrote.
+    #[arg(value_name = "RUN", value_hint = ValueHint::DirPath)]
+    runs: Vec<PathBuf>,
+    /// Folder for the report [default: `report` in the first run's folder].
+    #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
+    out: Option<PathBuf>,
+    /// Write the Markdown tables here too.
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
+    markdown: Option<PathBuf>,
+    /// Pictures of failures per suite.
+    #[arg(long, value_name = "N", default_value_t = 24)]
+    thumbnails: usize,
+    /// Print one JSON object as the last line of stdout; everything else goes to stderr.
+    #[arg(long)]
+    json: bool,
 }
 
 #[derive(Debug, Subcommand)]
@@ -28,7 +52,17 @@ enum What {
 pub fn run(args: Args) -> anyhow::Result<Exit> {
     match args.what {
         #[cfg(feature = "learn")]
-        What::Latents(args) => latents::run(&args),
-        What::Reward(args) => reward::run(&args),
+        Some(What::Latents(args)) => latents::run(&args),
+        Some(What::Reward(args)) => reward::run(&args),
+        None if args.runs.is_empty() => Err(Exit::Input.because(anyhow::anyhow!(
+            "nothing to report: give folders that `eval --out` wrote, or `latents` or `reward`"
+        ))),
+        None => results::run(
+            &args.runs,
+            args.out.as_deref(),
+            args.markdown.as_deref(),
+            args.thumbnails,
+            args.json,
+        ),
     }
 }

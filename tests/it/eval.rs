@@ -1,0 +1,237 @@
+//! Benchmarks on a real SUMO: the same table however it was driven, external agents, replays, reports.
+
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+
+fn wad(args: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_wad-cosim"));
+    command.args(args).stdin(Stdio::null());
+    command
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+fn json(output: &Output) -> Value {
+    let text = String::from_utf8_lossy(&output.stdout);
+    let last = text.lines().last().unwrap_or_default();
+    serde_json::from_str(last).unwrap_or_else(|e| panic!("{e}: {last:?}\n{}", stderr(output)))
+}
+
+/// A suite of short episodes, in a folder of its own.
+struct Small {
+    folder: TempDir,
+    suite: String,
+}
+
+impl Small {
+    fn new(ticks: u64, episodes: u64) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("small.json");
+        let text = format!(
+            r#"{{"name": "small", "title": "Small", "episodes": {episodes},
+                "conditions": [{{"name": "new", "town": "town3", "weathers": ["WetNoon"]}}],
+                "tasks": [{{"name": "busy", "kind": "composite", "traffic": "6,6", "tick_limit": {ticks}}}]}}"#
+        );
+        std::fs::write(&path, text).unwrap();
+        let suite = path.display().to_string();
+        Self { folder, suite }
+    }
+
+    fn out(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn eval(&self, out: &str, args: &[&str]) -> Command {
+        let mut command = wad(&["eval", &self.suite, "--json", "--out"]);
+        command.arg(self.out(out)).args(args);
+        command
+    }
+}
+
+fn read(path: &Path) -> String {
+    std::fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
+}
+
+fn ok(command: &mut Command) -> Output {
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    output
+}
+
+#[test]
+fn the_table_is_the_same_killed_and_resumed_in_parallel_or_in_shards() {
+    let small = Small::new(50, 5);
+    let agents = ["--agent", "autopilot", "--agent", "constant"];
+    let with = |more: &[&'static str]| [&agents, more].concat();
+    let whole = json(&ok(&mut small.eval("whole", &agents)));
+    assert_eq!((whole["episodes"].as_u64(), whole["planned"].as_u64()), (Some(10), Some(10)));
+    assert_eq!(whole["rows"][0]["agent"], "autopilot");
+    assert_eq!(whole["rows"][0]["success_rate"], 1.0, "alive after 50 ticks: {}", whole["rows"][0]);
+
+    let episodes = small.out("cut").join("episodes.jsonl");
+    let mut child = small.eval("cut", &with(&["--jobs", "2"])).stdout(Stdio::null()).spawn().unwrap();
+    let began = Instant::now();
+    while std::fs::read_to_string(&episodes).map_or(0, |text| text.lines().count()) < 2 {
+        assert!(began.elapsed() < Duration::from_secs(120), "no two episodes within two minutes");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    // As a kill in the middle of a line leaves it.
+    let text = read(&episodes);
+    std::fs::write(&episodes, &text[..text.len() - 40]).unwrap();
+    let refused = small.eval("cut", &agents).output().unwrap();
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(stderr(&refused).contains("--resume"), "{}", stderr(&refused));
+    let output = ok(&mut small.eval("cut", &with(&["--jobs", "2", "--resume"])));
+    assert!(stderr(&output).contains("half-written"), "{}", stderr(&output));
+    let table = |out: &str| read(&small.out(out).join("summary.json"));
+    assert_eq!(table("whole"), table("cut"));
+
+    ok(&mut small.eval("one", &with(&["--shard", "1/2"])));
+    ok(&mut small.eval("two", &with(&["--shard", "2/2"])));
+    let merge = |runs: &[&str], out: &str| {
+        let mut command = wad(&["eval", "merge"]);
+        command.args(runs.iter().map(|run| small.out(run))).arg("--out").arg(small.out(out));
+        command.output().unwrap()
+    };
+    let merged = merge(&["two", "one"], "all");
+    assert!(merged.status.success(), "{}", stderr(&merged));
+    assert_eq!(table("whole"), table("all"));
+
+    ok(&mut small.eval("other", &["--agent", "constant", "--seed", "3"]));
+    let mixed = merge(&["one", "other"], "mixed");
+    assert_eq!(mixed.status.code(), Some(2));
+    assert!(stderr(&mixed).contains("selection.seeds"), "{}", stderr(&mixed));
+    let mixed = small.eval("whole", &with(&["--resume", "--detector", "light"])).output().unwrap();
+    assert_eq!(mixed.status.code(), Some(2));
+    assert!(stderr(&mixed).contains("options.detector"), "{}", stderr(&mixed));
+}
+
+#[test]
+fn a_failure_is_replayed_to_the_bit_and_reported() {
+    let small = Small::new(200, 2);
+    let reckless = "constant:1,0.4,0";
+    let result = json(&ok(&mut small.eval("run", &["--agent", reckless])));
+    assert_eq!(result["totals"][0]["successes"], 0, "{}", result["totals"][0]);
+    let run = small.out("run");
+    let kept: Vec<PathBuf> =
+        std::fs::read_dir(run.join("episodes")).unwrap().map(|entry| entry.unwrap().path()).collect();
+    assert_eq!(kept.len(), 2, "every failure is kept");
+    let film = small.out("film/");
+    let mut replay =
+        wad(&["replay", "--verify", "--json", "--last", "0.4", "--record-view", "bird", "--record"]);
+    let film_folder = format!("{}/", film.display());
+    let answer = json(&ok(replay.arg(&film_folder).arg(&kept[0])));
+    assert_eq!(answer["verify"]["same"], true, "{answer}");
+    assert_eq!(answer["verify"]["ticks"].as_u64(), answer["ticks"].as_u64().map(|ticks| ticks + 1));
+    assert_eq!(std::fs::read_dir(&film).unwrap().count(), 2, "two pictures in 0.4 s");
+
+    // A recording that tells another story is found out.
+    let episode = kept[0].join("episode.json");
+    std::fs::write(&episode, read(&episode).replace("constant:1,0.4,0", "constant:1,0.41,0")).unwrap();
+    let differs = wad(&["replay", "--verify", "--json"]).arg(&kept[0]).output().unwrap();
+    assert_eq!(differs.status.code(), Some(1));
+    let answer = json(&differs);
+    assert_eq!(answer["verify"]["first_difference"][0], 1, "{answer}");
+
+    let answer = json(&ok(wad(&["report", "--json", "--thumbnails", "1"]).arg(&run)));
+    assert_eq!(answer["pictures"], 1);
+    let page = read(&run.join("report/index.html"));
+    let outside = page.replace("http://www.w3.org/2000/svg", "");
+    assert!(!outside.contains("http") && !outside.contains("<script"), "one page that needs nothing else");
+    assert!(page.contains("data:image/") && page.contains("How episodes ended") && page.contains("<svg"));
+    let table = read(&run.join("report/report.md"));
+    assert!(table.contains("0.0 % [0.0–65.8], n 2"), "{table}");
+    assert!(read(&run.join("report/report.tex")).contains("\\begin{tabular}"));
+    assert!(read(&run.join("report/report.csv")).contains("Small: success"));
+}
+
+#[cfg(feature = "vision")]
+#[test]
+fn an_external_agent_drives_and_one_that_fails_costs_its_episode_only() {
+    let small = Small::new(25, 2);
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("scripts/example_agent.py");
+    let python = format!("exec:python3 {}", script.display());
+    // It answers for a while, then dies: at the same tick in each episode.
+    let dying = "exec:echo '{\"image\": true}'; for i in 1 2 3 4 5; do read -r line; test ${#line} -gt 20000 || exit 9; \
+                 echo '{\"throttle\": 0.5, \"steer\": 0, \"brake\": 0}'; done; echo out of ideas >&2; exit 3";
+    let output = ok(&mut small.eval("run", &["--agent", &python, "--agent", dying]));
+    let result = json(&output);
+    let [good, bad] = [&result["totals"][0], &result["totals"][1]];
+    assert_eq!((good["episodes"].as_u64(), good["agent_failures"].as_u64()), (Some(2), Some(0)), "{good}");
+    assert!(good["mean_distance_m"].as_f64() > Some(3.0), "it moves: {good}");
+    assert_eq!((bad["episodes"].as_u64(), bad["successes"].as_u64()), (Some(2), Some(0)), "{bad}");
+    assert_eq!(bad["agent_failures"], 2, "{bad}");
+    let lines = read(&small.out("run").join("episodes.jsonl"));
+    assert!(lines.contains("it died (exit status: 3); it said: out of ideas"), "{lines}");
+    // Its recorded controls drive where it is not asked again.
+    let kept = std::fs::read_dir(small.out("run").join("episodes")).unwrap().next().unwrap().unwrap().path();
+    let answer = json(&ok(wad(&["replay", "--verify", "--json"]).arg(kept)));
+    assert_eq!((&answer["verify"]["same"], &answer["verify"]["driven"]), (&true.into(), &"recorded".into()));
+    assert_eq!(answer["ticks"], 5);
+
+    let out = small.out("drive");
+    let mut run =
+        wad(&["run", "town3", "--traffic", "empty", "--ticks", "20", "--json", "--agent", &python, "--out"]);
+    let summary = json(&ok(run.arg(&out)));
+    assert_eq!(summary["ticks"], 20);
+}
+
+#[test]
+fn mistakes_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let failed = |args: &[&str]| {
+        let output = wad(args).output().unwrap();
+        assert_eq!(output.status.code(), Some(2), "{args:?}: {}", stderr(&output));
+        stderr(&output)
+    };
+    let error = failed(&["eval", "nocash"]);
+    assert!(error.contains("nocash") && error.contains("nocrash"), "{error}");
+    assert!(failed(&["eval", "nocrash", "--condition", "newer"]).contains("training, new"));
+    assert!(failed(&["eval", "composite", "--agent", "wad-x", "--episodes", "1"]).contains("wad-x"));
+    assert!(failed(&["eval", "nocrash", "--shard", "3/2"]).contains("K/N"));
+    assert!(failed(&["report"]).contains("eval --out"));
+    let error = failed(&["report", &folder.path().display().to_string()]);
+    assert!(error.contains("config.json"), "{error}");
+    let error = failed(&["replay", &folder.path().display().to_string()]);
+    assert!(error.contains("episode.json"), "{error}");
+    // A net that no routes were made for.
+    let towns = wad_cosim::bundled::resolve("town3.net.xml").unwrap();
+    let own = folder
+        .path()
+        .join(format!("own.{}", towns.file_name().unwrap().to_string_lossy().split_once('.').unwrap().1));
+    std::fs::copy(&towns, &own).unwrap();
+    let own = own.display().to_string();
+    let error = failed(&["eval", "nocrash", "--town", &own]);
+    assert!(error.contains(&format!("eval routes {own}")), "{error}");
+    let made = wad(&["eval", "routes", &own, "--set", "navigation", "--count", "1"]).output().unwrap();
+    assert!(made.status.success(), "{}", stderr(&made));
+    let args = [
+        "eval",
+        "nocrash",
+        "--town",
+        &own,
+        "--traffic",
+        "empty",
+        "--weather",
+        "WetNoon",
+        "--episodes",
+        "1",
+        "--json",
+    ];
+    let result = json(&ok(&mut wad(&args)));
+    assert_eq!(
+        (&result["rows"][0]["success_rate"], &result["rows"][0]["condition"]),
+        (&1.0.into(), &"other".into())
+    );
+    // The net changes, and its routes are of no use any more.
+    let routes = folder.path().join("own.routes.json");
+    std::fs::write(&routes, read(&routes).replacen("\"net\": \"", "\"net\": \"0", 1)).unwrap();
+    assert!(failed(&args).contains("another net"));
+}
