@@ -198,6 +198,7 @@ impl Drive {
         options: DriveOptions,
         driver: Option<LearnedDriver>,
     ) -> Result<Self, DriveError> {
+        options.ego.check().map_err(BridgeError::from)?;
         let config = RunConfig { options: &options, driver: driver.as_ref().map(LearnedDriver::record) };
         let folder = RunFolder::create(&options.out, &config)?;
         let mut bridge = Bridge::start(&options.bridge).await?;
