@@ -218,6 +218,7 @@ impl Drive {
         options: DriveOptions,
         driver: Option<LearnedDriver>,
     ) -> Result<Self, DriveError> {
+        options.ego.check().map_err(BridgeError::from)?;
         let config = RunConfig { options: &options, driver: driver.as_ref().map(LearnedDriver::record) };
         let folder = RunFolder::create(&options.out, &config)?;
         let mut options = options;

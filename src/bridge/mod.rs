@@ -119,8 +119,9 @@ pub struct Bridge {
     counts: (usize, usize),
     /// Vehicles in the network after the last step, egos included.
     in_network: usize,
-    /// Time spent waiting for SUMO's answers to steps (s).
+    /// Time spent waiting for SUMO's answers to steps (s), and their size (bytes).
     sumo_seconds: f64,
+    answer_bytes: u64,
 }
 
 impl Bridge {
@@ -141,6 +142,9 @@ impl Bridge {
         network: Option<Arc<Network>>,
     ) -> Result<Self, BridgeError> {
         let install = SumoInstall::find()?;
+        if options.attach.is_none() {
+            install.check_version()?;
+        }
         let schema = OptionSchema::cached(&install, options.gui)?;
         let config = SumoConfig::load(&options.config, &schema)?;
         for option in &config.ignored {
@@ -217,6 +221,7 @@ impl Bridge {
             counts: (0, 0),
             in_network: 0,
             sumo_seconds: 0.0,
+            answer_bytes: 0,
         })
     }
 
@@ -250,6 +255,12 @@ impl Bridge {
         self.sumo_seconds
     }
 
+    /// Size of SUMO's answers to steps so far (bytes): what it gathers, sends and we decode. It grows with
+    /// what the egos see, not with the town.
+    pub fn answer_bytes(&self) -> u64 {
+        self.answer_bytes
+    }
+
     /// Id of SUMO's process, None where attached.
     pub fn sumo_pid(&self) -> Option<u32> {
         self.process.as_ref().map(SumoProcess::id)
@@ -274,6 +285,7 @@ impl Bridge {
     /// SUMO refuses one of them, or fails.
     pub async fn spawn_all(&mut self, egos: &mut [&mut Ego]) -> Result<(), BridgeError> {
         for ego in egos.iter_mut() {
+            ego.params().check()?;
             ego.insert(&self.network, &mut self.batch);
             observe::subscribe(&mut self.batch, &ego.id, self.sight);
         }
@@ -342,6 +354,7 @@ impl Bridge {
             Err(error) => return Err(self.explain(error).await),
         };
         self.sumo_seconds += sent.elapsed().as_secs_f64();
+        self.answer_bytes += replies.bytes() as u64;
         // From here on the batch is the next tick's.
         self.batch.clear();
         self.ticks += 1;
