@@ -268,7 +268,6 @@ mod tests {
 
     fn routes() -> BTreeMap<String, (Routes, PathBuf)> {
         let place = |n: usize| Placement {
-            via: Vec::new(),
             from: Spot { lane: format!("a{n}_0"), s: 1.0 },
             to: Spot { lane: "b_0".into(), s: 2.0 },
             obstacle: None,
