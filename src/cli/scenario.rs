@@ -6,7 +6,7 @@ use clap::Subcommand;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use wad_cosim::bundled;
-use wad_cosim::network::Network;
+use wad_cosim::network::{Network, Shapes};
 use wad_cosim::scenario::template::{self, Base, TEMPLATES};
 use wad_cosim::scenario::{self, Problem};
 use wad_cosim::sumo_config::{OptionSchema, SumoConfig};
@@ -201,6 +201,7 @@ fn edit(args: &Edit) -> anyhow::Result<Exit> {
         );
     }
     let install = SumoInstall::find().map_err(|e| Exit::Sumo.because(e))?;
+    let town = Town::remember(&config)?;
     let mut command = install.command("netedit");
     command.arg("--sumocfg-file").arg(&config).args(&args.more);
     let status = command.status().map_err(|error| {
@@ -215,7 +216,56 @@ fn edit(args: &Edit) -> anyhow::Result<Exit> {
             std::env::var("DISPLAY").unwrap_or_default()
         )));
     }
+    town.put_back();
     Ok(Exit::Done)
+}
+
+/// The files of a scenario's town, which others use too. netedit writes them again with everything that it
+/// saves, in other digits: where they mean the same, they get their own bytes back.
+struct Town {
+    files: Vec<(PathBuf, Vec<u8>, Shapes)>,
+    network: Option<Network>,
+}
+
+impl Town {
+    fn remember(config: &Path) -> anyhow::Result<Self> {
+        let loaded = load(config)?;
+        let network = loaded.net_file().ok().and_then(|net| Network::load(&net).ok());
+        let folder = config.parent().unwrap_or(Path::new(""));
+        let folder = std::path::absolute(folder).unwrap_or_else(|_| folder.to_path_buf());
+        let others = loaded.additional_files().into_iter().filter(|file| file.parent() != Some(&folder));
+        let files = others.filter_map(|file| {
+            let bytes = std::fs::read(&file).ok()?;
+            let shapes = Shapes::load(&file, network.as_ref()?).ok()?;
+            Some((file, bytes, shapes))
+        });
+        Ok(Self { files: files.collect(), network })
+    }
+
+    fn put_back(&self) {
+        let Some(network) = &self.network else { return };
+        for (file, bytes, shapes) in &self.files {
+            let changed = std::fs::read(file).is_ok_and(|now| now != *bytes);
+            let same = || Shapes::load(file, network).is_ok_and(|now| same_shapes(&now, shapes));
+            if changed
+                && same()
+                && let Err(error) = std::fs::write(file, bytes)
+            {
+                tracing::warn!("{} stays as netedit wrote it: {error}", file.display());
+            }
+        }
+    }
+}
+
+/// Equal but for the order.
+fn same_shapes(a: &Shapes, b: &Shapes) -> bool {
+    let sorted = |shapes: &Shapes| {
+        let mut all: Vec<String> = shapes.polygons.iter().map(|p| format!("{p:?}")).collect();
+        all.extend(shapes.points.iter().map(|p| format!("{p:?}")));
+        all.sort_unstable();
+        all
+    };
+    sorted(a) == sorted(b)
 }
 
 #[derive(Serialize)]

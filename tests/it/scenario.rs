@@ -169,7 +169,6 @@ fn an_accident_blocks_the_lane_and_is_passed_on_the_next() {
     let lane = text.split("departLane=\"").nth(1).unwrap().split('"').next().unwrap().to_string();
     let kept = kept.join("\n").replace("arrivalPos=", &format!("arrivalLane=\"{lane}\" arrivalPos="));
     std::fs::write(&path, kept).unwrap();
-    copy.change("rou.xml", "wad.time_limit\" value=\"", "wad.time_limit\" value=\"0");
     let mut nearest = f64::INFINITY;
     let ending = drive(&copy.config(), |_, record| {
         if let Some(leader) = record.leader {

@@ -1,6 +1,7 @@
 //! `wad-cosim train detector`.
 
 use super::encoder::Device;
+use super::with_exit;
 use crate::cli::progress::Bar;
 use crate::cli::{Exit, dataset, print};
 use anyhow::Context;
@@ -8,9 +9,8 @@ use clap::{ValueEnum, ValueHint};
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use wad_cosim::dataset::{self as frames, CollectOptions, collect};
-use wad_cosim::latent::weights::WeightsError;
 use wad_cosim::perception::centernet;
-use wad_cosim::train::detector::{Progress, TrainError, TrainOptions, Trained, train};
+use wad_cosim::train::detector::{Progress, TrainOptions, Trained, train};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -206,19 +206,6 @@ fn show(bar: &Bar, progress: Progress) {
         bar.say(&message);
     }
     bar.show(progress.step, &message);
-}
-
-/// The exit code that belongs to a training's error.
-fn with_exit(error: TrainError) -> anyhow::Error {
-    let exit = match &error {
-        TrainError::Weights(WeightsError::Io { .. } | WeightsError::Torch(_)) => Exit::Other,
-        TrainError::Dataset(_)
-        | TrainError::Weights(_)
-        | TrainError::Taken { .. }
-        | TrainError::NothingToResume { .. } => Exit::Input,
-        _ => Exit::Other,
-    };
-    exit.because(error)
 }
 
 fn report(t: &Trained, json: bool) -> anyhow::Result<()> {
