@@ -6,6 +6,9 @@ use std::fmt::Write;
 pub const COLOURS: [&str; 8] =
     ["#009e73", "#56b4e9", "#d55e00", "#cc79a7", "#e69f00", "#f0e442", "#0072b2", "#777777"];
 
+/// Colours of lines that are easily told apart, in order.
+const LINES: [usize; 7] = [6, 2, 0, 3, 4, 1, 7];
+
 /// A drawing under way.
 pub struct Svg {
     width: f64,
@@ -140,7 +143,7 @@ pub fn distribution(title: &str, unit: &str, step: f64, lines: &[(String, Vec<u6
     }
     svg.text(LEFT + 0.5 * WIDTH, TOP + HEIGHT + 34.0, "middle", unit);
     for (i, (name, share)) in shares.iter().enumerate() {
-        let colour = COLOURS[(6 + 4 * i) % COLOURS.len()];
+        let colour = COLOURS[LINES[i % LINES.len()]];
         let steps = share
             .iter()
             .enumerate()

@@ -186,7 +186,12 @@ fn infractions(section: &Section) -> Table {
         let s = Score::of(&group);
         cells.push(format!("{:.2}", s.distance_km));
         cells.extend(s.events.named().map(|(_, n)| {
-            if n == 0 { "0".to_string() } else { format!("{:.2} ({n})", n as f64 / s.distance_km.max(1e-3)) }
+            match s.distance_km {
+                _ if n == 0 => "0".to_string(),
+                // Who does not move has none per km.
+                km if km < 0.1 => format!("({n})"),
+                km => format!("{:.2} ({n})", n as f64 / km),
+            }
         }));
         cells.push(s.events.collisions_caused.to_string());
         cells
