@@ -367,7 +367,10 @@ fn the_page_in_a_browser() {
     let mut browser = Browser::start();
     let page = browser.open(&run.url(), (1366, 768));
     browser.wait(&page, "window.wad && wad.frames > 3");
-    let shown = "(() => { const c = document.getElementById('camera'); const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data; let h = 0; for (let i = 0; i < d.length; i += 97) h = (h * 31 + d[i]) | 0; return h; })()";
+    let shown = "(() => { const t = document.createElement('canvas'); t.width = t.height = 64; \
+                 const c = t.getContext('2d', { willReadFrequently: true }); \
+                 c.drawImage(document.getElementById('camera'), 0, 0, 64, 64); \
+                 return c.getImageData(0, 0, 64, 64).data.reduce((h, v) => (h * 31 + v) | 0, 0); })()";
     let pixels = browser.ask(&page, shown);
     browser.wait(&page, &format!("{shown} !== {pixels}"));
 
