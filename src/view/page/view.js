@@ -213,7 +213,7 @@ function paint() {
   put("viewers", String(s.viewers));
   const late = [...wad.latencies.slice(-15)].sort((a, b) => a - b)[Math.min(7, wad.latencies.length >> 1)];
   put("latency", late >= 0 && late < 9999 && hello.mode === "run" ? late.toFixed(0) + " ms" : "–");
-  setLink(s.over ? "wait" : "on", s.over || (hello.mode === "replay" ? "replay" : s.paused ? "paused" : "live"));
+  setLink("on", hello.mode === "replay" ? "replay" : s.paused ? "paused" : "live");
   $("pause").setAttribute("aria-pressed", s.paused);
   put("pause", s.paused ? (s.over && hello.mode === "replay" ? "Play again" : "Go on") : "Pause");
   if (document.activeElement !== $("speed")) $("speed").value = String(s.speed_factor);
@@ -253,6 +253,7 @@ function paint() {
   }
   if (hello.mode === "replay") {
     if (!scrubbing) $("scrub").value = s.tick;
+    if (!marked) marks();
     put("scrub-now", `${s.tick} / ${hello.ticks - 1} · ${clock(s.time)}`);
   }
 }
@@ -322,7 +323,7 @@ function note(n, forced) {
 }
 
 // ---- replay ----
-let scrubbing = false;
+let scrubbing = false, marked = false;
 function replay(message) {
   $("scrub").max = Math.max(0, message.ticks - 1);
   points = message.course || [];
@@ -332,9 +333,10 @@ function replay(message) {
   options($("outcome"), [["", `all (${list.length})`], ...outcomes.map((o) => [o, `${o.replace(/_/g, " ")} (${list.filter((e) => e.outcome === o).length})`])]);
   $("outcome").value = outcomes.includes(chosen) ? chosen : "";
   episodes();
-  requestAnimationFrame(marks);
+  marked = false;
 }
 function marks() {
+  marked = true;
   const canvas = $("marks"), bar = $("scrub").getBoundingClientRect(), all = $("timeline").getBoundingClientRect();
   canvas.width = Math.max(1, Math.round(all.width));
   const c = canvas.getContext("2d");
@@ -403,7 +405,7 @@ addEventListener("keydown", (e) => {
 });
 // Somebody who looks elsewhere does not drive.
 document.addEventListener("visibilitychange", () => { if (document.hidden && hands.driving) send({ do: "driver", name: "autopilot" }); });
-addEventListener("resize", () => { paint(); if (hello?.mode === "replay") marks(); });
+addEventListener("resize", () => { paint(); marked = false; });
 
 let drawnAt = 0;
 function frame(now) {

@@ -90,6 +90,13 @@ impl Browser {
     }
 
     fn command(&mut self, session: Option<&Page>, method: &str, params: Value) -> Value {
+        let mut answer = self.try_command(session, method, params);
+        assert!(answer["error"].is_null(), "{method}: {}", answer["error"]);
+        answer["result"].take()
+    }
+
+    /// The whole answer, which may be an error.
+    fn try_command(&mut self, session: Option<&Page>, method: &str, params: Value) -> Value {
         self.next += 1;
         let id = self.next;
         let mut message = json!({ "id": id, "method": method, "params": params });
@@ -112,12 +119,9 @@ impl Browser {
             }
         };
         let limit = Duration::from_secs(30);
-        let mut answer = self
-            .runtime
+        self.runtime
             .block_on(async { tokio::time::timeout(limit, answer).await })
-            .unwrap_or_else(|_| panic!("no answer to {method}"));
-        assert!(answer["error"].is_null(), "{method}: {}", answer["error"]);
-        answer["result"].take()
+            .unwrap_or_else(|_| panic!("no answer to {method}"))
     }
 
     /// A page of that size, at `url`.
@@ -152,10 +156,13 @@ impl Browser {
         answer["result"]["value"].take()
     }
 
-    /// Waits until an expression is true.
+    /// Waits until an expression is true. It may fail meanwhile: the page is being loaded.
     pub fn wait(&mut self, page: &Page, expression: &str) {
         let began = Instant::now();
-        while self.ask(page, &format!("Boolean({expression})")) != true {
+        let params = json!({ "expression": format!("Boolean({expression})"), "returnByValue": true });
+        while self.try_command(Some(page), "Runtime.evaluate", params.clone())["result"]["result"]["value"]
+            != true
+        {
             assert!(began.elapsed() < Duration::from_secs(30), "never true: {expression}");
             std::thread::sleep(Duration::from_millis(30));
         }
