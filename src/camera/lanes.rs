@@ -43,6 +43,15 @@ pub trait Lane:
     /// Puts these into the first `count` places of `depth`, and `id` into those of `ids`, where they are
     /// larger (and above 0); whether any is.
     fn nearer(self, count: i32, depth: &mut [f32], ids: &mut [u32], id: u32) -> bool;
+    /// The same where `end` holds and `begin` does not.
+    fn nearer_between(
+        self,
+        begin: Self::Mask,
+        end: Self::Mask,
+        depth: &mut [f32],
+        ids: &mut [u32],
+        id: u32,
+    ) -> bool;
     /// Where `depth` is 0, puts these there and `id` into `ids` if they are above `far`, else 0 into `ids`.
     fn fill_empty(self, far: f32, depth: &mut [f32], ids: &mut [u32], id: u32);
     /// The places, as bits, where two rows of ids differ.
@@ -164,6 +173,10 @@ impl Lane for f32 {
             (depth[0], ids[0]) = (self, id);
         }
         nearer
+    }
+    #[inline(always)]
+    fn nearer_between(self, begin: bool, end: bool, depth: &mut [f32], ids: &mut [u32], id: u32) -> bool {
+        self.nearer(i32::from(end & !begin), depth, ids, id)
     }
     #[inline(always)]
     fn fill_empty(self, far: f32, depth: &mut [f32], ids: &mut [u32], id: u32) {
@@ -411,11 +424,24 @@ mod avx {
         }
         #[inline(always)]
         fn nearer(self, count: i32, depth: &mut [f32], ids: &mut [u32], id: u32) -> bool {
+            let within = unsafe {
+                let ramp = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
+                _mm256_castsi256_ps(_mm256_cmpgt_epi32(_mm256_set1_epi32(count), ramp))
+            };
+            self.nearer_between(Self::splat(0.0).0, within, depth, ids, id)
+        }
+        #[inline(always)]
+        fn nearer_between(
+            self,
+            begin: __m256,
+            end: __m256,
+            depth: &mut [f32],
+            ids: &mut [u32],
+            id: u32,
+        ) -> bool {
             let (depth, ids) = (&mut depth[..8], &mut ids[..8]);
             unsafe {
-                let ramp = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
-                let within = _mm256_cmpgt_epi32(_mm256_set1_epi32(count), ramp);
-                let new = _mm256_and_ps(self.0, _mm256_castsi256_ps(within));
+                let new = _mm256_and_ps(self.0, _mm256_andnot_ps(begin, end));
                 let old = _mm256_loadu_ps(depth.as_ptr());
                 let nearer = _mm256_cmp_ps::<_CMP_GT_OQ>(new, old);
                 // Blends that are stored where one side was loaded become slow masked stores.

@@ -20,6 +20,7 @@ mod gather;
 pub mod grid;
 mod ground_marks;
 mod lanes;
+mod large;
 pub mod model;
 mod noise;
 mod picture;

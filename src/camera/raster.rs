@@ -5,6 +5,7 @@
 
 use super::faces::Face;
 use super::lanes::{Lane, lanes};
+use super::large::Large;
 use super::simd::{first_centre, multiversion};
 use super::view::{NEAR, cross, dot, sub};
 
@@ -34,9 +35,9 @@ pub struct Visibility {
     /// Pixels from row to row.
     pub stride: usize,
     /// 1 / depth (1/m); 0 where nothing was drawn.
-    pub iz: Vec<f32>,
+    pub iz: Large<f32>,
     /// Index of the triangle + 1; 0 where nothing was drawn. Holds after [`settle`] only.
-    pub id: Vec<u32>,
+    pub id: Large<u32>,
     /// Smallest 1 / depth of each tile, as of the last [`Visibility::update_tiles`].
     tiles: Vec<f32>,
     tile_columns: usize,
@@ -50,9 +51,10 @@ impl Visibility {
     pub fn clear(&mut self, width: usize, height: usize) {
         (self.width, self.height, self.stride) = (width, height, width + PAD);
         let size = self.stride * height;
-        self.iz.clear();
-        self.iz.resize(size, 0.0);
-        self.id.resize(size, 0);
+        self.iz.reset(size, 0.0);
+        if self.id.len() != size {
+            self.id.reset(size, 0);
+        }
         self.tile_columns = width.div_ceil(TILE);
         self.tiles.clear();
         self.tiles.resize(self.tile_columns * height.div_ceil(TILE), 0.0);
@@ -245,18 +247,32 @@ struct Fill<L> {
     slope: L,
     low: L,
     high: L,
+    /// Of a face no wider than the lanes: where they begin, and the middles of their pixels. A row is then
+    /// done at once, without asking how long it is, which is hard to foretell.
+    narrow: Option<(usize, L)>,
 }
 
 impl<L: Lane> Fill<L> {
     #[inline(always)]
-    fn new(id: u32, iz: [f32; 3], (low, high): (f32, f32)) -> Self {
-        Self { id, iz, slope: L::splat(iz[0]), low: L::splat(low), high: L::splat(high) }
+    fn new(id: u32, iz: [f32; 3], (low, high): (f32, f32), (left, right): (f32, f32), width: usize) -> Self {
+        let narrow = (L::COUNT > 1 && right - left < L::COUNT as f32 - 1.0).then(|| {
+            let first = first_centre(left, width as f32);
+            (first as usize, L::splat(first as f32 + 0.5) + L::ramp())
+        });
+        Self { id, iz, slope: L::splat(iz[0]), low: L::splat(low), high: L::splat(high), narrow }
     }
 
     /// Fills row `y` between two edges (pixels); whether any pixel shows it.
     #[inline(always)]
     fn row(&self, out: &mut Visibility, y: i32, left: f32, right: f32) -> bool {
         let w = out.width as f32;
+        if let Some((first, centres)) = self.narrow {
+            let at = y as usize * out.stride + first;
+            let base = L::splat(self.iz[1] * (y as f32 + 0.5) + self.iz[2] + self.iz[0] * 0.5);
+            let z = (base + self.slope * (centres - L::splat(0.5))).max(self.low).min(self.high);
+            let (begin, end) = (centres.less(L::splat(left)), centres.less(L::splat(min(right, w))));
+            return z.nearer_between(begin, end, &mut out.iz[at..], &mut out.id[at..], self.id);
+        }
         let (mut x, x1) = (first_centre(left, w), first_centre(right, w));
         if x >= x1 {
             return false;
@@ -317,7 +333,8 @@ fn fill<L: Lane>(
     if top >= bottom {
         return false;
     }
-    let ink = Fill::<L>::new(id, iz, bounds);
+    let (left, right) = (min(a[0], min(b[0], c[0])), max(a[0], max(b[0], c[0])));
+    let ink = Fill::<L>::new(id, iz, bounds, (left, right), out.width);
     let long = Side::new(a, c);
     let turn = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1]);
     let mut drawn = false;
@@ -353,7 +370,9 @@ fn fill_four<L: Lane>(
         bottom = if corners[i][1] > corners[bottom][1] { i } else { bottom };
     }
     let (mut y, end) = (first_centre(corners[top][1], h), first_centre(corners[bottom][1], h));
-    let ink = Fill::<L>::new(id, iz, bounds);
+    let [a, b, c, d] = corners.map(|c| c[0]);
+    let (left, right) = (min(min(a, b), min(c, d)), max(max(a, b), max(c, d)));
+    let ink = Fill::<L>::new(id, iz, bounds, (left, right), out.width);
     // The corners that the left and the right side have come to, the rows to which they go.
     let steps = if forward { [1, 3] } else { [3, 1] };
     let mut sides = [Side { from: corners[top], slope: 0.0 }; 2];
