@@ -59,6 +59,8 @@ pub struct BridgeRow {
     pub bridge_pedestrians: f64,
     /// Actors within sight of the ego, on average.
     pub actors_in_sight: f64,
+    /// Size of SUMO's answer to a tick (bytes), on average.
+    pub answer_bytes: f64,
     pub ticks: u64,
     pub repeat: usize,
 }
@@ -147,6 +149,7 @@ impl BridgeBench {
             bridge_vehicles: mean(&|bridge, _| bridge.vehicles),
             bridge_pedestrians: mean(&|bridge, _| bridge.pedestrians),
             actors_in_sight: mean(&|bridge, _| bridge.actors),
+            answer_bytes: mean(&|bridge, _| bridge.bytes),
             ticks: self.ticks,
             repeat: pairs.len(),
         }
@@ -161,6 +164,7 @@ struct Stretch {
     physics: f64,
     autopilot: f64,
     actors: f64,
+    bytes: f64,
     vehicles: f64,
     pedestrians: f64,
 }
@@ -172,6 +176,7 @@ async fn bridge_stretch(drive: &mut Drive, ticks: u64) -> Result<Stretch, BenchE
     let sumo_cpu =
         |drive: &Drive| drive.bridge().sumo_pid().and_then(cpu_time::of_process).unwrap_or(f64::NAN);
     let (before, cpu_before) = (drive.timings(), sumo_cpu(drive));
+    let bytes = drive.bridge().answer_bytes();
     let (mut actors, mut vehicles, mut pedestrians) = (0, 0, 0);
     for _ in 0..ticks {
         drive.tick().await?;
@@ -189,6 +194,7 @@ async fn bridge_stretch(drive: &mut Drive, ticks: u64) -> Result<Stretch, BenchE
         physics: per_tick(after.physics - before.physics),
         autopilot: per_tick(after.agent - before.agent),
         actors: mean(actors),
+        bytes: (drive.bridge().answer_bytes() - bytes) as f64 / ticks as f64,
         vehicles: mean(vehicles),
         pedestrians: mean(pedestrians),
     })

@@ -46,6 +46,22 @@ impl Cores {
         Some(Self(set))
     }
 
+    /// These but those of `other`; None where none would be left.
+    pub fn without(&self, other: &Self) -> Option<Self> {
+        // SAFETY: an all-zero cpu_set_t is the empty set.
+        let mut rest: libc::cpu_set_t = unsafe { std::mem::zeroed() };
+        for core in 0..8 * std::mem::size_of::<libc::cpu_set_t>() {
+            // SAFETY: `core` is within the sets, and the sets are live.
+            unsafe {
+                if libc::CPU_ISSET(core, &self.0) && !libc::CPU_ISSET(core, &other.0) {
+                    libc::CPU_SET(core, &mut rest);
+                }
+            }
+        }
+        // SAFETY: as above.
+        (unsafe { libc::CPU_COUNT(&rest) } > 0).then_some(Self(rest))
+    }
+
     /// Confines a process to these cores; pid 0 is the calling thread. False where the system refuses.
     pub fn confine(&self, pid: u32) -> bool {
         let Ok(pid) = libc::pid_t::try_from(pid) else { return false };
@@ -93,6 +109,9 @@ mod tests {
     fn the_thread_roams_again_afterwards() {
         // SAFETY: both are plain bit sets read through shared references.
         let count = |cores: &Cores| unsafe { libc::CPU_COUNT(&cores.0) };
+        let all = Cores::allowed().unwrap();
+        let rest = Cores::nth(0).and_then(|first| all.without(&first));
+        assert_eq!(rest.map_or(0, |rest| count(&rest)), count(&all) - 1);
         let before = Cores::allowed().map(|cores| count(&cores));
         let mut child = std::process::Command::new("sleep").arg("10").spawn().unwrap();
         let shared = SharedCore::with(child.id());

@@ -10,9 +10,9 @@ use crate::learned_driver::{DriverRecord, LearnedDriver, LearnedDriverError};
 use crate::network::{LanePosition, Network, Polygon, Route, Shapes};
 use crate::scenario::{Director, Scenario};
 use crate::telemetry::{
-    FolderError, LeaderRecord, LightRecord, RouteRecord, RunFolder, TickRecord, WriteError,
+    FolderError, LeaderRecord, LightRecord, RouteRecord, RunFolder, TickRecord, Wish, WriteError,
 };
-use crate::traffic::TrafficSpec;
+use crate::traffic::{Counts, TrafficSpec};
 use crate::vehicle::{self, Control, EgoParams, PartnerKind};
 use crate::{cpu_time, seeds};
 use serde::{Deserialize, Serialize};
@@ -161,6 +161,10 @@ pub struct Drive {
     totals: Totals,
     timings: Timings,
     began: Instant,
+    /// Asked for since the last tick.
+    wishes: Vec<Wish>,
+    /// Who took the wheel from the run's own driver.
+    guest: Option<String>,
     /// Ticks that the scenario may take, and how it ended.
     limit: Option<u64>,
     ending: Option<Ending>,
@@ -214,6 +218,7 @@ impl Drive {
         options: DriveOptions,
         driver: Option<LearnedDriver>,
     ) -> Result<Self, DriveError> {
+        options.ego.check().map_err(BridgeError::from)?;
         let config = RunConfig { options: &options, driver: driver.as_ref().map(LearnedDriver::record) };
         let folder = RunFolder::create(&options.out, &config)?;
         let mut options = options;
@@ -255,6 +260,8 @@ impl Drive {
             totals: Totals::default(),
             timings: Timings::default(),
             began: Instant::now(),
+            wishes: Vec::new(),
+            guest: None,
         })
     }
 
@@ -316,7 +323,8 @@ impl Drive {
             self.ego.world(),
             tick,
         );
-        if let Some(driver) = &mut self.driver {
+        let decided = decision.control;
+        if let Some(driver) = self.driver.as_mut().filter(|_| given.is_none()) {
             decision.control = driver.control(&network, &self.ego, tick)?;
             decision.brake_light = decision.control.brake > 0.05;
         }
@@ -324,6 +332,9 @@ impl Drive {
         if let Some(given) = given.filter(|given| !is_close(given, &decision.control)) {
             decision.control = given;
             decision.brake_light = given.brake > 0.05;
+        }
+        if decision.control != decided {
+            self.autopilot.overruled();
         }
         self.ego.set_lamps(Lamps {
             blinker_left: decision.blinker_left,
@@ -386,7 +397,7 @@ impl Drive {
         };
     }
 
-    fn record(&self, network: &Network, decision: &Decision, events: Vec<Event>) -> TickRecord {
+    fn record(&mut self, network: &Network, decision: &Decision, events: Vec<Event>) -> TickRecord {
         let on_route = self.ego.on_route();
         let at = self.ego.route().at(on_route.s);
         let (vehicles, pedestrians) = self.bridge.counts();
@@ -405,10 +416,12 @@ impl Drive {
             limit: at.speed_limit,
             light: decision.light.map(|(state, distance)| LightRecord { state, distance }),
             leader: decision.leader.map(|leader| LeaderRecord { gap: leader.gap_m, speed: leader.speed_mps }),
-            reason: self.driver.is_none().then_some(decision.reason),
+            reason: (self.driver.is_none() && self.guest.is_none()).then_some(decision.reason),
             events,
             vehicles,
             pedestrians,
+            wishes: std::mem::take(&mut self.wishes),
+            driver: self.guest.clone(),
         }
     }
 
@@ -432,6 +445,10 @@ impl Drive {
         } else if !blocked {
             return Ok(());
         }
+        self.start_elsewhere(network).await
+    }
+
+    async fn start_elsewhere(&mut self, network: &Network) -> Result<(), DriveError> {
         let mut route = first_route(network, &mut self.destinations)?;
         for _ in 0..20 {
             if self.bridge.is_free(&[route.at(0.0).lane]).await? {
@@ -446,6 +463,78 @@ impl Drive {
         self.criteria.route_changed();
         self.totals.respawns += 1;
         Ok(())
+    }
+
+    /// Does what a person asks for before the next tick, which records it. False where it cannot be done;
+    /// everything stays as it is then.
+    ///
+    /// # Errors
+    /// SUMO fails, or the net has nowhere to start.
+    pub async fn grant(&mut self, wish: Wish) -> Result<bool, DriveError> {
+        let network = self.bridge.network().clone();
+        let granted = match wish {
+            Wish::Respawn => {
+                self.start_elsewhere(&network).await?;
+                true
+            }
+            Wish::NewRoute => self.leave_for(&network, None),
+            Wish::FindBack => {
+                let to = self.ego.route().to;
+                self.leave_for(&network, Some(to))
+            }
+            Wish::Traffic { vehicles, pedestrians } => {
+                self.bridge.set_traffic(Counts::new(vehicles, pedestrians)).await?;
+                true
+            }
+        };
+        if granted {
+            self.wishes.push(wish);
+        }
+        Ok(granted)
+    }
+
+    /// Sets out from where the ego is, to `to` or to a place that is drawn; false where no way leads there.
+    fn leave_for(&mut self, network: &Network, to: Option<LanePosition>) -> bool {
+        let pose = self.ego.state().pose;
+        let drivable = network.drivable_lanes(destination::EGO_CLASS);
+        let along = |near: &crate::network::NearLane| {
+            let heading = network.lane(near.lane).shape.at(near.s).heading;
+            crate::geometry::wrap_angle(heading - pose.heading).abs() < std::f64::consts::FRAC_PI_2
+        };
+        let near = network.lanes_near(pose.xy(), None, FIND_WITHIN);
+        let fits = near.iter().filter(|near| drivable.binary_search(&near.lane).is_ok() && along(near));
+        for near in fits {
+            let from = LanePosition { lane: near.lane, s: (near.s - self.ego.params().length).max(0.0) };
+            let route = match to {
+                Some(to) => network.route(from, to, destination::EGO_CLASS),
+                None => self.destinations.route_from(network, from),
+            };
+            if let Some(route) = route.ok().filter(|route| route.length() >= 0.5 * SHORTEST_ROUTE) {
+                self.ego.set_route(route, near.s - from.s);
+                self.criteria.route_changed();
+                return true;
+            }
+        }
+        false
+    }
+
+    /// Puts somebody else at the wheel from the next tick on: a trained agent, or, with None, the autopilot.
+    /// `guest` is what telemetry calls him, None where he is the run's own driver.
+    /// Returns the agent that drove before.
+    pub fn hand_over(
+        &mut self,
+        driver: Option<LearnedDriver>,
+        guest: Option<String>,
+    ) -> Option<LearnedDriver> {
+        self.guest = guest;
+        std::mem::replace(&mut self.driver, driver)
+    }
+
+    /// The weather that a trained agent sees from the next tick on.
+    pub fn set_weather(&mut self, weather: crate::camera::Preset) {
+        if let Some(driver) = &mut self.driver {
+            driver.set_weather(weather);
+        }
     }
 
     /// The summary so far.
@@ -559,6 +648,9 @@ pub(crate) fn polygons(bridge: &Bridge, network: &Network) -> Vec<Polygon> {
     }
     polygons
 }
+
+/// How far from a lane the ego may be to set out on it (m).
+const FIND_WITHIN: f64 = 30.0;
 
 /// A shorter way to the next destination is not worth going (m).
 const SHORTEST_ROUTE: f64 = 60.0;

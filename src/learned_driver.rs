@@ -84,6 +84,12 @@ impl LearnedDriver {
         Ok(self.agent.act_seeing(&seen)?)
     }
 
+    /// The weather from the next tick on.
+    pub fn set_weather(&mut self, weather: Preset) {
+        self.record.weather = weather;
+        self.eyes.set_weather(weather);
+    }
+
     /// For the run's configuration.
     pub fn record(&self) -> &DriverRecord {
         &self.record

@@ -34,6 +34,7 @@
 //! | [`autopilot`] | the rule-based expert |
 //! | [`criteria`] | collisions, red lights, lane, blocking, arrival |
 //! | [`learned_driver`] | a trained agent with camera, perception and encoder, for `run` |
+//! | [`view`] | the live view: a run in the browser, and its wheel in people's hands |
 //! | [`drive`] | `run`: from destination to destination, with telemetry |
 //!
 //! World frame: SUMO's, x east, y north, z up, metres. Headings in radians, counter-clockwise from
@@ -77,5 +78,6 @@ pub mod traci;
 pub mod traffic;
 pub mod train;
 pub mod vehicle;
+pub mod view;
 pub mod watch;
 pub mod world;

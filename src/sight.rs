@@ -4,6 +4,7 @@ use crate::bridge::{Bridge, Ego};
 use crate::camera::Town;
 use crate::network::Shapes;
 use crate::replay::Body;
+use crate::world::Actor;
 
 /// The town of a bridge's network, with the buildings of its config's additional files.
 pub fn town(bridge: &Bridge, seed: u64) -> Town {
@@ -23,8 +24,11 @@ pub fn town(bridge: &Bridge, seed: u64) -> Town {
 
 /// Moves the town's road users to where `ego` sees them, and the ego itself for outside views.
 pub fn follow(town: &mut Town, ego: &Ego) {
+    town.follow(ego.world(), Some(&from_outside(ego)));
+}
+
+/// The ego as others see it.
+pub fn from_outside(ego: &Ego) -> Actor {
     let params = ego.params();
-    let body = Body { length: params.length, width: params.width, height: params.height };
-    let actor = body.actor(&ego.state());
-    town.follow(ego.world(), Some(&actor));
+    Body { length: params.length, width: params.width, height: params.height }.actor(&ego.state())
 }

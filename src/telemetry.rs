@@ -77,6 +77,26 @@ pub struct TickRecord {
     /// Background vehicles and pedestrians in the network.
     pub vehicles: usize,
     pub pedestrians: usize,
+    /// What people asked of the run before this tick.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub wishes: Vec<Wish>,
+    /// Who drove, where somebody took the wheel from the run's own driver.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub driver: Option<String>,
+}
+
+/// What a person may ask of a run; it is recorded, so that the run can be driven again.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "wish", rename_all = "snake_case")]
+pub enum Wish {
+    /// Put the ego down elsewhere.
+    Respawn,
+    /// Another destination from where the ego is.
+    NewRoute,
+    /// To the same destination from where the ego is, which has left its route.
+    FindBack,
+    /// So much background traffic from now on.
+    Traffic { vehicles: usize, pedestrians: usize },
 }
 
 /// A run's folder with its telemetry open.

@@ -60,13 +60,23 @@ impl Imitation {
             // The critic's own size must not decide between climbing and imitating.
             ((value.abs().mean(Kind::Float) + 1e-6).reciprocal(), mask)
         });
-        let apart = ((action - &batch.shown) / half).square();
-        let steering = apart.select(1, 0) * (STEERING - 1.0);
-        let apart = (apart.sum_dim_intlist([1i64].as_slice(), false, Kind::Float) + steering)
-            / action.size()[1] as f64;
-        let imitation = (apart * &mask).sum(Kind::Float) / (mask.sum(Kind::Float) + 1.0);
-        imitation * weight - value.mean(Kind::Float) * scale
+        apart(batch, action, half, &mask) * weight - value.mean(Kind::Float) * scale
     }
+}
+
+/// Behaviour cloning's loss: the mean square distance of `action` [B, A] from what was shown, where
+/// something was, each number in units of `half` its range.
+pub fn cloning_loss(batch: &Batch, action: &Tensor, half: &Tensor) -> Tensor {
+    apart(batch, action, half, &batch.is_shown)
+}
+
+/// The mean over the rows of `mask` [B] that are 1.
+fn apart(batch: &Batch, action: &Tensor, half: &Tensor, mask: &Tensor) -> Tensor {
+    let apart = ((action - &batch.shown) / half).square();
+    let steering = apart.select(1, 0) * (STEERING - 1.0);
+    let apart =
+        (apart.sum_dim_intlist([1i64].as_slice(), false, Kind::Float) + steering) / action.size()[1] as f64;
+    (apart * mask).sum(Kind::Float) / (mask.sum(Kind::Float) + 1.0)
 }
 
 #[cfg(test)]

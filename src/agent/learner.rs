@@ -253,6 +253,14 @@ impl Learner {
         }
     }
 
+    /// One step of behaviour cloning: the actor alone imitates; this counts as no update.
+    pub fn clone_expert(&mut self, batch: &Batch, learning_rate: f64) {
+        match self {
+            Self::Td3(td3) => td3.clone_expert(batch, learning_rate),
+            Self::Sac(sac) => sac.clone_expert(batch, learning_rate),
+        }
+    }
+
     fn actor_params(&self) -> &Params {
         match self {
             Self::Td3(td3) => &td3.actor.params,

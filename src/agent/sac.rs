@@ -2,7 +2,7 @@
 //! WAD-S' learning step.
 
 use super::adam::Adam;
-use super::imitation::Imitation;
+use super::imitation::{Imitation, cloning_loss};
 use super::learner::{Batch, Metrics};
 use super::networks::{Critics, Dims, HIDDEN_S, PolicyS, Value};
 use rand::Rng;
@@ -90,6 +90,15 @@ impl Sac {
             target_entropy: params.target_entropy.unwrap_or(-dims.actions as f64),
             params,
         }
+    }
+
+    /// One step of behaviour cloning: the policy alone. The drawn action is pulled, not the mean.
+    pub fn clone_expert(&mut self, batch: &Batch, learning_rate: f64) {
+        let (action, _) = self.policy.sample_with_log_prob(&batch.observation, &batch.noise);
+        let gradient = self.policy.params.gradient(&cloning_loss(batch, &action, &self.half));
+        self.policy_adam.learning_rate = learning_rate;
+        self.policy_adam.step(self.policy.params.flat_mut(), &gradient);
+        self.policy_adam.learning_rate = self.params.learning_rate;
     }
 
     /// One update of every network.

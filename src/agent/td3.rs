@@ -1,7 +1,7 @@
 //! TD3 (Fujimoto et al. 2018): WAD-T's learning step.
 
 use super::adam::Adam;
-use super::imitation::Imitation;
+use super::imitation::{Imitation, cloning_loss};
 use super::learner::{Batch, Metrics};
 use super::networks::{ActorT, CriticEnd, Critics, Dims};
 use rand::Rng;
@@ -116,6 +116,16 @@ impl Td3 {
                 metrics.add("losses/actor_loss", &loss);
             }
         }
+    }
+
+    /// One step of behaviour cloning: the actor alone, its target with it.
+    pub fn clone_expert(&mut self, batch: &Batch, learning_rate: f64) {
+        let loss = cloning_loss(batch, &self.actor.forward(&batch.observation), &self.half);
+        let gradient = self.actor.params.gradient(&loss);
+        self.actor_adam.learning_rate = learning_rate;
+        self.actor_adam.step(self.actor.params.flat_mut(), &gradient);
+        self.actor_adam.learning_rate = self.params.actor_learning_rate;
+        self.actor_target.params.set(self.actor.params.flat());
     }
 
     /// y = r + gamma (1 - terminated) min(Q1', Q2')(s', pi'(s') + clipped noise), in the end's units.

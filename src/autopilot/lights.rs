@@ -15,10 +15,11 @@ pub enum Verdict {
     Stop,
 }
 
-/// Remembers what was decided at a yellow light, and stops made at a line.
+/// Remembers what was decided at a yellow or red light, and stops made at a line.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Lights {
     passing_yellow: Option<LinkId>,
+    stopping_for: Option<LinkId>,
     stopped_at: Option<LinkId>,
 }
 
@@ -52,7 +53,15 @@ impl Lights {
             None if distance < params.unknown_light_distance => Verdict::Stop,
             None => by_rules,
             Some(SignalState::Red | SignalState::RedYellow) => {
-                if needed < params.emergency_deceleration || speed < 1.0 { Verdict::Stop } else { by_rules }
+                // Whoever was to stop brakes to the last, though it be too late; only one that the light
+                // took by surprise drives on.
+                let late = needed >= params.emergency_deceleration && speed >= 2.0;
+                if late && self.stopping_for != Some(plan.link) {
+                    by_rules
+                } else {
+                    self.stopping_for = Some(plan.link);
+                    Verdict::Stop
+                }
             }
             Some(SignalState::Yellow) => {
                 if self.passing_yellow == Some(plan.link) {
@@ -62,7 +71,8 @@ impl Lights {
                     let late = arrival > params.yellow_time - 0.3;
                     let hardest =
                         if late { 0.8 * params.emergency_deceleration } else { params.yellow_deceleration };
-                    if needed <= hardest {
+                    if needed <= hardest || self.stopping_for == Some(plan.link) {
+                        self.stopping_for = Some(plan.link);
                         Verdict::Stop
                     } else {
                         self.passing_yellow = Some(plan.link);
@@ -82,6 +92,9 @@ impl Lights {
         };
         if state != Some(SignalState::Yellow) && self.passing_yellow == Some(plan.link) {
             self.passing_yellow = None;
+        }
+        if matches!(verdict, Verdict::Go { .. }) && self.stopping_for == Some(plan.link) {
+            self.stopping_for = None;
         }
         (verdict, state)
     }

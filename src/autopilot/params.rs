@@ -113,7 +113,7 @@ pub struct AutopilotParams {
     pub min_gap: f64,
     /// Sideways room kept to others (m). Default 0.35.
     pub side_margin: f64,
-    /// Where the front bumper stops before a stop line (m). Default 1.
+    /// Where the front bumper stops before a stop line (m). Default 1.5.
     pub stop_margin: f64,
     /// Deceleration up to which a yellow light is obeyed (m/s2). Default 3.
     pub yellow_deceleration: f64,
@@ -156,7 +156,7 @@ impl Default for AutopilotParams {
             time_headway: 1.3,
             min_gap: 2.0,
             side_margin: 0.35,
-            stop_margin: 1.0,
+            stop_margin: 1.5,
             yellow_deceleration: 3.0,
             yellow_time: 3.0,
             unknown_light_distance: 60.0,

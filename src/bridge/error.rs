@@ -3,6 +3,7 @@
 use crate::network::NetworkError;
 use crate::sumo_config::ConfigError;
 use crate::traci;
+use crate::vehicle::ParamsError;
 use std::path::PathBuf;
 
 /// Why the bridge could not start or go on.
@@ -19,6 +20,8 @@ pub enum BridgeError {
     Launch(#[from] traci::LaunchError),
     #[error(transparent)]
     Install(#[from] traci::process::InstallError),
+    #[error(transparent)]
+    Ego(#[from] ParamsError),
     #[error("the step length must be 1 to 1000 ms, found {found} ms; give another with --tick-ms")]
     Tick { found: f64 },
     #[error(
@@ -36,6 +39,9 @@ pub enum BridgeError {
 impl BridgeError {
     /// True where the user's input is at fault, not SUMO.
     pub fn is_input(&self) -> bool {
-        matches!(self, Self::Config(_) | Self::Network(_) | Self::Tick { .. } | Self::AttachedTick { .. })
+        matches!(
+            self,
+            Self::Config(_) | Self::Network(_) | Self::Ego(_) | Self::Tick { .. } | Self::AttachedTick { .. }
+        )
     }
 }

@@ -25,8 +25,8 @@ use crate::network::{LaneId, Network};
 use crate::seeds;
 use crate::sumo_config::{OptionSchema, Overrides, SumoConfig};
 use crate::traci::process::{LaunchOptions, SumoInstall, SumoProcess};
-use crate::traci::{self, Batch, Replies, TcpClient, gui, simulation, vehicle};
-use crate::traffic::{self, Population, StepEvents, TrafficSpec};
+use crate::traci::{self, Batch, RemoveReason, Replies, TcpClient, gui, person, simulation, vehicle};
+use crate::traffic::{self, Counts, Population, StepEvents, TrafficSpec};
 use observe::ActorCatalog;
 use serde::{Deserialize, Serialize};
 use signals::SignalWatch;
@@ -99,6 +99,13 @@ pub struct Bridge {
     catalog: ActorCatalog,
     signals: SignalWatch,
     population: Option<Population>,
+    /// Where background traffic drives: the network less the lanes that are closed.
+    traffic_roads: Arc<Network>,
+    traffic_seed: u64,
+    /// Those that the config brings are taken out.
+    traffic_alone: bool,
+    /// Vehicles have been taken out by hand: arrivals no longer tell how many there are.
+    resized: bool,
     director: Option<Box<dyn Director>>,
     batch: Batch,
     sight: f64,
@@ -112,8 +119,9 @@ pub struct Bridge {
     counts: (usize, usize),
     /// Vehicles in the network after the last step, egos included.
     in_network: usize,
-    /// Time spent waiting for SUMO's answers to steps (s).
+    /// Time spent waiting for SUMO's answers to steps (s), and their size (bytes).
     sumo_seconds: f64,
+    answer_bytes: u64,
 }
 
 impl Bridge {
@@ -134,6 +142,9 @@ impl Bridge {
         network: Option<Arc<Network>>,
     ) -> Result<Self, BridgeError> {
         let install = SumoInstall::find()?;
+        if options.attach.is_none() {
+            install.check_version()?;
+        }
         let schema = OptionSchema::cached(&install, options.gui)?;
         let config = SumoConfig::load(&options.config, &schema)?;
         for option in &config.ignored {
@@ -176,18 +187,15 @@ impl Bridge {
             }
         };
         client.set_timeout(Some(timeout));
-        let population = options.traffic.counts(&config.town()).map(|counts| {
-            let behaviour = traffic::Options {
-                alone: !options.scenario,
-                keep: vec!["ego".to_string(), OBSTACLE.to_string()],
-                ..Default::default()
-            };
-            let roads = match options.closed_lanes.as_slice() {
-                [] => Arc::clone(&network),
-                closed => Arc::new(network.without_lanes(closed)),
-            };
-            Population::new(roads, counts, seeds::derive(options.seed, "traffic"), behaviour)
-        });
+        let traffic_seed = seeds::derive(options.seed, "traffic");
+        let traffic_alone = !options.scenario;
+        let traffic_roads = match options.closed_lanes.as_slice() {
+            [] => Arc::clone(&network),
+            closed => Arc::new(network.without_lanes(closed)),
+        };
+        let population = options.traffic.counts(&config.town());
+        let population =
+            population.map(|counts| population_of(&traffic_roads, counts, traffic_seed, traffic_alone));
         let core = process.as_ref().filter(|_| !options.gui).map(|process| SharedCore::with(process.id()));
         Ok(Self {
             client,
@@ -198,6 +206,10 @@ impl Bridge {
             config,
             catalog: ActorCatalog::default(),
             population,
+            traffic_roads,
+            traffic_seed,
+            traffic_alone,
+            resized: false,
             director: None,
             batch: Batch::new(),
             sight: options.sight,
@@ -209,6 +221,7 @@ impl Bridge {
             counts: (0, 0),
             in_network: 0,
             sumo_seconds: 0.0,
+            answer_bytes: 0,
         })
     }
 
@@ -242,6 +255,12 @@ impl Bridge {
         self.sumo_seconds
     }
 
+    /// Size of SUMO's answers to steps so far (bytes): what it gathers, sends and we decode. It grows with
+    /// what the egos see, not with the town.
+    pub fn answer_bytes(&self) -> u64 {
+        self.answer_bytes
+    }
+
     /// Id of SUMO's process, None where attached.
     pub fn sumo_pid(&self) -> Option<u32> {
         self.process.as_ref().map(SumoProcess::id)
@@ -266,6 +285,7 @@ impl Bridge {
     /// SUMO refuses one of them, or fails.
     pub async fn spawn_all(&mut self, egos: &mut [&mut Ego]) -> Result<(), BridgeError> {
         for ego in egos.iter_mut() {
+            ego.params().check()?;
             ego.insert(&self.network, &mut self.batch);
             observe::subscribe(&mut self.batch, &ego.id, self.sight);
         }
@@ -334,6 +354,7 @@ impl Bridge {
             Err(error) => return Err(self.explain(error).await),
         };
         self.sumo_seconds += sent.elapsed().as_secs_f64();
+        self.answer_bytes += replies.bytes() as u64;
         // From here on the batch is the next tick's.
         self.batch.clear();
         self.ticks += 1;
@@ -384,6 +405,9 @@ impl Bridge {
             population.update(&events, &replies, pose, &near, &mut self.batch);
             // Those that the population itself took out do not arrive.
             self.counts.1 = population.alive().pedestrians;
+            if self.resized {
+                self.counts.0 = population.alive().vehicles;
+            }
         }
         Ok(replies)
     }
@@ -412,12 +436,43 @@ impl Bridge {
 
     /// Keeps `counts` of background traffic alive from now on; see [`Population::resize`]. False where
     /// the population is the config's own.
-    pub fn resize_traffic(&mut self, counts: traffic::Counts) -> bool {
+    pub fn resize_traffic(&mut self, counts: Counts) -> bool {
         let Some(population) = &mut self.population else { return false };
         if population.wanted() != counts {
             population.resize(counts, &mut self.batch);
         }
         true
+    }
+
+    /// The same whatever the population was: the config's own gives way, with the next step, to one that
+    /// is kept alive.
+    ///
+    /// # Errors
+    /// SUMO fails.
+    pub async fn set_traffic(&mut self, counts: Counts) -> Result<(), BridgeError> {
+        self.resized = true;
+        if self.resize_traffic(counts) {
+            return Ok(());
+        }
+        let mut ask = Batch::new();
+        let (vehicles, persons) = (ask.get(vehicle::ID_LIST, ""), ask.get(person::ID_LIST, ""));
+        let replies = self.ask(&ask).await?;
+        let mut population =
+            population_of(&self.traffic_roads, Counts::default(), self.traffic_seed, self.traffic_alone);
+        for id in replies.get(vehicles).map_err(traci::Error::from)? {
+            if self.traffic_alone && !KEPT.contains(&id.as_str()) {
+                vehicle::remove(&mut self.batch, &id, RemoveReason::Vaporized);
+            }
+        }
+        let persons = replies.get(persons).map_err(traci::Error::from)?;
+        for id in persons.into_iter().filter(|_| self.traffic_alone) {
+            person::remove(&mut self.batch, &id, RemoveReason::Vaporized);
+        }
+        population.define_types(&mut self.batch);
+        // They come with the next updates, out of the ego's sight.
+        population.resize(counts, &mut self.batch);
+        self.population = Some(population);
+        Ok(())
     }
 
     /// Takes background vehicles within `radius` (m) of `place` away with the next step; they come
@@ -502,6 +557,15 @@ impl Bridge {
         }
         Ok(closed?)
     }
+}
+
+/// Who is in SUMO beside the population.
+const KEPT: [&str; 2] = ["ego", OBSTACLE];
+
+fn population_of(network: &Arc<Network>, counts: Counts, seed: u64, alone: bool) -> Population {
+    let keep = KEPT.map(str::to_string).to_vec();
+    let behaviour = traffic::Options { alone, keep, ..Default::default() };
+    Population::new(Arc::clone(network), counts, seed, behaviour)
 }
 
 fn overrides(options: &BridgeOptions, config: &SumoConfig, tick_ms: f64) -> Overrides {

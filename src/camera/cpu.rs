@@ -19,6 +19,7 @@ use super::shade_ground::{Ground, ground};
 use super::shadow_map::ShadowMap;
 use super::simd::{multiversion, pack, tone};
 use super::sky::{Look, Sky};
+use super::stages::{Stages, Watch};
 use super::surface::{FacadeNumbers, GroundNumbers, Kind, Lighting, Surface, facade_numbers, ground_numbers};
 use super::view::{NEAR, View};
 use super::{Renderer, Shot};
@@ -29,7 +30,9 @@ pub struct CpuRenderer {
     visibility: Visibility,
     vertices: Vec<CamVertex>,
     sheets: Vec<bool>,
-    borders: Vec<u32>,
+    borders: [effects::Places; 2],
+    /// Where the runs of a row end.
+    ends: effects::Places,
     marks: Marks,
     shadows: ShadowMap,
     /// The scene that the shadows are of.
@@ -39,6 +42,8 @@ pub struct CpuRenderer {
     /// The looks of what is seen, and by triangle their index + 1; 0: not worked out yet.
     surfaces: Vec<Surface>,
     looks: Vec<u32>,
+    /// By look: the number of the thing and the material.
+    groups: Vec<u32>,
     facades: Vec<FacadeNumbers>,
     grounds: Vec<GroundNumbers>,
     row: Row,
@@ -48,6 +53,7 @@ pub struct CpuRenderer {
     line: Vec<u32>,
     foot: Vec<i32>,
     seen: Vec<Extent>,
+    watch: Watch,
 }
 
 /// What is the same for all ground of a frame: as [`Ground`] has it.
@@ -69,6 +75,7 @@ const NOTHING: Extent = Extent { pixels: 0, low: [u32::MAX; 2], high: [0; 2] };
 impl Renderer for CpuRenderer {
     fn render(&mut self, shot: &Shot<'_>, frame: &mut Frame) {
         let &Shot { scene, actors, view, weather, outputs, .. } = shot;
+        self.watch.start();
         (frame.width, frame.height) = (view.width, view.height);
         if self.stamp != scene.grid.stamp() {
             self.stamp = scene.grid.stamp();
@@ -97,10 +104,12 @@ impl Renderer for CpuRenderer {
             vertices: &mut self.vertices,
             sheets: &self.sheets,
             sun_at: &sun_at,
+            watch: &mut self.watch,
             shows_ego: shot.shows_ego,
         }
         .run();
         let ground = self.ground_plane(scene, view, geometry.tris.len());
+        self.watch.lap(|s| &mut s.raster);
         if outputs.rgb || outputs.semantic {
             self.mark(&geometry, shot, sunny);
         }
@@ -109,6 +118,15 @@ impl Renderer for CpuRenderer {
             add_lights(&geometry, shot, &self.visibility, &mut frame.rgb);
         }
         self.objects(&geometry, view, outputs, frame);
+        self.watch.lap(|s| &mut s.effects);
+    }
+
+    fn time_stages(&mut self, on: bool) {
+        self.watch.switch(on);
+    }
+
+    fn stages(&self) -> Stages {
+        self.watch.spent
     }
 }
 
@@ -159,10 +177,12 @@ impl CpuRenderer {
         let library = &scene.library;
         let lighting = Lighting { weather, library, view };
         self.surfaces.clear();
+        self.groups.clear();
         self.looks.clear();
         self.looks.resize(geometry.tris.len() + 1, 0);
         if let Some(material) = plane {
             self.surfaces.push(lighting.ground(material));
+            self.groups.push(u32::MAX);
             self.looks[geometry.tris.len()] = 1;
         }
         self.seen.clear();
@@ -213,10 +233,12 @@ impl CpuRenderer {
             }
             // The first and the end of the pixels that show something.
             let (mut x, mut any, mut last) = (0, width, 0);
-            while x < width {
-                let id = ids[x];
+            let mut ends = std::mem::take(&mut self.ends);
+            effects::find_runs(ids, width, &mut ends);
+            for &end in ends.found() {
                 let x0 = x;
-                x = run_end(ids, x, id, width);
+                let id = ids[x0];
+                x = end as usize;
                 let Some(index) = (id as usize).checked_sub(1) else {
                     if let (true, Some(sky)) = (outputs.rgb, &self.sky) {
                         sky.row(view, &self.look, y, (x0, x), &mut self.pixels[line..line + stride]);
@@ -228,6 +250,7 @@ impl CpuRenderer {
                 if outputs.rgb {
                     if self.looks[index] == 0 {
                         self.surfaces.push(lighting.surface(geometry, &self.vertices, index));
+                        self.groups.push(group(geometry, index));
                         self.looks[index] = self.surfaces.len() as u32;
                     }
                     let surface = &self.surfaces[self.looks[index] as usize - 1];
@@ -238,7 +261,7 @@ impl CpuRenderer {
                 if outputs.semantic {
                     let material = tri.map_or(plane.unwrap_or(0), |tri| {
                         let item = &geometry.items[tri.item as usize];
-                        item.mesh.triangles[tri.triangle as usize].material.0
+                        item.mesh.faces.list[tri.face as usize].material
                     });
                     let tag = library.materials[material as usize].tag;
                     let tags = &mut frame.semantic[at + x0..at + x];
@@ -264,19 +287,23 @@ impl CpuRenderer {
                     }
                 }
             }
+            self.ends = ends;
             if outputs.rgb {
                 if any < last {
                     let pixels = &mut self.pixels[line..line + stride];
                     shade::finish(&row, iz, &self.look.haze, weather.fog, (any, last), pixels);
                 }
+                self.watch.lap(|s| &mut s.shade);
                 if mirrored && y as i32 >= horizon {
                     effects::mirror(&mut self.pixels, &row.mirror, y, stride, &mut self.foot);
                 }
                 if let Some(above) = y.checked_sub(1) {
                     self.develop(above, wet, rain.as_ref(), &mut frame.rgb);
                 }
+                self.watch.lap(|s| &mut s.effects);
             }
         }
+        self.watch.lap(|s| &mut s.shade);
         if outputs.rgb {
             self.develop(height - 1, wet, rain.as_ref(), &mut frame.rgb);
         }
@@ -302,7 +329,7 @@ impl CpuRenderer {
             let (lower, upper) = self.pixels.split_at_mut(at(y));
             (&mut upper[..stride], &mut lower[at(y + 1)..])
         };
-        let outline = effects::Outline { looks: &self.looks, surfaces: &self.surfaces };
+        let outline = effects::Outline { looks: &self.looks, surfaces: &self.surfaces, groups: &self.groups };
         let seam = |pixels, (ids, iz)| effects::Seam { pixels, ids, iz };
         effects::smooth_edges(seam(upper, own), seam(lower, below), (y, width), &outline, &mut self.borders);
         let mut colours = &self.pixels[at(y)..at(y) + width];
@@ -347,11 +374,11 @@ impl CpuRenderer {
                 ground(run, &site, row);
             }
             Kind::Leaves | Kind::Bricks | Kind::Plate => {
-                let wall = Wall { focal: view.focal, weather, facade: &self.facades[material] };
+                let wall = Wall { per_focal: 1.0 / view.focal, weather, facade: &self.facades[material] };
                 shade::pattern(run, &wall, row);
             }
             Kind::Facade => {
-                let wall = Wall { focal: view.focal, weather, facade: &self.facades[material] };
+                let wall = Wall { per_focal: 1.0 / view.focal, weather, facade: &self.facades[material] };
                 shade::facade(run, &wall, row);
             }
         }
@@ -392,18 +419,11 @@ impl CpuRenderer {
     }
 }
 
-/// Where the run of `id` that begins at `x` ends; `ids` is padded.
-#[inline(always)]
-fn run_end(ids: &[u32], mut x: usize, id: u32, width: usize) -> usize {
-    while x < width {
-        let Some(block) = ids[x..].first_chunk::<8>() else { break };
-        if block.iter().fold(0, |differ, other| differ | (other ^ id)) != 0 {
-            x += block.iter().take_while(|other| **other == id).count();
-            break;
-        }
-        x += 8;
-    }
-    x.min(width)
+/// Tells faces of one material of one thing from others.
+fn group(geometry: &Geometry<'_>, index: usize) -> u32 {
+    let tri = &geometry.tris[index];
+    let face = &geometry.items[tri.item as usize].mesh.faces.list[tri.face as usize];
+    tri.item << 16 | u32::from(face.material)
 }
 
 /// What lies over the whole picture: glows of lamps, drops on the glass.

@@ -4,7 +4,7 @@
 use super::gather::Seen;
 use super::lanes::lanes;
 use super::model::{Channel, Library};
-use super::raster::Visibility;
+use super::raster::{PAD, Visibility};
 use super::simd::{hash, mix_packed, multiversion, unit};
 use super::surface::Surface;
 use super::view::View;
@@ -53,6 +53,25 @@ pub struct Seam<'a> {
     pub iz: &'a [f32],
 }
 
+/// Places in a row, in the order found.
+#[derive(Default)]
+pub struct Places {
+    at: Vec<u32>,
+    count: usize,
+}
+
+impl Places {
+    /// None yet, with room for those of a row.
+    fn clear(&mut self, width: usize) {
+        self.at.resize(width + 2 * PAD, 0);
+        self.count = 0;
+    }
+    /// Those found.
+    pub fn found(&self) -> &[u32] {
+        &self.at[..self.count]
+    }
+}
+
 /// Smooths the outlines in row `y` and between it and the row below: the share of a pixel that the
 /// nearer surface covers follows from its edge. `borders` is scratch.
 pub fn smooth_edges(
@@ -60,75 +79,93 @@ pub fn smooth_edges(
     below: Seam<'_>,
     (y, width): (usize, usize),
     outline: &Outline<'_>,
-    borders: &mut Vec<u32>,
+    borders: &mut [Places; 2],
 ) {
-    borders.clear();
-    find_borders([own.ids, below.ids], [&*own.pixels, &*below.pixels], width, borders);
-    for &border in borders.iter() {
-        let (x, down) = ((border >> 1) as usize, border & 1 == 1);
-        let centre = (x as f32 + 0.5, y as f32 + 0.5);
-        let near = (own.ids[x], own.iz[x]);
-        if down {
-            if let Some(cut) = outline.cut(near, (below.ids[x], below.iz[x]), 1, centre) {
-                blend(&mut own.pixels[x], &mut below.pixels[x], cut - (y as f32 + 1.0));
-            }
-        } else if let Some(cut) = outline.cut(near, (own.ids[x + 1], own.iz[x + 1]), 0, centre)
+    let [beside, beneath] = borders;
+    find_borders([own.ids, below.ids], [&*own.pixels, &*below.pixels], width, beside, beneath);
+    let middle = y as f32 + 0.5;
+    for x in beside.found().iter().map(|&x| x as usize) {
+        let (a, b) = ((own.ids[x], own.iz[x]), (own.ids[x + 1], own.iz[x + 1]));
+        if let Some(cut) = outline.cut(a, b, 0, (x as f32 + 0.5, middle))
             && let [first, second] = &mut own.pixels[x..x + 2]
         {
             blend(first, second, cut - (x as f32 + 1.0));
         }
     }
-}
-
-lanes! {
-    /// The pixels of a row that show another triangle than their right neighbours (2 x) and than the
-    /// pixels of the row below (2 x + 1), in another colour. Padded.
-    fn find_borders<L>(ids: [&[u32]; 2], colours: [&[u32]; 2], width: usize, out: &mut Vec<u32>) {
-        let ([ids, ids_below], [colours, colours_below]) = (ids, colours);
-        let mut x = 0;
-        while x < width {
-            let neighbours = [&ids[x + 1..], &ids_below[x..]];
-            if L::differ(&ids[x..], neighbours) {
-                let own = (&ids[x..], &colours[x..]);
-                let beside = L::borders(own, (neighbours[0], &colours[x + 1..]));
-                let beneath = L::borders(own, (neighbours[1], &colours_below[x..]));
-                for (axis, mut found) in [(0, beside), (1, beneath)] {
-                    while found != 0 {
-                        let at = x + found.trailing_zeros() as usize;
-                        if at + 1 - axis < width {
-                            out.push((2 * at + axis) as u32);
-                        }
-                        found &= found - 1;
-                    }
-                }
-            }
-            x += L::COUNT;
+    for x in beneath.found().iter().map(|&x| x as usize) {
+        let (a, b) = ((own.ids[x], own.iz[x]), (below.ids[x], below.iz[x]));
+        if let Some(cut) = outline.cut(a, b, 1, (x as f32 + 0.5, middle)) {
+            blend(&mut own.pixels[x], &mut below.pixels[x], cut - (y as f32 + 1.0));
         }
     }
 }
 
-/// The border between two neighbours really lies `shift` beyond the middle between them.
-fn blend(first: &mut u32, second: &mut u32, shift: f32) {
-    let t = (shift.abs().min(0.5) * 256.0) as u32;
-    if shift > 0.0 {
-        *second = mix_packed(*second, *first, t);
-    } else {
-        *first = mix_packed(*first, *second, t);
+lanes! {
+    /// Where the runs of equal ids in a row end, the last one at `width`. Padded.
+    pub fn find_runs<L>(ids: &[u32], width: usize, ends: &mut Places) {
+        ends.clear(width);
+        let mut count = 0;
+        let mut x = 0;
+        while x + 1 < width {
+            let within = u32::MAX >> (32 - (width - 1 - x).min(8));
+            count = L::places(L::differ(&ids[x..], &ids[x + 1..]) & within, x + 1, &mut ends.at, count);
+            x += L::COUNT;
+        }
+        ends.at[count] = width as u32;
+        ends.count = count + 1;
     }
 }
 
-/// The looks of what is seen, and by triangle their index + 1.
+lanes! {
+    /// The pixels of a row that show another face than their right neighbours and than those of the row
+    /// below, in another colour. Padded.
+    fn find_borders<L>(ids: [&[u32]; 2], colours: [&[u32]; 2], width: usize, beside: &mut Places, beneath: &mut Places) {
+        let ([ids, ids_below], [colours, colours_below]) = (ids, colours);
+        beside.clear(width);
+        beneath.clear(width);
+        let (mut across, mut down) = (0, 0);
+        let mut x = 0;
+        while x < width {
+            let (right, under) = (L::differ(&ids[x..], &ids[x + 1..]), L::differ(&ids[x..], &ids_below[x..]));
+            if right | under != 0 {
+                let own = (&ids[x..], &colours[x..]);
+                let within = 0xff_u32 >> 8_usize.saturating_sub(width - x);
+                let found = L::borders(own, (&ids[x + 1..], &colours[x + 1..])) & within >> u32::from(width - x <= 8);
+                across = L::places(found, x, &mut beside.at, across);
+                let found = L::borders(own, (&ids_below[x..], &colours_below[x..])) & within;
+                down = L::places(found, x, &mut beneath.at, down);
+            }
+            x += L::COUNT;
+        }
+        (beside.count, beneath.count) = (across, down);
+    }
+}
+
+/// The border between two neighbours really lies `shift` beyond the middle between them.
+#[inline(always)]
+fn blend(first: &mut u32, second: &mut u32, shift: f32) {
+    // The one that loses changes; which one it is is hard to foretell, so both are worked out.
+    let t = (shift.abs().min(0.5) * 256.0) as u32;
+    let (gains_first, gains_second) = if shift > 0.0 { (0, t) } else { (t, 0) };
+    let (a, b) = (*first, *second);
+    *first = mix_packed(a, b, gains_first);
+    *second = mix_packed(b, a, gains_second);
+}
+
+/// The looks of what is seen, and by face their index + 1.
 pub struct Outline<'a> {
     pub looks: &'a [u32],
     pub surfaces: &'a [Surface],
+    /// By look: equal for faces of one material of one thing.
+    pub groups: &'a [u32],
 }
 
 impl Outline<'_> {
-    /// The surface of a triangle's id; None where nothing is.
+    /// The look of a face's id; None where nothing is.
     #[inline(always)]
-    fn surface(&self, id: u32) -> Option<&Surface> {
+    fn look(&self, id: u32) -> Option<usize> {
         let look = *self.looks.get((id as usize).checked_sub(1)?)?;
-        self.surfaces.get((look as usize).checked_sub(1)?)
+        (look as usize).checked_sub(1)
     }
 
     /// Where the edge of the nearer of two neighbours crosses the line from one centre to the next,
@@ -136,37 +173,38 @@ impl Outline<'_> {
     #[inline]
     fn cut(&self, a: (u32, f32), b: (u32, f32), axis: usize, (x, y): (f32, f32)) -> Option<f32> {
         let (near, far) = if a.1 >= b.1 { (a, b) } else { (b, a) };
-        let surface = self.surface(near.0)?;
-        let (p, item) = surface.outline.as_ref()?;
+        let look = self.look(near.0)?;
         if near.1 < far.1 * 1.04
-            && let Some(other) = self.surface(far.0)
-            && other.material == surface.material
-            && other.outline.as_ref().is_some_and(|(_, other)| other == item)
+            && let Some(other) = self.look(far.0)
+            && self.groups[look] == self.groups[other]
         {
             return None;
         }
-        let (along, across) = (axis, 1 - axis);
-        let (from, level) = if axis == 0 { (x, y) } else { (y, x) };
-        for i in 0..3 {
-            let (q, r) = (p[i], p[(i + 1) % 3]);
-            let (da, dc) = (r[along] - q[along], r[across] - q[across]);
-            // Only edges that run rather across the line; the others are met along the other axis.
-            if dc.abs() < da.abs() || dc == 0.0 {
-                continue;
-            }
-            let t = (level - q[across]) / dc;
-            // Half a pixel beyond the ends: the corner of an outline belongs to one of its edges.
-            let slack = 0.5 / dc.abs();
-            if t < -slack || t > 1.0 + slack {
-                continue;
-            }
-            let cut = q[along] + da * t;
-            if cut >= from && cut <= from + 1.0 {
-                return Some(cut);
-            }
-        }
-        None
+        crossing(self.surfaces[look].outline.as_ref()?, axis, (x, y))
     }
+}
+
+/// Where an edge of an outline crosses the pixel's length from `x`, `y` along `axis`. All four at once: what
+/// becomes of each is hard to foretell.
+#[inline(always)]
+fn crossing(corners: &[[f32; 4]; 2], axis: usize, (x, y): (f32, f32)) -> Option<f32> {
+    let next = |v: &[f32; 4]| [v[1], v[2], v[3], v[0]];
+    let (along, across) = (&corners[axis], &corners[1 - axis]);
+    let (along_next, across_next) = (next(along), next(across));
+    let (from, level) = if axis == 0 { (x, y) } else { (y, x) };
+    let (mut cuts, mut fits) = ([0.0_f32; 4], [false; 4]);
+    for i in 0..4 {
+        let (da, dc) = (along_next[i] - along[i], across_next[i] - across[i]);
+        let t = (level - across[i]) / dc;
+        let cut = along[i] + da * t;
+        // Only edges that run rather across the line; the others are met along the other axis. Half a
+        // pixel beyond the ends: the corner of an outline belongs to one of its edges.
+        let reach = ((level - across[i]) - 0.5 * dc).abs() <= 0.5 * dc.abs() + 0.5;
+        cuts[i] = cut;
+        fits[i] = (dc.abs() >= da.abs()) & reach & (cut >= from) & (cut <= from + 1.0);
+    }
+    let first = u32::from_le_bytes(fits.map(u8::from)).trailing_zeros() / 8;
+    cuts.get(first as usize).copied()
 }
 
 /// Lamps that shine spread a glow over the picture's bytes.

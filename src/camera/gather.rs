@@ -4,6 +4,7 @@
 use super::model::{ActorFrame, Channel, Chunk, Instance, Lamps, Mesh, Model, Scene};
 use super::raster::{CamVertex, Draw, Tri, Visibility, draw};
 use super::simd::multiversion;
+use super::stages::Watch;
 use super::view::{NEAR, View};
 use super::weather::Weather;
 use crate::network::SignalIndex;
@@ -55,6 +56,7 @@ pub struct Gather<'a, 'b> {
     pub vertices: &'b mut Vec<CamVertex>,
     /// Of each material: whether it is seen from both sides.
     pub sheets: &'b [bool],
+    pub watch: &'b mut Watch,
     /// Share of sun (0..1) at a world point.
     pub sun_at: &'b dyn Fn(&Point3<f64>) -> f32,
     /// The ego is drawn too.
@@ -92,6 +94,7 @@ impl<'a> Gather<'a, '_> {
             self.instance(actor, true, &mut out);
         }
         out.chunks = chunks;
+        self.watch.lap(|s| &mut s.geometry);
         out
     }
 
@@ -208,7 +211,7 @@ impl<'a> Gather<'a, '_> {
         let first = self.vertices.len();
         let nearest = transform(mesh, places, self.view, self.vertices);
         let job = Draw {
-            triangles: &mesh.triangles,
+            faces: &mesh.faces.list,
             vertices: &self.vertices[first..],
             sheets: self.sheets,
             item: out.items.len() as u32,
@@ -217,7 +220,9 @@ impl<'a> Gather<'a, '_> {
             whole: nearest >= NEAR,
         };
         let before = out.tris.len();
+        self.watch.lap(|s| &mut s.geometry);
         draw(&job, self.visibility, &mut out.tris);
+        self.watch.lap(|s| &mut s.raster);
         if out.tris.len() == before {
             self.vertices.truncate(first);
             return;
@@ -328,11 +333,11 @@ multiversion! {
         let mut nearest = f32::MAX;
         let last = places.len() - 1;
         let first = out.len();
-        out.resize(first + mesh.vertices.len(), CamVertex::default());
+        out.resize(first + mesh.faces.corners.len(), CamVertex::default());
         // No iterator's closures: they would not be compiled for the faster instructions.
-        for (vertex, out) in mesh.vertices.iter().zip(&mut out[first..]) {
-            let place = &places[(vertex.bone as usize).min(last)];
-            let [x, y, z] = vertex.position;
+        for (&(position, bone), out) in mesh.faces.corners.iter().zip(&mut out[first..]) {
+            let place = &places[(bone as usize).min(last)];
+            let [x, y, z] = position;
             let mut p = place.origin;
             for (k, p) in p.iter_mut().enumerate() {
                 *p += place.axes[0][k] * x + place.axes[1][k] * y + place.axes[2][k] * z;

@@ -3,6 +3,7 @@
 //! Convex polygons with exact coverage at their edges, written into two buffers that the shading of
 //! ground surfaces reads.
 
+use super::large::Large;
 use super::model::{Chunk, Instance, Library, Paint};
 use super::raster::{PAD, Visibility};
 use super::simd::multiversion;
@@ -13,9 +14,9 @@ use super::weather::Weather;
 #[derive(Debug, Default)]
 pub struct Marks {
     /// Coverage 0..255 of paint, its colour's number in the high byte.
-    pub paint: Vec<u16>,
+    pub paint: Large<u16>,
     /// Share of sun left by road users in the low byte, of sky light in the high byte.
-    pub shade: Vec<u16>,
+    pub shade: Large<u16>,
     /// By row the pixels from .. to that may be touched.
     pub painted: Vec<[u32; 2]>,
     pub shaded: Vec<[u32; 2]>,
@@ -64,10 +65,8 @@ impl Marks {
         let (stride, height) = (visibility.stride, visibility.height);
         if self.stride != stride || self.paint.len() != stride * height {
             self.stride = stride;
-            self.paint.clear();
-            self.paint.resize(stride * height, 0);
-            self.shade.clear();
-            self.shade.resize(stride * height, 0xffff);
+            self.paint.reset(stride * height, 0);
+            self.shade.reset(stride * height, 0xffff);
         } else {
             wipe(&mut self.paint, &self.painted, stride, 0);
             wipe(&mut self.shade, &self.shaded, stride, 0xffff);

@@ -21,7 +21,7 @@ pub trait Lane:
     fn load_bytes(from: &[u16]) -> (Self, Self);
     /// As bytes, for numbers within 0..256.
     fn store_bytes(self, to: &mut [u8]);
-    /// Three bytes packed for each, from numbers within 0..1.
+    /// Three bytes packed for each, from the low bits of floats, where `keep` does not hold.
     fn pack(r: Self, g: Self, b: Self, to: &mut [u32], keep: Self::Mask);
     /// The smaller, and the larger.
     fn min(self, other: Self) -> Self;
@@ -43,10 +43,22 @@ pub trait Lane:
     /// Puts these into the first `count` places of `depth`, and `id` into those of `ids`, where they are
     /// larger (and above 0); whether any is.
     fn nearer(self, count: i32, depth: &mut [f32], ids: &mut [u32], id: u32) -> bool;
+    /// The same where `end` holds and `begin` does not.
+    fn nearer_between(
+        self,
+        begin: Self::Mask,
+        end: Self::Mask,
+        depth: &mut [f32],
+        ids: &mut [u32],
+        id: u32,
+    ) -> bool;
     /// Where `depth` is 0, puts these there and `id` into `ids` if they are above `far`, else 0 into `ids`.
     fn fill_empty(self, far: f32, depth: &mut [f32], ids: &mut [u32], id: u32);
-    /// Whether any of some ids differs from one of its neighbours.
-    fn differ(ids: &[u32], neighbours: [&[u32]; 2]) -> bool;
+    /// The places, as bits, where two rows of ids differ.
+    fn differ(a: &[u32], b: &[u32]) -> u32;
+    /// Puts `x` + the place of each bit of `bits` into `to` from `count` on; the new count. `to` must have
+    /// room for 8 more.
+    fn places(bits: u32, x: usize, to: &mut [u32], count: usize) -> usize;
     /// The places, as bits, where two rows of (ids, packed colours) have different ids and colours far
     /// enough apart (more than 20 of 765) to see it.
     fn borders(a: (&[u32], &[u32]), b: (&[u32], &[u32])) -> u32;
@@ -101,7 +113,8 @@ impl Lane for f32 {
     #[inline(always)]
     fn pack(r: Self, g: Self, b: Self, to: &mut [u32], keep: bool) {
         if !keep {
-            to[0] = super::simd::pack(r, g, b);
+            let byte = |v: f32| v.to_bits() & 0xff;
+            to[0] = byte(r) | byte(g) << 8 | byte(b) << 16;
         }
     }
     // As the processor's instructions, the second where one is no number.
@@ -123,9 +136,11 @@ impl Lane for f32 {
     }
     #[inline(always)]
     fn root(self) -> Self {
-        // Kadlec's numbers for the inverse root by its bits, and one of Newton's steps.
+        // Kadlec's numbers for the inverse root by its bits, and one of Newton's steps:
+        // x g 0.703952 (2.389245 - x g g).
         let guess = f32::from_bits(0x5f1f_fff9 - (self.to_bits() >> 1));
-        self * (guess * 0.703_952_25) * (2.389_244_6 - self * guess * guess)
+        let half = self * guess;
+        half * (half * guess).fma(-0.703_952_25, 1.681_914_1)
     }
     #[inline(always)]
     fn less(self, other: Self) -> bool {
@@ -160,14 +175,23 @@ impl Lane for f32 {
         nearer
     }
     #[inline(always)]
+    fn nearer_between(self, begin: bool, end: bool, depth: &mut [f32], ids: &mut [u32], id: u32) -> bool {
+        self.nearer(i32::from(end & !begin), depth, ids, id)
+    }
+    #[inline(always)]
     fn fill_empty(self, far: f32, depth: &mut [f32], ids: &mut [u32], id: u32) {
         if depth[0] == 0.0 {
             (depth[0], ids[0]) = if self > far { (self, id) } else { (0.0, 0) };
         }
     }
     #[inline(always)]
-    fn differ(ids: &[u32], neighbours: [&[u32]; 2]) -> bool {
-        ids[0] != neighbours[0][0] || ids[0] != neighbours[1][0]
+    fn differ(a: &[u32], b: &[u32]) -> u32 {
+        u32::from(a[0] != b[0])
+    }
+    #[inline(always)]
+    fn places(bits: u32, x: usize, to: &mut [u32], count: usize) -> usize {
+        to[count] = x as u32;
+        count + (bits & 1) as usize
     }
     #[inline(always)]
     fn borders(a: (&[u32], &[u32]), b: (&[u32], &[u32])) -> u32 {
@@ -241,10 +265,9 @@ mod avx {
         unsafe { _mm256_loadu_si256(from.as_ptr().cast()) }
     }
 
-    /// 0..1 as a byte in each word.
+    /// The low byte of each float's bits.
     #[inline(always)]
     fn byte(v: Eight) -> __m256i {
-        let v = v * Eight::splat(255.0) + Eight::splat(12_582_912.0);
         // SAFETY: see [`Eight`].
         unsafe { _mm256_and_si256(_mm256_castps_si256(v.0), _mm256_set1_epi32(0xff)) }
     }
@@ -255,6 +278,24 @@ mod avx {
         // SAFETY: see [`Eight`].
         unsafe { Eight(_mm256_cvtepi32_ps(_mm256_and_si256(v, _mm256_set1_epi32(0xff)))) }
     }
+
+    /// The places of the bits of each byte.
+    static PLACES: [[u8; 8]; 256] = {
+        let mut table = [[0; 8]; 256];
+        let mut bits = 0;
+        while bits < 256 {
+            let (mut place, mut count) = (0, 0);
+            while place < 8 {
+                if bits >> place & 1 == 1 {
+                    table[bits][count] = place as u8;
+                    count += 1;
+                }
+                place += 1;
+            }
+            bits += 1;
+        }
+        table
+    };
 
     // SAFETY (all blocks below): see [`Eight`] for the instructions; loads and stores are of slices
     // whose length was checked; gathered indices are masked to the table's checked size.
@@ -334,7 +375,8 @@ mod avx {
                 let half = _mm256_srli_epi32::<1>(_mm256_castps_si256(self.0));
                 Self(_mm256_castsi256_ps(_mm256_sub_epi32(_mm256_set1_epi32(0x5f1f_fff9), half)))
             };
-            self * (guess * Self::splat(0.703_952_25)) * (Self::splat(2.389_244_6) - self * guess * guess)
+            let half = self * guess;
+            half * (half * guess).fma(Self::splat(-0.703_952_25), Self::splat(1.681_914_1))
         }
         #[inline(always)]
         fn less(self, other: Self) -> __m256 {
@@ -382,11 +424,24 @@ mod avx {
         }
         #[inline(always)]
         fn nearer(self, count: i32, depth: &mut [f32], ids: &mut [u32], id: u32) -> bool {
+            let within = unsafe {
+                let ramp = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
+                _mm256_castsi256_ps(_mm256_cmpgt_epi32(_mm256_set1_epi32(count), ramp))
+            };
+            self.nearer_between(Self::splat(0.0).0, within, depth, ids, id)
+        }
+        #[inline(always)]
+        fn nearer_between(
+            self,
+            begin: __m256,
+            end: __m256,
+            depth: &mut [f32],
+            ids: &mut [u32],
+            id: u32,
+        ) -> bool {
             let (depth, ids) = (&mut depth[..8], &mut ids[..8]);
             unsafe {
-                let ramp = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
-                let within = _mm256_cmpgt_epi32(_mm256_set1_epi32(count), ramp);
-                let new = _mm256_and_ps(self.0, _mm256_castsi256_ps(within));
+                let new = _mm256_and_ps(self.0, _mm256_andnot_ps(begin, end));
                 let old = _mm256_loadu_ps(depth.as_ptr());
                 let nearer = _mm256_cmp_ps::<_CMP_GT_OQ>(new, old);
                 // Blends that are stored where one side was loaded become slow masked stores.
@@ -417,12 +472,21 @@ mod avx {
             }
         }
         #[inline(always)]
-        fn differ(ids: &[u32], neighbours: [&[u32]; 2]) -> bool {
-            let (ids, right, below) = (load_words(ids), load_words(neighbours[0]), load_words(neighbours[1]));
+        fn differ(a: &[u32], b: &[u32]) -> u32 {
             unsafe {
-                let gaps = _mm256_or_si256(_mm256_xor_si256(ids, right), _mm256_xor_si256(ids, below));
-                _mm256_testz_si256(gaps, gaps) == 0
+                let same = _mm256_cmpeq_epi32(load_words(a), load_words(b));
+                _mm256_movemask_ps(_mm256_castsi256_ps(same)) as u32 ^ 0xff
             }
+        }
+        #[inline(always)]
+        fn places(bits: u32, x: usize, to: &mut [u32], count: usize) -> usize {
+            let (places, to) = (&PLACES[(bits & 0xff) as usize], &mut to[count..count + 8]);
+            unsafe {
+                let places = _mm256_cvtepu8_epi32(_mm_loadl_epi64(places.as_ptr().cast()));
+                let places = _mm256_add_epi32(places, _mm256_set1_epi32(x as i32));
+                _mm256_storeu_si256(to.as_mut_ptr().cast(), places);
+            }
+            count + bits.count_ones() as usize
         }
         #[inline(always)]
         fn borders(a: (&[u32], &[u32]), b: (&[u32], &[u32])) -> u32 {

@@ -14,11 +14,13 @@ pub mod actors;
 mod config;
 mod cpu;
 mod effects;
+mod faces;
 mod frame;
 mod gather;
 pub mod grid;
 mod ground_marks;
 mod lanes;
+mod large;
 pub mod model;
 mod noise;
 mod picture;
@@ -29,6 +31,7 @@ mod shade_ground;
 mod shadow_map;
 mod simd;
 mod sky;
+mod stages;
 mod surface;
 mod town;
 mod view;
@@ -41,6 +44,7 @@ pub use config::{CameraConfig, MAX_PIXELS, Mount};
 pub use cpu::CpuRenderer;
 pub use frame::{Frame, ObjectTruth, Outputs};
 pub use picture::Picture;
+pub use stages::Stages;
 pub use town::Town;
 pub use view::View;
 pub(crate) use weather::distance;
@@ -79,6 +83,12 @@ pub struct Shot<'a> {
 pub trait Renderer {
     /// Renders into `frame`, whose buffers are reused.
     fn render(&mut self, shot: &Shot<'_>, frame: &mut Frame);
+    /// Whether frames from now on are timed by stage, which itself takes some time.
+    fn time_stages(&mut self, _on: bool) {}
+    /// Where the last frame's time went, if it was timed.
+    fn stages(&self) -> Stages {
+        Stages::default()
+    }
 }
 
 /// A camera on a vehicle.
@@ -128,6 +138,16 @@ impl Camera {
         self.renderer
             .render(&Shot { scene, actors, view: &view, weather, outputs, shows_ego }, &mut self.frame);
         &self.frame
+    }
+
+    /// Whether frames from now on are timed by stage, which costs them some percent.
+    pub fn time_stages(&mut self, on: bool) {
+        self.renderer.time_stages(on);
+    }
+
+    /// Where the last frame's time went; zeros if it was not timed.
+    pub fn stages(&self) -> Stages {
+        self.renderer.stages()
     }
 
     /// The last frame.

@@ -4,6 +4,7 @@
 //! y north, z up, metres. Model frame: x forward, y left, z up, the origin on the ground in the middle
 //! of the footprint. Front faces are counter-clockwise seen from outside.
 
+use super::faces::Faces;
 use crate::geometry::Pose;
 use crate::network::SignalIndex;
 use nalgebra::Point3;
@@ -50,6 +51,8 @@ pub struct Triangle {
 pub struct Mesh {
     pub vertices: Vec<Vertex>,
     pub triangles: Vec<Triangle>,
+    /// What the renderer draws; made of the triangles by [`Scene::index`].
+    pub(super) faces: Faces,
 }
 
 /// CARLA's semantic tags, by its numbers (0.9.14 and later).
@@ -444,9 +447,15 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Rebuilds the spatial index after `chunks` changed.
+    /// Rebuilds the spatial index and what is drawn after `chunks` or the library changed.
     pub fn index(&mut self) {
         self.grid = super::grid::Grid::new(&self.chunks);
+        let materials = &self.library.materials;
+        let models = self.library.models.iter_mut().flat_map(|m| &mut m.levels).map(|level| &mut level.mesh);
+        let chunks = self.chunks.iter_mut().flat_map(|c| &mut c.levels).map(|(_, mesh)| mesh);
+        for mesh in models.chain(chunks) {
+            mesh.faces = Faces::of(mesh, materials);
+        }
     }
 
     /// The town `times` times, side by side to the east: for measuring what a larger town costs.

@@ -113,7 +113,8 @@ fn flag(on: bool) -> f32 {
 
 /// What the shading of walls and leaves needs.
 pub struct Wall<'a> {
-    pub focal: f32,
+    /// 1 / focal length (pixels).
+    pub per_focal: f32,
     pub weather: &'a Weather,
     pub facade: &'a FacadeNumbers,
 }
@@ -123,7 +124,7 @@ lanes! {
     pub fn pattern<L>(run: &Run<'_>, wall: &Wall<'_>, row: &mut Row) {
         let s = run.surface;
         let tiles = tiles();
-        let across = 1.0 / run.iz[(run.x0 + run.x1) / 2].max(1e-6) / wall.focal;
+        let across = 1.0 / run.iz[(run.x0 + run.x1) / 2].max(1e-6) * wall.per_focal;
         let (fine, mid) = (fade(across, 0.035), fade(across, 0.22));
         let (s_at, t_at) = (Linear::of(&s.planes[0], run.y), Linear::of(&s.planes[1], run.y));
         let mut colour = s.albedo;
@@ -199,13 +200,12 @@ fn facade_run<L: Lane, const FOOT: bool>(run: &Run<'_>, wall: &Wall<'_>, tiles: 
     let beside = (middle + 1).min(x1 - 1);
     let depth = |x: usize| 1.0 / run.iz[x].max(1e-6);
     let along = (s_at.one(beside, depth(beside)) - s_at.one(middle, depth(middle))).abs();
-    let size_v = depth(middle) / wall.focal;
+    let size_v = depth(middle) * wall.per_focal;
     let size_u = along.max(size_v).min(f.bay * 4.0);
-    let blur = ((size_u / f.bay - 0.35) * 3.0).max((size_v / f.storey - 0.35) * 3.0).clamp(0.0, 1.0);
+    let blur = ((size_u * f.per_bay - 0.35) * 3.0).max((size_v * f.per_storey - 0.35) * 3.0).clamp(0.0, 1.0);
     let (fine, mid) = (fade(size_u, 0.05), fade(size_u, 0.6));
     let (per_u, per_v) = (1.0 / size_u, 1.0 / size_v);
-    let has_windows = f.window[0] > 0.0 && f.window[1] > 0.0;
-    let mean = if has_windows { f.window[0] * f.window[1] / (f.bay * f.storey) } else { 0.0 };
+    let mean = f.glazed;
     let (mut lit, mut glass, mut lamp) = ([0.0; 3], [0.0; 3], [1.05, 0.72, 0.36]);
     for i in 0..3 {
         lit[i] = s.ambient[i] + s.sun[i];
@@ -216,14 +216,14 @@ fn facade_run<L: Lane, const FOOT: bool>(run: &Run<'_>, wall: &Wall<'_>, tiles: 
     let v = L::splat;
     let (zero, one, half) = (v(0.0), v(1.0), v(0.5));
     let (is_shop, is_blank) = (v(flag(f.shops)), v(flag(f.blank)));
-    let (has_doors, windowed) = (v(flag(f.door_every > 0.0)), v(flag(has_windows)));
+    let (has_doors, windowed) = (v(flag(f.door_every > 0.0)), v(flag(mean > 0.0)));
     let every = f.door_every.max(1.0);
     let mut x = x0;
     while x < x1 {
         let at = v(x as f32) + L::ramp();
         let z = one / L::load(&run.iz[x..]);
         let (a, b) = (s_at.at(at, z), t_at.at(at, z));
-        let (bay, storey) = ((a * v(1.0 / f.bay)).floor(), (b * v(1.0 / f.storey)).floor());
+        let (bay, storey) = ((a * v(f.per_bay)).floor(), (b * v(f.per_storey)).floor());
         let (du, high) = (a - (bay + half) * v(f.bay), b - storey * v(f.storey));
         // 1 on the ground floor, and where a door or a shop is.
         let (mut ground, mut door, mut shop) = (zero, zero, zero);
@@ -281,7 +281,7 @@ fn facade_run<L: Lane, const FOOT: bool>(run: &Run<'_>, wall: &Wall<'_>, tiles: 
         if FOOT {
             inside = inside * (one - door);
         }
-        let reflect = v(0.55) + v(0.75) * h + v(0.25 / f.storey) * high;
+        let reflect = v(0.55) + v(0.75) * h + v(0.25 * f.per_storey) * high;
         let behind_share = if FOOT { pane * (one - v(0.75) * door) } else { pane };
         let mut colour = [zero; 3];
         for i in 0..3 {
@@ -300,11 +300,12 @@ fn facade_run<L: Lane, const FOOT: bool>(run: &Run<'_>, wall: &Wall<'_>, tiles: 
     }
 }
 
-/// Scene light to display value 0..1: a soft shoulder, about a square root below it.
+/// Scene light to display value 0..255 as [`super::simd::tone`], in the low bits of a float.
 #[inline(always)]
 fn tone<L: Lane>(x: L) -> L {
     let s = x.max(L::splat(0.0)).min(L::splat(1.6)).root();
-    s * s.fma(s.fma(L::splat(-0.2693), L::splat(0.0565)), L::splat(1.15))
+    let rest = s.fma(s.fma(L::splat(-0.2693 * 255.0), L::splat(0.0565 * 255.0)), L::splat(1.15 * 255.0));
+    s.fma(rest, L::splat(super::simd::MAGIC))
 }
 
 lanes! {

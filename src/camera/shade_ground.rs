@@ -220,7 +220,7 @@ fn ground_run<L: Lane, const KIND: u8>(run: &Run<'_>, g: &Ground<'_>, row: &mut 
     // Posts may stand as far apart (m) as what they carry varies: middle noise, shadows, large noise.
     let apart = across * POST as f32;
     let most = if a.mid > 0.0 {
-        0.3
+        0.42
     } else if a.shadowed {
         0.5
     } else {

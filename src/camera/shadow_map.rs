@@ -4,6 +4,7 @@
 //! the sun stands still. Each texel holds its right, upper and diagonal neighbours' values too.
 
 use super::lanes::Lane;
+use super::large::Large;
 use super::model::{Chunk, Library, Scene, SemanticTag as Tag};
 use super::simd::multiversion;
 use super::view::View;
@@ -22,7 +23,7 @@ const LONGEST: f64 = 80.0;
 
 /// The map.
 pub struct ShadowMap {
-    texels: Vec<u32>,
+    texels: Large<u32>,
     owners: Vec<Option<(i32, i32)>>,
     sun: [f32; 3],
     scratch: Vec<u8>,
@@ -32,7 +33,7 @@ impl Default for ShadowMap {
     fn default() -> Self {
         let slots = (CELLS * CELLS) as usize;
         Self {
-            texels: vec![u32::MAX; SIDE * SIDE],
+            texels: Large::new(SIDE * SIDE, u32::MAX),
             owners: vec![None; slots],
             sun: [0.0; 3],
             scratch: vec![0; (CELL + 4) * (CELL + 4)],
@@ -187,7 +188,7 @@ impl ShadowMap {
 
     /// The texels, for [`sample`].
     pub fn texels(&self) -> &[u32; SIDE * SIDE] {
-        self.texels.as_slice().try_into().unwrap_or(&[u32::MAX; SIDE * SIDE])
+        (&*self.texels).try_into().unwrap_or(&[u32::MAX; SIDE * SIDE])
     }
 
     /// Where a world coordinate (m) lies in the map (m), so that single precision suffices.

@@ -82,7 +82,7 @@ fn detect(best: &AtomicU8) -> Instructions {
 }
 
 /// Added to a float below 2^22, it leaves the nearest integer in the low bits.
-const MAGIC: f32 = 12_582_912.0;
+pub const MAGIC: f32 = 12_582_912.0;
 
 /// The integer part of `x` for |x| < 2^22, as bits to be masked, and the fraction 0..1.
 #[inline(always)]

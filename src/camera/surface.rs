@@ -43,9 +43,9 @@ pub struct Surface {
     pub sun: Rgb,
     /// Ground: horizontal and low, so that shadows and puddles lie on it.
     pub lies: bool,
-    /// The triangle's corners in the picture (pixels), and the item that it is part of; None where it is
-    /// cut by the near plane.
-    pub outline: Option<([[f32; 2]; 3], u32)>,
+    /// The face's corners in the picture (pixels), across and down, a triangle's last one twice; None where it is cut by the
+    /// near plane.
+    pub outline: Option<[[f32; 4]; 2]>,
 }
 
 /// What lights a frame.
@@ -56,18 +56,19 @@ pub struct Lighting<'a> {
 }
 
 impl Lighting<'_> {
-    /// The looks of triangle `index`.
+    /// The looks of face `index`.
     pub fn surface(&self, geometry: &Geometry<'_>, vertices: &[CamVertex], index: usize) -> Surface {
         let tri = &geometry.tris[index];
         let item = &geometry.items[tri.item as usize];
-        let triangle = &item.mesh.triangles[tri.triangle as usize];
-        let material = &self.library.materials[triangle.material.0 as usize];
-        let corners = triangle.corners.map(|i| &item.mesh.vertices[i as usize]);
-        let p = triangle.corners.map(|i| vertices[item.first as usize + i as usize].p);
-        let mut surface = Surface { material: triangle.material.0, ..Surface::default() };
-        if p.iter().all(|p| p[2] >= NEAR) {
-            let screen = triangle.corners.map(|i| vertices[item.first as usize + i as usize].s);
-            surface.outline = Some((screen, tri.item));
+        let face = &item.mesh.faces.list[tri.face as usize];
+        let material = &self.library.materials[face.material as usize];
+        let [a, b, c, _] = face.corners;
+        let corners = [a, b, c].map(|i| &item.mesh.vertices[i as usize]);
+        let seen = face.corners.map(|i| vertices[item.first as usize + i as usize]);
+        let p = [seen[0].p, seen[1].p, seen[2].p];
+        let mut surface = Surface { material: face.material, ..Surface::default() };
+        if seen.iter().all(|v| v.p[2] >= NEAR) {
+            surface.outline = Some([0, 1].map(|axis| seen.map(|v| v.s[axis])));
         }
         let emission = item.lamps.has(material.channel) && material.channel != Channel::None;
         let albedo = tinted(material, item);
@@ -240,14 +241,24 @@ pub struct FacadeNumbers {
     pub trim: Rgb,
     pub lit_share: f32,
     pub seed: u32,
+    /// 1 / bay, 1 / storey, the windows' share of the wall.
+    pub per_bay: f32,
+    pub per_storey: f32,
+    pub glazed: f32,
 }
 
 /// The numbers of a material's texture.
 pub fn facade_numbers(material: &Material) -> FacadeNumbers {
     let Texture::Facade(f) = &material.texture else { return FacadeNumbers::default() };
+    let (storey, bay) = (f.storey.max(1.0), f.bay.max(0.5));
+    let (per_bay, per_storey) = (1.0 / bay, 1.0 / storey);
+    let has_windows = f.window[0] > 0.0 && f.window[1] > 0.0;
     FacadeNumbers {
-        storey: f.storey.max(1.0),
-        bay: f.bay.max(0.5),
+        storey,
+        bay,
+        per_bay,
+        per_storey,
+        glazed: if has_windows { f.window[0] * f.window[1] * per_bay * per_storey } else { 0.0 },
         window: f.window,
         sill: f.sill,
         door_every: if f.ground_floor == GroundFloor::Homes { f.door_every as f32 } else { 0.0 },

@@ -50,16 +50,15 @@ fn encoder() -> Result<Box<dyn Encoder>, DriverError> {
     Ok(Box::new(wad_cosim::latent::PooledEncoder))
 }
 
+/// An agent, and what it sees through.
+pub type Seeing = (Box<dyn Agent>, Box<dyn Encoder>);
+
 /// The agent `name` for `run`, behind `encoder` or its own.
 ///
 /// # Errors
 /// There is no such agent or encoder, or they do not belong together.
 #[cfg(feature = "learn")]
-pub fn for_run(
-    name: &str,
-    encoder: Option<&str>,
-    camera: &CameraConfig,
-) -> Result<(Box<dyn Agent>, Box<dyn Encoder>), DriverError> {
+pub fn for_run(name: &str, encoder: Option<&str>, camera: &CameraConfig) -> Result<Seeing, DriverError> {
     match name.strip_prefix("exec:") {
         Some(command) => {
             tch::set_num_threads(1);
@@ -71,11 +70,7 @@ pub fn for_run(
 }
 
 #[cfg(not(feature = "learn"))]
-pub fn for_run(
-    name: &str,
-    _: Option<&str>,
-    _: &CameraConfig,
-) -> Result<(Box<dyn Agent>, Box<dyn Encoder>), DriverError> {
+pub fn for_run(name: &str, _: Option<&str>, _: &CameraConfig) -> Result<Seeing, DriverError> {
     match name.strip_prefix("exec:") {
         Some(command) => Ok((Box::new(ExternalAgent::new(command, Limits::default())), encoder()?)),
         None => Err(DriverError::Unknown { found: name.to_string() }),

@@ -2,7 +2,7 @@
 
 #[cfg(feature = "learn")]
 use super::bench_train;
-use super::{Exit, bench_camera, bench_tick, print, run};
+use super::{Exit, bench_camera, bench_tick, bench_view, print, run};
 use anyhow::Context;
 use wad_cosim::bench::{BenchError, BridgeBench, BridgeRow};
 use wad_cosim::bridge::BridgeOptions;
@@ -24,6 +24,8 @@ enum What {
     Camera(bench_camera::Args),
     /// A tick of the whole loop, stage by stage.
     Tick(bench_tick::Args),
+    /// What viewers of the live view cost the simulation.
+    View(bench_view::Args),
     /// Driving and learning together, as `train agent` does it.
     #[cfg(feature = "learn")]
     Train(bench_train::Args),
@@ -75,6 +77,7 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
         What::Bridge(args) => runtime.block_on(bridge(args)),
         What::Camera(args) => runtime.block_on(bench_camera::run(args)),
         What::Tick(args) => runtime.block_on(bench_tick::run(args)),
+        What::View(args) => runtime.block_on(bench_view::run(args)),
         #[cfg(feature = "learn")]
         What::Train(args) => bench_train::run(&args),
     }

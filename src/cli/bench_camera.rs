@@ -6,7 +6,7 @@ use serde::Serialize;
 use std::time::Instant;
 use wad_cosim::bench::median;
 use wad_cosim::bundled;
-use wad_cosim::camera::{Camera, CameraConfig, Outputs, Preset, Town, Weather};
+use wad_cosim::camera::{Camera, CameraConfig, Outputs, Preset, Stages, Town, Weather};
 use wad_cosim::drive::{Drive, DriveOptions};
 use wad_cosim::sight;
 use wad_cosim::traffic::TrafficSpec;
@@ -61,6 +61,9 @@ struct Row {
     median_ms: f64,
     median_cpu_ms: f64,
     p95_ms: f64,
+    /// Medians of a frame's stages, each frame rendered once more for it: they are a little dearer, as
+    /// looking at the clock takes time, and cheaper, as the caches are warm.
+    stages: Stages,
     frames: usize,
 }
 
@@ -71,6 +74,7 @@ struct Way {
     times: usize,
     wall: Vec<f64>,
     cpu: Vec<f64>,
+    stages: Vec<Stages>,
 }
 
 /// Processor time of this thread (s).
@@ -128,7 +132,15 @@ fn way(
     times: usize,
 ) -> anyhow::Result<Way> {
     let camera = Camera::new(CameraConfig::sized(width, height)).map_err(|e| Exit::Input.because(e))?;
-    Ok(Way { camera, weather: Weather::from(preset), outputs, times, wall: Vec::new(), cpu: Vec::new() })
+    Ok(Way {
+        camera,
+        weather: Weather::from(preset),
+        outputs,
+        times,
+        wall: Vec::new(),
+        cpu: Vec::new(),
+        stages: Vec::new(),
+    })
 }
 
 fn time(way: &mut Way, town: &Town, large: Option<&wad_cosim::camera::model::Scene>, drive: &Drive) {
@@ -139,13 +151,38 @@ fn time(way: &mut Way, town: &Town, large: Option<&wad_cosim::camera::model::Sce
     way.camera.render(scene, town.actors(), &pose, &way.weather, outputs);
     way.wall.push(wall.elapsed().as_secs_f64() * 1000.0);
     way.cpu.push((cpu_seconds() - cpu) * 1000.0);
+    way.camera.time_stages(true);
+    way.camera.render(scene, town.actors(), &pose, &way.weather, outputs);
+    way.camera.time_stages(false);
+    way.stages.push(way.camera.stages());
+}
+
+/// The median of each stage.
+fn stages(frames: &[Stages]) -> Stages {
+    let of = |stage: fn(&Stages) -> f64| median(frames.iter().map(stage).collect());
+    Stages {
+        geometry: of(|s| s.geometry),
+        raster: of(|s| s.raster),
+        shade: of(|s| s.shade),
+        effects: of(|s| s.effects),
+    }
 }
 
 fn report(ways: &[Way], json: bool) -> anyhow::Result<Exit> {
     let say = |line: &str| if json { eprintln!("{line}") } else { println!("{line}") };
     say(&format!(
-        "{:>16} {:>10} {:>7} {:>10} {:>10} {:>8} {:>8}",
-        "weather", "size", "outputs", "town times", "median ms", "cpu ms", "p95 ms"
+        "{:>16} {:>10} {:>7} {:>10} {:>10} {:>8} {:>8} {:>9} {:>7} {:>7} {:>8}",
+        "weather",
+        "size",
+        "outputs",
+        "town times",
+        "median ms",
+        "cpu ms",
+        "p95 ms",
+        "geometry",
+        "raster",
+        "shade",
+        "effects"
     ));
     let mut rows = Vec::new();
     for way in ways {
@@ -160,17 +197,22 @@ fn report(ways: &[Way], json: bool) -> anyhow::Result<Exit> {
             median_ms: median(way.wall.clone()),
             median_cpu_ms: median(way.cpu.clone()),
             p95_ms: sorted.get(sorted.len() * 95 / 100).copied().unwrap_or(f64::NAN),
+            stages: stages(&way.stages),
             frames: way.wall.len(),
         };
         say(&format!(
-            "{:>16} {:>10} {:>7} {:>10} {:>10.3} {:>8.3} {:>8.3}",
+            "{:>16} {:>10} {:>7} {:>10} {:>10.3} {:>8.3} {:>8.3} {:>9.3} {:>7.3} {:>7.3} {:>8.3}",
             row.weather.name(),
             format!("{}x{}", row.width, row.height),
             row.outputs,
             row.town_times,
             row.median_ms,
             row.median_cpu_ms,
-            row.p95_ms
+            row.p95_ms,
+            row.stages.geometry,
+            row.stages.raster,
+            row.stages.shade,
+            row.stages.effects
         ));
         rows.push(row);
     }

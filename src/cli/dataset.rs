@@ -8,11 +8,13 @@ use std::path::PathBuf;
 use std::time::Duration;
 use wad_cosim::bridge::BridgeError;
 use wad_cosim::camera::Preset;
+use wad_cosim::camera::model::ObjectClass;
 use wad_cosim::dataset::{
     CollectOptions, Collected, Dataset, DatasetError, NoiseParams, Progress, RecordedRun, Role,
     TRAINING_WEATHERS, collect,
 };
 use wad_cosim::drive::DriveError;
+use wad_cosim::perception::coco::{CLASSES, class_name};
 
 /// Training data from the autopilot's drives.
 #[derive(clap::Args, Debug)]
@@ -46,7 +48,7 @@ pub struct CollectArgs {
     town: String,
     /// In place of the autopilot's drives: a folder that `run` wrote, driven again in each weather with the
     /// controls of its telemetry. Can be given several times.
-    #[arg(long, value_name = "RUN", value_hint = ValueHint::DirPath, conflicts_with_all = ["town", "frames", "per_shard", "noise_pause"])]
+    #[arg(long, value_name = "RUN", value_hint = ValueHint::DirPath, conflicts_with_all = ["town", "frames", "per_shard", "noise_pause", "showing"])]
     from: Vec<PathBuf>,
     /// How many frames.
     #[arg(long, value_name = "N", default_value_t = 150_000)]
@@ -69,6 +71,10 @@ pub struct CollectArgs {
     /// Simulation seconds between frames.
     #[arg(long, value_name = "SECONDS", default_value_t = 0.5)]
     every: f64,
+    /// Keep only frames that show an object of one of these classes, 16 pixels high or more: car, motorcycle,
+    /// bicycle, person, bus, truck, "traffic light", bench.
+    #[arg(long, value_name = "CLASS", value_delimiter = ',', value_parser = class)]
+    showing: Vec<ObjectClass>,
     /// Mean seconds between disturbances of the autopilot's hand; 0: none.
     #[arg(long, value_name = "SECONDS", default_value_t = NoiseParams::default().pause)]
     noise_pause: f64,
@@ -114,6 +120,15 @@ pub fn with_exit(error: DatasetError) -> anyhow::Error {
     exit.because(error)
 }
 
+/// A class by its COCO name.
+fn class(text: &str) -> Result<ObjectClass, String> {
+    let names = || CLASSES.map(class_name).join(", ");
+    CLASSES
+        .into_iter()
+        .find(|c| class_name(*c) == text)
+        .ok_or_else(|| format!("expected one of {}, found `{text}`", names()))
+}
+
 /// `--max-minutes` as a time.
 pub fn minutes(minutes: Option<f64>) -> anyhow::Result<Option<Duration>> {
     minutes
@@ -135,6 +150,7 @@ fn run_collect(args: &CollectArgs) -> anyhow::Result<Exit> {
     options.camera = args.camera;
     options.every = args.every;
     options.noise.pause = args.noise_pause;
+    options.showing.clone_from(&args.showing);
     options.jobs = args.jobs.max(1);
     options.per_segment = args.per_shard.unwrap_or(options.per_segment).max(1);
     options.time_limit = minutes(args.max_minutes)?;

@@ -7,6 +7,7 @@ mod bench_camera;
 mod bench_tick;
 #[cfg(feature = "learn")]
 mod bench_train;
+mod bench_view;
 mod dataset;
 mod doctor;
 mod eval;
@@ -14,11 +15,13 @@ mod exit;
 mod net;
 mod progress;
 mod replay;
+mod replay_view;
 mod report;
 mod run;
 mod scenario;
 mod snapshot;
 mod train;
+mod view;
 
 use clap::{ArgAction, Parser, Subcommand};
 use std::io::{IsTerminal, Write};

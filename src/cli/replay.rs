@@ -17,6 +17,7 @@ use wad_cosim::replay::Recording;
 const EXAMPLES: &str = "\
 Examples:
   wad-cosim replay runs/nocrash/episodes/NAME                          what happened, in words
+  wad-cosim replay runs/nocrash --view                                 all of them in the browser, with a timeline
   wad-cosim replay runs/nocrash/episodes/NAME --record film.mp4        a film, from behind
   wad-cosim replay runs/nocrash/episodes/NAME --record film.mp4 --record-view all
   wad-cosim replay runs/nocrash/episodes/NAME --gui                    simulated again in sumo-gui
@@ -26,7 +27,7 @@ Examples:
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
-    /// An episode's folder, as `eval` keeps of each failure.
+    /// An episode's folder, as `eval` keeps of each failure; with --view a folder above such folders will do.
     #[arg(value_name = "EPISODE", value_hint = ValueHint::DirPath)]
     episode: PathBuf,
     /// Film the recorded states: a .mp4 file, or a folder with a trailing / for numbered PNG pictures.
@@ -38,6 +39,8 @@ pub struct Args {
     /// Codec of a .mp4 film: auto (H.264, else MPEG-4), h264, mp4v, or another four-character code.
     #[arg(long, value_name = "CODEC", default_value = "auto", requires = "record")]
     record_codec: Codec,
+    #[command(flatten)]
+    view: super::view::ViewArgs,
     /// Only the last N seconds.
     #[arg(long, value_name = "SECONDS")]
     last: Option<f64>,
@@ -54,6 +57,9 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<Exit> {
+    if args.view.view.is_some() {
+        return super::replay_view::run(&args.episode, &args.view);
+    }
     let (kept, recording) = Kept::open(&args.episode).map_err(with_exit)?;
     let episode = &kept.episode;
     let text = format!(

@@ -1,5 +1,6 @@
 //! `wad-cosim run`: drive through a town.
 
+use super::view::{About, View, ViewArgs};
 use super::{Exit, agents, print};
 use anyhow::Context;
 use clap::ValueHint;
@@ -15,7 +16,7 @@ use wad_cosim::drive::{Drive, DriveError, DriveOptions, Status, Summary};
 use wad_cosim::env::EnvOptions;
 use wad_cosim::learned_driver::LearnedDriver;
 use wad_cosim::perception::{self, Percept};
-use wad_cosim::record::{Codec, RecordView, Recorder};
+use wad_cosim::record::{Codec, RecordError, RecordView, Recorder};
 use wad_cosim::scenario::{self, Scenario};
 use wad_cosim::sight;
 use wad_cosim::sumo_config::{OptionSchema, SumoConfig};
@@ -29,6 +30,7 @@ Examples:
   wad-cosim run nets/town5.sumocfg                          the town's own traffic, until Ctrl-C or the config's end
   wad-cosim run town5 --traffic dense --ticks 1200          70 vehicles and 150 pedestrians, 200 s
   wad-cosim run town3 --traffic 40,80 --seed 7 --gui        watch it in sumo-gui
+  wad-cosim run town5 --view                                watch it in the browser, and take the wheel
   wad-cosim run town5 --agent wad-t                         the trained agent at the wheel
   wad-cosim run town5 --perception --record see.mp4         film what the ego sees and makes of it
   wad-cosim run my.sumocfg --route -E12,E7 --json           own net, from edge -E12 to edge E7, machine-readable
@@ -97,6 +99,8 @@ pub struct Args {
     /// Run no faster than real time.
     #[arg(long)]
     realtime: bool,
+    #[command(flatten)]
+    view: ViewArgs,
     /// Use a running SUMO (started with --remote-port) instead of an own one.
     #[arg(long, value_name = "HOST:PORT", conflicts_with = "gui")]
     attach: Option<String>,
@@ -132,6 +136,7 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
     let args = args;
     let seed = args.seed.unwrap_or(0);
     let out = args.out.clone().unwrap_or_else(|| default_folder(&config, seed));
+    let listener = args.view.listen()?;
     let driver = driver(&args, seed)?;
     let options = DriveOptions {
         bridge: BridgeOptions {
@@ -145,7 +150,7 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
             ..BridgeOptions::new(config, out.join("sumo"))
         },
         route: args.route.clone(),
-        out,
+        out: out.clone(),
         ego: Default::default(),
         autopilot: Default::default(),
         criteria: Default::default(),
@@ -162,6 +167,23 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
     let mut drive = started.map_err(with_exit)?;
     let limit = tick_limit(&args, &drive)?;
     let mut sight = Sight::begin(&args, &drive, seed)?;
+    let mut view = match listener {
+        Some(listener) => {
+            let about = About {
+                config: &args.config,
+                seed,
+                agent: &args.agent,
+                encoder: args.encoder.as_deref(),
+                detector: &args.detector,
+                weather: args.weather.unwrap_or_default(),
+                traffic: args.traffic.unwrap_or_default().counts(&drive.bridge().config().town()),
+                out: &out,
+                recording: args.record.as_deref(),
+            };
+            Some(View::open(listener, &args.view, &drive, &about)?)
+        }
+        None => None,
+    };
     let mut line = StatusLine::new(args.quiet_status(), limit);
     let (began, tick) = (Instant::now(), drive.bridge().tick());
     let mut interrupted = false;
@@ -170,17 +192,23 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
         let ticked = tokio::select! {
             biased;
             () = interrupt.wait() => { interrupted = true; break; }
-            ticked = drive.tick() => ticked,
+            ticked = next_tick(&mut drive, &mut view, &mut sight) => ticked,
         };
         match ticked {
             Ok(status) => {
                 if let Some(sight) = &mut sight {
                     sight.look(&drive)?;
                 }
+                if let Some(view) = &mut view {
+                    view.show(&drive, &status);
+                }
                 line.show(&status, sight.as_ref().and_then(Sight::said));
             }
             Err(error) => {
                 line.clear();
+                if let Some(view) = view {
+                    view.close();
+                }
                 // What there is stays readable, with a summary that says how it ended.
                 if let Err(second) = drive.abort().await {
                     eprintln!("wad-cosim: {second}");
@@ -192,7 +220,7 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
         if drive.ending().is_some() {
             break;
         }
-        if args.realtime {
+        if args.realtime && view.is_none() {
             let due = began + Duration::from_secs_f64(ticks as f64 * tick);
             tokio::select! {
                 () = interrupt.wait() => { interrupted = true; break; }
@@ -201,12 +229,28 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
         }
     }
     line.clear();
+    if let Some(view) = view {
+        view.close();
+    }
     if let Some(sight) = sight {
         sight.finish()?;
     }
     let summary = drive.finish("survived", interrupted).await.map_err(with_exit)?;
     report(&summary, args.json)?;
     Ok(if interrupted { Exit::Interrupted } else { Exit::Done })
+}
+
+/// A tick when it is due: at once, or, where there are viewers, at their pace and with their control.
+async fn next_tick(
+    drive: &mut Drive,
+    view: &mut Option<View>,
+    sight: &mut Option<Sight>,
+) -> Result<Status, DriveError> {
+    let control = match view {
+        Some(view) => view.next(drive, sight).await?,
+        None => None,
+    };
+    drive.tick_with(control).await
 }
 
 /// The scenario that the config is, where somebody in it is the ego and no other route is asked for.
@@ -229,12 +273,24 @@ fn driver(args: &Args, seed: u64) -> anyhow::Result<Option<LearnedDriver>> {
     if args.agent == "autopilot" {
         return Ok(None);
     }
-    let options = EnvOptions { detector: args.detector.clone(), ..EnvOptions::evaluation() };
-    let (agent, encoder) = agents::for_run(&args.agent, args.encoder.as_deref(), &options.camera)
-        .map_err(|e| Exit::Input.because(e))?;
-    let driver =
-        LearnedDriver::new(&args.config, agent, encoder, &options, args.weather.unwrap_or_default(), seed);
-    Ok(Some(driver.map_err(|e| Exit::Input.because(e))?))
+    let (agent, encoder) = (&args.agent, args.encoder.as_deref());
+    learned(&args.config, agent, encoder, &args.detector, args.weather.unwrap_or_default(), seed).map(Some)
+}
+
+/// The agent `agent`, ready to drive in the town of `config`.
+pub(super) fn learned(
+    config: &str,
+    agent: &str,
+    encoder: Option<&str>,
+    detector: &str,
+    weather: Preset,
+    seed: u64,
+) -> anyhow::Result<LearnedDriver> {
+    let options = EnvOptions { detector: detector.to_string(), ..EnvOptions::evaluation() };
+    let (agent, encoder) =
+        agents::for_run(agent, encoder, &options.camera).map_err(|e| Exit::Input.because(e))?;
+    let driver = LearnedDriver::new(config, agent, encoder, &options, weather, seed);
+    driver.map_err(|e| Exit::Input.because(e))
 }
 
 impl Args {
@@ -287,7 +343,7 @@ pub fn with_exit(error: DriveError) -> anyhow::Error {
 }
 
 /// What is seen and recorded of the run.
-struct Sight {
+pub(super) struct Sight {
     town: Town,
     weather: Weather,
     watch: Option<Watch>,
@@ -337,6 +393,28 @@ impl Sight {
             recorder.add(&self.town, &ego.state().pose, &self.weather, self.watch.as_ref())?;
         }
         Ok(())
+    }
+
+    /// Nothing is looked at yet.
+    pub fn plain(town: Town, weather: Preset) -> Self {
+        let weather = Weather::from(weather);
+        Self { town, weather, watch: None, says: false, recorder: None }
+    }
+
+    /// The weather from the next tick on.
+    pub fn set_weather(&mut self, weather: Preset) {
+        self.weather = Weather::from(weather);
+    }
+
+    /// Films from the next tick on, from behind.
+    pub fn begin_film(&mut self, path: &std::path::Path, fps: f64) -> Result<(), RecordError> {
+        self.recorder = Some(Recorder::create(path, RecordView::Chase, fps, Codec::Auto, 0)?);
+        Ok(())
+    }
+
+    /// Completes the film under way, if there is one.
+    pub fn end_film(&mut self) -> Result<(), RecordError> {
+        self.recorder.take().map_or(Ok(()), Recorder::finish)
     }
 
     /// What perception says of the last tick.

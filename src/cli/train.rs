@@ -12,6 +12,8 @@ pub use encoder::Device;
 
 use super::Exit;
 use clap::Subcommand;
+#[cfg(feature = "learn")]
+use wad_cosim::train::run::TrainError;
 
 /// Train a network.
 #[derive(clap::Args, Debug)]
@@ -31,6 +33,13 @@ enum Command {
     /// Train a driving agent: WAD-T (TD3) or WAD-S (SAC).
     #[cfg(feature = "learn")]
     Agent(Box<agent::Args>),
+}
+
+/// The exit code that belongs to the error of an encoder's or a detector's training.
+#[cfg(feature = "learn")]
+fn with_exit(error: TrainError) -> anyhow::Error {
+    let exit = if error.is_input() { Exit::Input } else { Exit::Other };
+    exit.because(error)
 }
 
 /// Runs the command.

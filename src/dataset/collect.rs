@@ -6,9 +6,11 @@ use super::folder::{FORMAT_VERSION, Manifest, State, shard_path};
 use super::image_codec::CameraCodec;
 use super::noise::NoiseParams;
 use super::plan::{Segment, plan};
+use super::record::FrameRecord;
 use super::recorded::{RecordedRun, RunDrive};
 use super::shard::{ShardHeader, ShardReader, ShardWriter};
 use crate::bundled;
+use crate::camera::model::ObjectClass;
 use crate::camera::{CameraConfig, Preset};
 use crate::cores::Cores;
 use crate::traffic::TrafficSpec;
@@ -35,6 +37,8 @@ pub struct CollectOptions {
     pub camera: bool,
     /// Simulation time between frames (s); more while the ego stands.
     pub every: f64,
+    /// Keep only frames that show an object of one of these classes; none: all frames.
+    pub showing: Vec<ObjectClass>,
     pub noise: NoiseParams,
     /// SUMOs at once.
     pub jobs: usize,
@@ -59,6 +63,7 @@ impl CollectOptions {
             weathers: TRAINING_WEATHERS.to_vec(),
             camera: false,
             every: 0.5,
+            showing: Vec::new(),
             noise: NoiseParams::default(),
             jobs: 1,
             time_limit: None,
@@ -270,12 +275,23 @@ async fn collect_segment(shared: &Shared<'_>, segment: Segment) -> Result<(), Da
             drive.finish().await;
             return Ok(());
         }
-        drive.next_frame(&mut shard).await?;
-        shared.frames.fetch_add(1, Ordering::Relaxed);
+        let frame = drive.next_frame().await?;
+        if options.showing.is_empty() || shows(&frame.record, &options.showing) {
+            shard.add(&frame)?;
+            shared.frames.fetch_add(1, Ordering::Relaxed);
+        }
     }
     shard.finish()?;
     drive.finish().await;
     Ok(())
+}
+
+/// Lowest box that a frame is kept for (pixels).
+const SHOWN: u32 = 16;
+
+/// Whether an object of one of these classes is in sight.
+fn shows(record: &FrameRecord, classes: &[ObjectClass]) -> bool {
+    record.boxes.iter().any(|b| classes.contains(&b.class) && b.visible[3] - b.visible[1] >= SHOWN)
 }
 
 async fn collect_run(

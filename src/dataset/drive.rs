@@ -5,7 +5,7 @@ use super::error::DatasetError;
 use super::eye::{Eye, Moment};
 use super::noise::Disturber;
 use super::plan::Segment;
-use super::shard::ShardWriter;
+use super::record::Frame;
 use crate::autopilot::{Autopilot, EgoModel};
 use crate::bridge::{Bridge, BridgeOptions, Ego, Lamps};
 use crate::destination::Destinations;
@@ -98,11 +98,11 @@ impl<'a> SegmentDrive<'a> {
         })
     }
 
-    /// Drives until the next frame is due, and records it.
+    /// Drives until the next frame is due, and looks.
     ///
     /// # Errors
-    /// SUMO fails, or the shard cannot be written.
-    pub async fn next_frame(&mut self, shard: &mut ShardWriter) -> Result<(), DatasetError> {
+    /// SUMO fails, or the picture cannot be encoded.
+    pub async fn next_frame(&mut self) -> Result<Frame, DatasetError> {
         loop {
             self.tick().await?;
             let elapsed = self.bridge.tick();
@@ -123,7 +123,7 @@ impl<'a> SegmentDrive<'a> {
             },
         )?;
         self.since_frame = 0.0;
-        shard.add(&frame)
+        Ok(frame)
     }
 
     async fn tick(&mut self) -> Result<(), DatasetError> {

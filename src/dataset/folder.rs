@@ -4,8 +4,10 @@ use super::collect::CollectOptions;
 use super::error::DatasetError;
 use super::plan::Segment;
 use super::shard::ShardReader;
+use crate::camera::model::ObjectClass;
 use crate::camera::{CameraConfig, Preset};
 use crate::perception::TransformedImage;
+use crate::perception::coco::class_name;
 use crate::telemetry;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -67,6 +69,9 @@ pub struct Manifest {
     /// Recorded runs that it shows; none: the autopilot's own drives.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub runs: Vec<PathBuf>,
+    /// Every frame shows an object of one of these classes; none: all frames were kept.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub showing: Vec<ObjectClass>,
 }
 
 impl Manifest {
@@ -86,6 +91,7 @@ impl Manifest {
             keeps_camera: options.camera,
             program: env!("WAD_COSIM_VERSION").to_string(),
             runs: options.runs.iter().map(|run| run.folder.clone()).collect(),
+            showing: options.showing.clone(),
         }
     }
 
@@ -126,6 +132,7 @@ impl Manifest {
                     "the recorded runs",
                     m.runs.iter().map(|r| r.display().to_string()).collect::<Vec<_>>().join(","),
                 ),
+                ("the classes shown", m.showing.iter().map(|c| class_name(*c)).collect::<Vec<_>>().join(",")),
                 ("the camera", m.camera.clone()),
                 ("whether camera pictures are kept", m.keeps_camera.to_string()),
             ]

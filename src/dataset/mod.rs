@@ -31,4 +31,4 @@ pub use noise::{Disturber, NoiseParams};
 pub use plan::{Segment, plan};
 pub use record::{BoxRecord, Frame, FrameRecord, Labels};
 pub use recorded::RecordedRun;
-pub use shard::{ShardHeader, ShardReader, ShardWriter};
+pub use shard::{CameraPlace, ShardHeader, ShardReader, ShardWriter};

@@ -127,6 +127,9 @@ impl<'a> RunDrive<'a> {
         let begin = self.run.ticks.first().map_or(0.0, |first| first.time);
         while let Some(recorded) = self.run.ticks.get(self.next) {
             self.next += 1;
+            for &wish in &recorded.wishes {
+                self.drive.grant(wish).await?;
+            }
             self.drive.tick_with(Some(recorded.control)).await?;
             self.eye.follow(self.drive.ego());
             let state = self.drive.ego().state();

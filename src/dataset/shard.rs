@@ -18,6 +18,7 @@ use serde::{Deserialize, Serialize};
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 const MAGIC: &[u8; 8] = b"WADSHARD";
 const END: u32 = u32::MAX;
@@ -137,13 +138,54 @@ impl Drop for ShardWriter {
     }
 }
 
+/// Where a frame's camera picture lies, to be read when it is wanted: a dataset larger than the memory
+/// can be trained on. Holds no open file.
+#[derive(Clone, Debug)]
+pub struct CameraPlace {
+    path: Arc<Path>,
+    codec: CameraCodec,
+    /// From the file's begin (bytes).
+    offset: u64,
+    length: usize,
+    crc: u32,
+}
+
+impl CameraPlace {
+    /// How the picture is kept.
+    pub fn codec(&self) -> CameraCodec {
+        self.codec
+    }
+
+    /// The picture as it is kept.
+    ///
+    /// # Errors
+    /// The file went away, or changed since the place was found.
+    pub fn read(&self) -> Result<Vec<u8>, DatasetError> {
+        let io = DatasetError::io("read", &*self.path);
+        let mut bytes = vec![0; self.length];
+        File::open(&self.path)
+            .and_then(|mut file| {
+                file.seek(SeekFrom::Start(self.offset))?;
+                file.read_exact(&mut bytes)
+            })
+            .map_err(io)?;
+        if crc32fast::hash(&bytes) != self.crc {
+            let why = format!("the picture at byte {} changed while the shard was in use", self.offset);
+            return Err(DatasetError::Torn { path: self.path.to_path_buf(), why });
+        }
+        Ok(bytes)
+    }
+}
+
 /// Reads a shard frame by frame.
 pub struct ShardReader {
-    path: PathBuf,
+    path: Arc<Path>,
     file: BufReader<File>,
     header: ShardHeader,
     frames: usize,
     read: usize,
+    /// Where the next frame begins (bytes).
+    at: u64,
     payload: Vec<u8>,
 }
 
@@ -187,7 +229,7 @@ impl ShardReader {
         }
         let frames = u32::from_le_bytes([trailer[4], trailer[5], trailer[6], trailer[7]]) as usize;
         file.seek(SeekFrom::Start(begin)).map_err(io)?;
-        Ok(Self { path: path.to_path_buf(), file, header, frames, read: 0, payload: Vec::new() })
+        Ok(Self { path: path.into(), file, header, frames, read: 0, at: begin, payload: Vec::new() })
     }
 
     /// What its frames have in common.
@@ -223,6 +265,7 @@ impl ShardReader {
         }
         let parts = split(&self.payload).ok_or_else(|| torn(self.read, &self.path))?;
         self.read += 1;
+        self.at += u64::from(length) + 8;
         Ok(Some(parts))
     }
 
@@ -233,7 +276,10 @@ impl ShardReader {
     pub fn next_frame(&mut self) -> Result<Option<Frame>, DatasetError> {
         let (path, read) = (self.path.clone(), self.read);
         let Some([text, image, camera]) = self.next_parts()? else { return Ok(None) };
-        let torn = |why: String| DatasetError::Torn { path, why: format!("frame {read}: {why}") };
+        let torn = |why: String| DatasetError::Torn {
+            path: path.to_path_buf(),
+            why: format!("frame {read}: {why}"),
+        };
         let record: FrameRecord = match serde_json::from_slice(text) {
             Ok(record) => record,
             Err(error) => return Err(torn(error.to_string())),
@@ -242,6 +288,24 @@ impl ShardReader {
         let size = TRANSFORMED_SIZE as u32;
         decode_png(image, size, size, transformed.bytes_mut())?;
         Ok(Some(Frame { record, transformed, camera: camera.to_vec() }))
+    }
+
+    /// The next frame's record, and where its camera picture lies; None at the end.
+    ///
+    /// # Errors
+    /// The frame is damaged, or has no camera picture.
+    pub fn next_place(&mut self) -> Result<Option<(FrameRecord, CameraPlace)>, DatasetError> {
+        let (path, read) = (self.path.clone(), self.read);
+        let torn =
+            |why: &str| DatasetError::Torn { path: path.to_path_buf(), why: format!("frame {read}: {why}") };
+        let codec = self.header.camera_codec;
+        let Some([text, _, camera]) = self.next_parts()? else { return Ok(None) };
+        let codec = codec.ok_or_else(|| torn("it has no camera picture"))?;
+        let record = serde_json::from_slice(text).map_err(|e| torn(&e.to_string()))?;
+        let (length, crc) = (camera.len(), crc32fast::hash(camera));
+        // The picture is a frame's last part.
+        let offset = self.at - length as u64;
+        Ok(Some((record, CameraPlace { path, codec, offset, length, crc })))
     }
 
     /// The next frame's transformed image alone into `bytes` ([`TransformedImage::BYTES`] of them);

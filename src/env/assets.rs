@@ -102,6 +102,11 @@ impl Assets {
         &self.network
     }
 
+    /// Buildings and areas of the config's additional files.
+    pub fn polygons(&self) -> &[crate::network::Polygon] {
+        &self.shapes.polygons
+    }
+
     /// Buildings, poles, kerbs.
     pub fn statics(&self) -> &[StaticBody] {
         &self.statics

@@ -95,7 +95,7 @@ impl Episode {
 }
 
 /// Distance (m) and curvature (1/m) of what the route has ahead.
-fn bends(route: &Route, s: f64, speed: f64) -> impl Iterator<Item = (f64, f64)> + '_ {
+pub(crate) fn bends(route: &Route, s: f64, speed: f64) -> impl Iterator<Item = (f64, f64)> + '_ {
     let reach = (BENDS.0 + BENDS.1 * speed.max(0.0)).min(route.length() - s);
     let count = (reach.max(0.0) / BEND_STEP) as usize;
     (0..=count).map(move |i| {

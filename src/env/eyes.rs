@@ -61,6 +61,11 @@ impl Eyes {
         }
     }
 
+    /// Another weather, in the middle of an episode.
+    pub fn set_weather(&mut self, weather: Preset) {
+        self.weather = Weather::from(weather);
+    }
+
     /// Looks at the world that `ego` is in after a tick of `tick` s.
     pub fn look(
         &mut self,

@@ -66,6 +66,7 @@ impl World {
         options: EnvOptions,
         encoder: Box<dyn Encoder>,
     ) -> Result<Self, EnvError> {
+        options.ego.check().map_err(BridgeError::from)?;
         let folder = tempfile::Builder::new()
             .prefix("wad-env-")
             .tempdir()

@@ -268,10 +268,10 @@ mod tests {
 
     fn routes() -> BTreeMap<String, (Routes, PathBuf)> {
         let place = |n: usize| Placement {
-            via: Vec::new(),
             from: Spot { lane: format!("a{n}_0"), s: 1.0 },
             to: Spot { lane: "b_0".into(), s: 2.0 },
             obstacle: None,
+            via: Vec::new(),
         };
         let sets = Routes::SETS.iter().map(|k| (k.name().to_string(), (0..5).map(place).collect())).collect();
         let of = |town: &str| {

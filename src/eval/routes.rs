@@ -32,7 +32,7 @@ pub enum RouteError {
          `--routes FILE` names them where they do not lie beside the net"
     )]
     None { town: String },
-    #[error("the suite needs routes `{set}`, and {} has none: {why}", path.display())]
+    #[error("the suite needs routes `{set}`, and {} has none: {why}{}", path.display(), remedy(set))]
     NoSet { set: String, path: PathBuf, why: String },
     #[error("cannot {what} the routes {}: {source}", path.display())]
     File { what: &'static str, path: PathBuf, source: std::io::Error },
@@ -43,6 +43,14 @@ pub enum RouteError {
          `wad-cosim eval routes {town}`", path.display()
     )]
     OtherNet { path: PathBuf, town: String, expected: String, found: String },
+}
+
+/// What to do about a net without places for a set.
+fn remedy(set: &str) -> &'static str {
+    match set {
+        "cross" => ". `wad-cosim net enrich` puts signals on junctions; make the routes anew afterwards",
+        _ => ". Drive the suite's other tasks with --task, or choose a net that has such places",
+    }
 }
 
 const SHIPPED: [(&str, &str); 2] =

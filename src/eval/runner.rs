@@ -146,14 +146,16 @@ impl Worker<'_> {
         }
         let evaluation = self.evaluation;
         let Some((_, _, env, driver)) = &mut self.current else { return Err(EnvError::NoEpisode.into()) };
-        let (mut record, mut recorder) = drive(env, driver, case)?;
+        let keeps = evaluation.keep.as_ref().is_some_and(|(_, keep)| *keep != Keep::None);
+        let (mut record, mut recorder) = drive(env, driver, case, keeps)?;
         if record.fault == Some(Fault::Simulator) {
             let cause = &record.ending.cause;
             tracing::warn!("`{}` episode {} is driven again: {cause}", case.task, case.episode);
-            (record, recorder) = drive(env, driver, case)?;
+            (record, recorder) = drive(env, driver, case, keeps)?;
         }
         let wanted = |keep: Keep| keep == Keep::All || keep == Keep::Failures && !record.ending.success;
-        if let Some((folder, _)) = evaluation.keep.as_ref().filter(|(_, keep)| wanted(*keep)) {
+        let keep = evaluation.keep.as_ref().filter(|(_, keep)| wanted(*keep));
+        if let (Some((folder, _)), Some(recorder)) = (keep, recorder) {
             let place = Store::episode_folder(folder, case);
             record.recording = Some(format!("episodes/{}", case.name()));
             let kept = Kept {
@@ -199,13 +201,18 @@ pub(super) fn make(
     Ok((Env::new(Arc::clone(assets), options, encoder)?, driver))
 }
 
-/// One episode, with its recording.
-fn drive(env: &mut Env, driver: &mut Driver, case: &Case) -> Result<(EpisodeRecord, Recorder), EvalError> {
+/// One episode, with its recording where that is wanted.
+fn drive(
+    env: &mut Env,
+    driver: &mut Driver,
+    case: &Case,
+    keeps: bool,
+) -> Result<(EpisodeRecord, Option<Recorder>), EvalError> {
     let seed = case.episode_seed();
     let mut observation = env.reset(&case.spec, seed)?;
     driver.reset(seed);
-    let mut recorder = Recorder::new(&kept::header(env, case));
-    record(&mut recorder, env, 0, Control::default(), &[]);
+    let mut recorder = keeps.then(|| Recorder::new(&kept::header(env, case)));
+    record(recorder.as_mut(), env, 0, Control::default(), &[]);
     let mut tally = Tally::at(env.ego().map(|ego| ego.state().pose.xy()));
     let tick_s = env.tick().as_secs_f64();
     let (mut ticks, mut route_length, mut driven) =
@@ -223,7 +230,7 @@ fn drive(env: &mut Env, driver: &mut Driver, case: &Case) -> Result<(EpisodeReco
         let lost = step.info.ending.as_ref().is_some_and(|ending| ending.end == End::Error);
         if !lost {
             tally.add(&step, env.ego(), control.steer);
-            record(&mut recorder, env, step.info.tick, control, &step.info.events);
+            record(recorder.as_mut(), env, step.info.tick, control, &step.info.events);
         }
         (ticks, route_length, driven) = (step.info.tick, step.info.route_length, step.info.driven);
         if let Some(ending) = step.info.ending {
@@ -263,11 +270,13 @@ fn drive(env: &mut Env, driver: &mut Driver, case: &Case) -> Result<(EpisodeReco
 
 /// Adds the state that `env` is in.
 fn record(
-    recorder: &mut Recorder,
+    recorder: Option<&mut Recorder>,
     env: &Env,
     tick: u64,
     control: Control,
     events: &[crate::criteria::Event],
 ) {
-    kept::with_moment(env, tick, control, events, |moment: &Moment<'_>| recorder.add(moment));
+    if let Some(recorder) = recorder {
+        kept::with_moment(env, tick, control, events, |moment: &Moment<'_>| recorder.add(moment));
+    }
 }

@@ -1,6 +1,7 @@
 //! The frozen encoder as the agents use it, and the decoder for pictures.
 
 use super::network::{Architecture, Autoencoder, Slot, Views};
+use super::packed::{Packed, Scratch};
 use super::weights::{Weights, WeightsError, half};
 use super::{Decoder, Encoder, LatentError};
 use crate::bundled;
@@ -38,6 +39,9 @@ pub struct TchEncoder {
     network: Autoencoder,
     /// Batch norm and standardisation folded in: weight and bias of each layer.
     layers: Vec<(Tensor, Tensor)>,
+    /// For one image at a time, where the processor can.
+    packed: Option<Packed>,
+    scratch: Scratch,
     /// Mean and deviation of the raw latent (200).
     mean: Tensor,
     deviation: Tensor,
@@ -122,9 +126,13 @@ impl TchEncoder {
         for (weight, _) in &mut layers[..convolutions] {
             *weight = channels_last(weight)?;
         }
+        let packed = match device {
+            Device::Cpu => Packed::new(&network, &weights, &mean, &deviation)?,
+            _ => None,
+        };
         let views = network.views(&network.theta)?;
-        let metadata = weights.metadata;
-        Ok(Self { network, layers, mean, deviation, views, device, hash, metadata })
+        let (metadata, scratch) = (weights.metadata, Scratch::default());
+        Ok(Self { network, layers, packed, scratch, mean, deviation, views, device, hash, metadata })
     }
 
     /// Architecture, config, dataset and scores, as JSON by [`keys`].
@@ -154,6 +162,41 @@ impl TchEncoder {
             }
             x.f_flatten(1, -1)?.f_linear(weight, Some(bias))
         })
+    }
+
+    /// The latent of one image, by the network as it was trained: nothing folded, nothing packed.
+    ///
+    /// # Errors
+    /// torch fails.
+    pub fn encode_as_trained(&self, image: &TransformedImage) -> Result<Vec<f32>, LatentError> {
+        tch::no_grad(|| {
+            let pictures = to_pictures(&images_tensor(image.bytes(), 1)?.f_to_device(self.device)?)?;
+            let raw = self.network.encode(&self.views, &pictures, None)?;
+            let raw = raw.f_narrow(1, 0, LATENT_SIZE as i64)?;
+            let encoded = raw.f_sub(&self.mean)?.f_div(&self.deviation)?.f_to_device(Device::Cpu)?;
+            let mut latent = vec![0.0; LATENT_SIZE];
+            encoded.f_copy_data(&mut latent, LATENT_SIZE)?;
+            Ok(latent)
+        })
+    }
+
+    /// The latent of one image, the fastest way.
+    ///
+    /// # Errors
+    /// torch fails.
+    pub fn encode_one(
+        &self,
+        image: &TransformedImage,
+        scratch: &mut Scratch,
+        latent: &mut Vec<f32>,
+    ) -> Result<(), LatentError> {
+        if let Some(packed) = &self.packed {
+            packed.encode(image, scratch, latent);
+            return Ok(());
+        }
+        let encoded = self.encode_tensor(&images_tensor(image.bytes(), 1)?)?.f_to_device(Device::Cpu)?;
+        latent.resize(LATENT_SIZE, 0.0);
+        Ok(encoded.f_copy_data(latent, LATENT_SIZE)?)
     }
 
     /// The latents of many images, `batch` at a time.
@@ -198,9 +241,10 @@ impl Encoder for TchEncoder {
     }
 
     fn encode(&mut self, image: &TransformedImage, latent: &mut Vec<f32>) -> Result<(), LatentError> {
-        let encoded = self.encode_tensor(&images_tensor(image.bytes(), 1)?)?.f_to_device(Device::Cpu)?;
-        latent.resize(LATENT_SIZE, 0.0);
-        Ok(encoded.f_copy_data(latent, LATENT_SIZE)?)
+        let mut scratch = std::mem::take(&mut self.scratch);
+        let encoded = self.encode_one(image, &mut scratch, latent);
+        self.scratch = scratch;
+        encoded
     }
 }
 

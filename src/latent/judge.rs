@@ -2,6 +2,7 @@
 
 use super::LatentError;
 use super::encoder::TchEncoder;
+use super::packed::Scratch;
 use super::probe::{Probe, Regression, auc, explained};
 use super::score::{ObjectScore, psnr, ssim};
 use crate::bench::median;
@@ -9,7 +10,7 @@ use crate::camera::{CameraConfig, Preset};
 use crate::cpu_time;
 use crate::dataset::{Dataset, DatasetError, FrameRecord, Labels};
 use crate::observation::LATENT_SIZE;
-use crate::perception::TransformedImage;
+use crate::perception::{TRANSFORMED_SIZE, TransformedImage};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use tch::Device;
@@ -69,6 +70,18 @@ pub struct Judgement {
     pub heading: LinearScore,
     /// Gap to the vehicle in the lane within [`LEAD`] (m).
     pub gap: LinearScore,
+    /// The same probe of the vehicle, measured where the route goes straight on: where it turns, the picture
+    /// does not tell which of the roads ahead is the ego's.
+    pub lead_straight: ProbeScore,
+    /// What the picture itself would tell: the same probes from the share of blue in each 8x8 pixels.
+    pub lead_of_picture: ProbeScore,
+    pub pedestrian_of_picture: ProbeScore,
+    /// Middle of the two painted boundaries (m, left of the ego), and their slope, where both are painted;
+    /// and the same from the share of green in each 4x4 pixels.
+    pub middle: LinearScore,
+    pub slope: LinearScore,
+    pub middle_of_picture: LinearScore,
+    pub slope_of_picture: LinearScore,
 }
 
 /// A linear regression's result on the measured frames.
@@ -86,6 +99,8 @@ const LEAD: f64 = 20.0;
 const PEDESTRIAN: f64 = 15.0;
 /// An ego further from its lane's centre has left it (m).
 const NEAR_LANE: f64 = 1.75;
+/// A route that turns less is straight (rad).
+const STRAIGHT: f64 = 0.15;
 /// Frames encoded at once.
 const BATCH: usize = 64;
 
@@ -95,6 +110,10 @@ struct Told {
     labels: Labels,
     /// Offset from the lane's centre (m) and heading error (rad), where a boundary is in sight.
     on_lane: Option<[f64; 2]>,
+    /// The route goes straight on for the next waypoints.
+    straight: bool,
+    /// Middle (m) and slope of the painted boundaries.
+    painted: Option<[f64; 2]>,
 }
 
 impl Told {
@@ -102,7 +121,11 @@ impl Told {
         let sees = record.lanes.left.is_some() || record.lanes.right.is_some();
         let near = record.raw.lateral.abs() < NEAR_LANE;
         let on_lane = (sees && near).then_some([record.raw.lateral, record.raw.heading_error]);
-        Self { labels: record.labels, on_lane }
+        let turns = [record.raw.heading_error, record.raw.heading_error_far];
+        let straight = turns.iter().all(|turn| turn.abs() < STRAIGHT);
+        let painted = record.lanes.left.as_ref().zip(record.lanes.right.as_ref());
+        let painted = painted.map(|(l, r)| [0.5 * f64::from(l.offset + r.offset), f64::from(l.slope)]);
+        Self { labels: record.labels, on_lane, straight, painted }
     }
 }
 
@@ -110,7 +133,94 @@ impl Told {
 struct Batch {
     records: Vec<FrameRecord>,
     latents: Vec<Vec<f32>>,
-    images: Vec<(TransformedImage, TransformedImage)>,
+    images: Vec<TransformedImage>,
+    /// Empty where none were wanted.
+    reconstructions: Vec<TransformedImage>,
+}
+
+/// Frames as probes see them.
+#[derive(Default)]
+struct Seen {
+    latents: Vec<Vec<f32>>,
+    told: Vec<Told>,
+    /// Shares of blue and of green by cell.
+    blue: Vec<Vec<f32>>,
+    green: Vec<Vec<f32>>,
+}
+
+impl Seen {
+    fn add(&mut self, batch: Batch) {
+        self.told.extend(batch.records.iter().map(Told::of));
+        self.latents.extend(batch.latents);
+        let is_blue = |[r, g, b]: [u8; 3]| b > 180 && u16::from(r) + u16::from(g) < 115;
+        let is_green = |[r, g, b]: [u8; 3]| g > 150 && u16::from(r) + u16::from(b) < 150;
+        self.blue.extend(batch.images.iter().map(|image| shares(image, 8, is_blue)));
+        self.green.extend(batch.images.iter().map(|image| shares(image, 4, is_green)));
+    }
+}
+
+/// The share of such pixels in each cell of so many pixels, row by row.
+fn shares(image: &TransformedImage, cell: usize, is_such: impl Fn([u8; 3]) -> bool) -> Vec<f32> {
+    let across = TRANSFORMED_SIZE / cell;
+    let mut shares = vec![0.0; across * across];
+    for (at, pixel) in image.bytes().as_chunks::<3>().0.iter().enumerate() {
+        let (x, y) = (at % TRANSFORMED_SIZE / cell, at / TRANSFORMED_SIZE / cell);
+        shares[y * across + x] += f32::from(u8::from(is_such(*pixel))) / (cell * cell) as f32;
+    }
+    shares
+}
+
+/// As latents are: mean 0 and deviation 1 over the first frames. What hardly moves stays small.
+fn standardise(known: &mut [Vec<f32>], unseen: &mut [Vec<f32>]) {
+    let count = known.len().max(1) as f32;
+    for i in 0..known.first().map_or(0, Vec::len) {
+        let mean = known.iter().map(|row| row[i]).sum::<f32>() / count;
+        let square = known.iter().map(|row| (row[i] - mean).powi(2)).sum::<f32>() / count;
+        let factor = 1.0 / (square.sqrt() + 1e-3);
+        for row in known.iter_mut().chain(unseen.iter_mut()) {
+            row[i] = (row[i] - mean) * factor;
+        }
+    }
+}
+
+/// Fits logistic probes on the first frames and measures them on the others, where `counts` says so.
+fn probe(
+    (known, unseen): (&[Vec<f32>], &[Vec<f32>]),
+    (told, wanted): (&[Told], &[Told]),
+    what: fn(&Labels) -> bool,
+    counts: fn(&Told) -> bool,
+) -> ProbeScore {
+    let fitted: Vec<bool> = told.iter().map(|told| what(&told.labels)).collect();
+    let measured: Vec<bool> =
+        wanted.iter().filter(|told| counts(told)).map(|told| what(&told.labels)).collect();
+    let ranked = Probe::fit(known, &fitted).and_then(|probe| {
+        let counted = unseen.iter().zip(wanted).filter(|(_, told)| counts(told));
+        let scores: Vec<f64> = counted.map(|(row, _)| probe.score(row)).collect();
+        auc(&scores, &measured)
+    });
+    let count = |labels: &[bool]| labels.iter().filter(|label| **label).count();
+    ProbeScore { auc: ranked, fitted_positives: count(&fitted), measured_positives: count(&measured) }
+}
+
+/// The same by least squares, of the frames that have the value.
+fn regress(
+    (known, unseen): (&[Vec<f32>], &[Vec<f32>]),
+    (told, wanted): (&[Told], &[Told]),
+    what: fn(&Told) -> Option<f64>,
+) -> LinearScore {
+    let pick = |rows: &[Vec<f32>], told: &[Told]| -> (Vec<Vec<f32>>, Vec<f64>) {
+        rows.iter().zip(told).filter_map(|(x, told)| Some((x.clone(), what(told)?))).unzip()
+    };
+    let ((x, y), (unseen, wanted)) = (pick(known, told), pick(unseen, wanted));
+    let made = Regression::fit(&x, &y).map(|line| unseen.iter().map(|x| line.value(x)).collect::<Vec<_>>());
+    let errors: Vec<f64> =
+        made.iter().flatten().zip(&wanted).map(|(made, wanted)| (made - wanted).abs()).collect();
+    LinearScore {
+        r2: made.and_then(|made| explained(&made, &wanted)),
+        median_error: (!errors.is_empty()).then(|| median(errors)),
+        fitted: y.len(),
+        measured: wanted.len(),
+    }
 }
 
 /// Judges `encoder` on `frames` of `measured`, evenly over it; probes are fitted on `fitted`.
@@ -127,9 +237,10 @@ pub fn judge(
     let camera = CameraConfig::default();
     let (mut psnr_sum, mut ssim_sum, mut objects) = (0.0, 0.0, ObjectScore::default());
     let mut by_weather: BTreeMap<Preset, (f64, f64)> = BTreeMap::new();
-    let (mut latents, mut labels): (Vec<Vec<f32>>, Vec<Told>) = (Vec::new(), Vec::new());
+    let (mut unseen, mut known) = (Seen::default(), Seen::default());
     each(encoder, measured, frames, true, |batch| {
-        for (record, (wanted, made)) in batch.records.iter().zip(&batch.images) {
+        let pairs = batch.images.iter().zip(&batch.reconstructions);
+        for (record, (wanted, made)) in batch.records.iter().zip(pairs) {
             let db = psnr(wanted, made);
             psnr_sum += db;
             ssim_sum += ssim(wanted, made);
@@ -137,48 +248,28 @@ pub fn judge(
             *sum = (sum.0 + db, sum.1 + 1.0);
             objects.add(wanted, made, &record.boxes, (camera.width, camera.height));
         }
-        labels.extend(batch.records.iter().map(Told::of));
-        latents.extend(batch.latents);
-        report(latents.len());
+        unseen.add(batch);
+        report(unseen.told.len());
     })?;
-    let (mut known, mut known_labels): (Vec<Vec<f32>>, Vec<Told>) = (Vec::new(), Vec::new());
     each(encoder, fitted, probe_frames, false, |batch| {
-        known_labels.extend(batch.records.iter().map(Told::of));
-        known.extend(batch.latents);
-        report(latents.len() + known.len());
+        known.add(batch);
+        report(unseen.told.len() + known.told.len());
     })?;
-    let probe = |what: fn(&Labels) -> bool| {
-        let told: Vec<bool> = known_labels.iter().map(|told| what(&told.labels)).collect();
-        let wanted: Vec<bool> = labels.iter().map(|told| what(&told.labels)).collect();
-        let ranked = Probe::fit(&known, &told).and_then(|probe| {
-            let scores: Vec<f64> = latents.iter().map(|latent| probe.score(latent)).collect();
-            auc(&scores, &wanted)
-        });
-        let count = |labels: &[bool]| labels.iter().filter(|label| **label).count();
-        ProbeScore { auc: ranked, fitted_positives: count(&told), measured_positives: count(&wanted) }
-    };
-    let regress = |what: fn(&Told) -> Option<f64>| {
-        let pick = |latents: &[Vec<f32>], told: &[Told]| -> (Vec<Vec<f32>>, Vec<f64>) {
-            let pairs = latents.iter().zip(told).filter_map(|(x, told)| Some((x.clone(), what(told)?)));
-            pairs.unzip()
-        };
-        let ((x, y), (unseen, wanted)) = (pick(&known, &known_labels), pick(&latents, &labels));
-        let made =
-            Regression::fit(&x, &y).map(|line| unseen.iter().map(|x| line.value(x)).collect::<Vec<_>>());
-        let errors: Vec<f64> =
-            made.iter().flatten().zip(&wanted).map(|(made, wanted)| (made - wanted).abs()).collect();
-        LinearScore {
-            r2: made.and_then(|made| explained(&made, &wanted)),
-            median_error: (!errors.is_empty()).then(|| median(errors)),
-            fitted: y.len(),
-            measured: wanted.len(),
-        }
-    };
-    let count = latents.len().max(1) as f64;
+    standardise(&mut known.blue, &mut unseen.blue);
+    standardise(&mut known.green, &mut unseen.green);
+    let told = (known.told.as_slice(), unseen.told.as_slice());
+    let latents = (known.latents.as_slice(), unseen.latents.as_slice());
+    let blue = (known.blue.as_slice(), unseen.blue.as_slice());
+    let green = (known.green.as_slice(), unseen.green.as_slice());
+    let lead = |l: &Labels| l.lead.is_some_and(|gap| gap <= LEAD);
+    let pedestrian = |l: &Labels| l.pedestrian.is_some_and(|gap| gap <= PEDESTRIAN);
+    let middle = |told: &Told| told.painted.map(|[middle, _]| middle);
+    let slope = |told: &Told| told.painted.map(|[_, slope]| slope);
+    let count = unseen.told.len().max(1) as f64;
     Ok(Judgement {
         encoder: super::Encoder::hash(encoder).to_string(),
         town: measured.manifest.town.clone(),
-        frames: latents.len(),
+        frames: unseen.told.len(),
         psnr_db: psnr_sum / count,
         ssim: ssim_sum / count,
         psnr_by_weather: by_weather.into_iter().map(|(w, (sum, n))| (w.name(), sum / n)).collect(),
@@ -188,24 +279,31 @@ pub fn judge(
         kept_tiny: objects.tiny.share(),
         blue_iou: objects.blue_iou(),
         encode_ms: encode_ms(encoder)?,
-        probe_frames: known.len(),
+        probe_frames: known.told.len(),
         probe_town: fitted.manifest.town.clone(),
-        lead: probe(|l| l.lead.is_some_and(|gap| gap <= LEAD)),
-        pedestrian: probe(|l| l.pedestrian.is_some_and(|gap| gap <= PEDESTRIAN)),
-        red: probe(|l| l.red),
-        lateral: regress(|told| told.on_lane.map(|[lateral, _]| lateral)),
-        heading: regress(|told| told.on_lane.map(|[_, heading]| heading)),
-        gap: regress(|told| told.labels.lead.filter(|gap| *gap <= LEAD)),
+        lead: probe(latents, told, lead, |_| true),
+        pedestrian: probe(latents, told, pedestrian, |_| true),
+        red: probe(latents, told, |l| l.red, |_| true),
+        lateral: regress(latents, told, |told| told.on_lane.map(|[lateral, _]| lateral)),
+        heading: regress(latents, told, |told| told.on_lane.map(|[_, heading]| heading)),
+        gap: regress(latents, told, |told| told.labels.lead.filter(|gap| *gap <= LEAD)),
+        lead_straight: probe(latents, told, lead, |told| told.straight),
+        lead_of_picture: probe(blue, told, lead, |_| true),
+        pedestrian_of_picture: probe(blue, told, pedestrian, |_| true),
+        middle: regress(latents, told, middle),
+        slope: regress(latents, told, slope),
+        middle_of_picture: regress(green, told, middle),
+        slope_of_picture: regress(green, told, slope),
     })
 }
 
 /// Median CPU time of one image through the encoder (ms).
 fn encode_ms(encoder: &TchEncoder) -> Result<f64, JudgeError> {
     let image = TransformedImage::default();
-    let mut times = Vec::new();
+    let (mut scratch, mut latent, mut times) = (Scratch::default(), Vec::new(), Vec::new());
     for _ in 0..100 {
         let before = cpu_time::of_thread();
-        encoder.encode_all(&[&image], 1)?;
+        encoder.encode_one(&image, &mut scratch, &mut latent)?;
         times.extend(cpu_time::of_thread().zip(before).map(|(after, before)| 1000.0 * (after - before)));
     }
     Ok(median(times))
@@ -231,8 +329,7 @@ fn each(
         let refs: Vec<&TransformedImage> = wanted.iter().collect();
         let latents = encoder.encode_all(&refs, BATCH)?;
         let made = if reconstruct { decode_all(encoder, &latents)? } else { Vec::new() };
-        let images = wanted.into_iter().zip(made).collect();
-        take(Batch { records: std::mem::take(records), latents, images });
+        take(Batch { records: std::mem::take(records), latents, images: wanted, reconstructions: made });
         Ok::<(), JudgeError>(())
     };
     for shard in 0..dataset.shards.len() {
@@ -282,6 +379,8 @@ pub fn pairs(
     count: usize,
 ) -> Result<Vec<(TransformedImage, TransformedImage)>, JudgeError> {
     let mut pairs = Vec::new();
-    each(encoder, dataset, count, true, |batch| pairs.extend(batch.images))?;
+    each(encoder, dataset, count, true, |batch| {
+        pairs.extend(batch.images.into_iter().zip(batch.reconstructions))
+    })?;
     Ok(pairs)
 }

@@ -8,6 +8,8 @@ pub mod encoder;
 pub mod judge;
 #[cfg(feature = "learn")]
 pub mod network;
+#[cfg(feature = "learn")]
+pub mod packed;
 mod pooled;
 pub mod probe;
 pub mod score;

@@ -347,6 +347,34 @@ impl Autoencoder {
         Ok(Self { architecture, theta, statistics, slots, decayed })
     }
 
+    /// What the encoder's convolution `i` (from 0) does to each channel after its sum: factor and offset,
+    /// of batch norm where it has one.
+    ///
+    /// # Errors
+    /// torch fails.
+    pub fn encoder_affine(&self, i: usize) -> Result<(Tensor, Tensor), TchError> {
+        let views = self.views(&self.theta.f_detach()?)?;
+        if !NORMED.contains(&i) {
+            let bias = views.get(&format!("encoder.conv{}.bias", i + 1))?;
+            return Ok((bias.f_ones_like()?, bias.shallow_clone()));
+        }
+        let name = |what: &str| format!("encoder.norm{}.{what}", i + 1);
+        let variance = self.statistic(&name("variance"))?;
+        let factor = views.get(&name("scale"))?.f_div(&variance.f_add_scalar(EPSILON)?.f_sqrt()?)?;
+        let mean = self.statistic(&name("mean"))?;
+        let bias = views.get(&name("shift"))?.f_sub(&mean.f_mul(&factor)?)?;
+        Ok((factor, bias))
+    }
+
+    /// The linear layer's bias (means alone).
+    ///
+    /// # Errors
+    /// torch fails.
+    pub fn latent_bias(&self) -> Result<Tensor, TchError> {
+        let views = self.views(&self.theta.f_detach()?)?;
+        views.get("encoder.latent.bias")?.f_narrow(0, 0, self.architecture.latent)
+    }
+
     /// The encoder's weights with batch norm folded into the convolutions: weight and bias of each layer,
     /// then of the linear one (means alone).
     ///
@@ -357,22 +385,11 @@ impl Autoencoder {
         let mut layers = Vec::new();
         for i in 0..self.architecture.encoder.len() {
             let weight = views.get(&format!("encoder.conv{}.weight", i + 1))?;
-            if NORMED.contains(&i) {
-                let name = |what: &str| format!("encoder.norm{}.{what}", i + 1);
-                let variance = self.statistic(&name("variance"))?;
-                let factor = views.get(&name("scale"))?.f_div(&variance.f_add_scalar(EPSILON)?.f_sqrt()?)?;
-                let mean = self.statistic(&name("mean"))?;
-                let bias = views.get(&name("shift"))?.f_sub(&mean.f_mul(&factor)?)?;
-                layers.push((weight.f_mul(&factor.f_view([-1, 1, 1, 1])?)?, bias));
-            } else {
-                let bias = views.get(&format!("encoder.conv{}.bias", i + 1))?;
-                layers.push((weight.shallow_clone(), bias.shallow_clone()));
-            }
+            let (factor, bias) = self.encoder_affine(i)?;
+            layers.push((weight.f_mul(&factor.f_view([-1, 1, 1, 1])?)?, bias));
         }
-        let latent = self.architecture.latent;
-        let weight = views.get("encoder.latent.weight")?.f_narrow(0, 0, latent)?;
-        let bias = views.get("encoder.latent.bias")?.f_narrow(0, 0, latent)?;
-        layers.push((weight, bias));
+        let weight = views.get("encoder.latent.weight")?.f_narrow(0, 0, self.architecture.latent)?;
+        layers.push((weight, self.latent_bias()?));
         Ok(layers)
     }
 }

@@ -13,8 +13,6 @@ pub struct Probe {
 const STEPS: usize = 12;
 /// Square penalties on the weights that are tried: where the positives are few, 200 weights need a strong one.
 const PENALTIES: [f64; 4] = [1.0, 10.0, 100.0, 1000.0];
-/// The regression's.
-const PENALTY: f64 = 1.0;
 /// The last share of what is fitted to is held back while the penalty is chosen.
 const HELD_BACK: f64 = 0.3;
 
@@ -81,25 +79,51 @@ pub struct Regression {
 }
 
 impl Regression {
-    /// Least squares with the probes' penalty. None without values.
+    /// Least squares with an L2 penalty: the one that explains the last part best when fitted to the first.
+    /// None without values.
     pub fn fit(features: &[Vec<f32>], values: &[f64]) -> Option<Self> {
-        let size = features.first()?.len() + 1;
         if values.len() != features.len() {
             return None;
         }
-        let x =
-            DMatrix::from_fn(features.len(), size, |i, j| features[i].get(j).map_or(1.0, |v| f64::from(*v)));
-        let mut normal = x.tr_mul(&x);
-        for i in 0..size {
-            normal[(i, i)] += if i + 1 == size { 1e-6 } else { PENALTY };
-        }
-        let rhs = x.tr_mul(&DVector::from_column_slice(values));
-        Some(Self { weights: normal.cholesky()?.solve(&rhs) })
+        let first = features.len() - (HELD_BACK * features.len() as f64) as usize;
+        let part = Normal::of(&features[..first], &values[..first])?;
+        let rank = |penalty: f64| {
+            let line = part.solve(penalty)?;
+            let made: Vec<f64> = features[first..].iter().map(|row| line.value(row)).collect();
+            explained(&made, &values[first..])
+        };
+        let ranked = PENALTIES.iter().filter_map(|&penalty| Some((rank(penalty)?, penalty)));
+        let best = ranked.max_by(|a, b| a.0.total_cmp(&b.0)).map_or(PENALTIES[0], |(_, penalty)| penalty);
+        Normal::of(features, values)?.solve(best)
     }
 
     /// The value that the features stand for.
     pub fn value(&self, features: &[f32]) -> f64 {
         linear(&self.weights, features)
+    }
+}
+
+/// The normal equations of a least squares problem, before the penalty.
+struct Normal {
+    matrix: DMatrix<f64>,
+    rhs: DVector<f64>,
+}
+
+impl Normal {
+    fn of(features: &[Vec<f32>], values: &[f64]) -> Option<Self> {
+        let size = features.first()?.len() + 1;
+        let x =
+            DMatrix::from_fn(features.len(), size, |i, j| features[i].get(j).map_or(1.0, |v| f64::from(*v)));
+        Some(Self { matrix: x.tr_mul(&x), rhs: x.tr_mul(&DVector::from_column_slice(values)) })
+    }
+
+    fn solve(&self, penalty: f64) -> Option<Regression> {
+        let mut matrix = self.matrix.clone();
+        let last = matrix.nrows() - 1;
+        for i in 0..=last {
+            matrix[(i, i)] += if i == last { 1e-6 } else { penalty };
+        }
+        Some(Regression { weights: matrix.cholesky()?.solve(&self.rhs) })
     }
 }
 

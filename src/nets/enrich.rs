@@ -132,7 +132,7 @@ fn busy_junctions(network: &Network) -> Vec<String> {
                 | "priority_stop"
                 | "unregulated"
         );
-        plain && !round && (arms.len() >= 4 || arms.len() == 3 && arms.iter().any(|edge| fast(edge)))
+        plain && !round && (arms.len() >= 4 || arms.len() == 3 && arms.iter().any(fast))
     };
     network.junctions.iter().filter(busy).map(|j| j.id.clone()).collect()
 }

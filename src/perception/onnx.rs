@@ -82,11 +82,7 @@ impl OnnxDetector {
 
     /// Where [`Self::load`] looks when no file is named: what `scripts/fetch-detector` writes.
     pub fn default_path() -> Option<PathBuf> {
-        let cache = std::env::var_os("XDG_CACHE_HOME")
-            .map(PathBuf::from)
-            .filter(|p| p.is_absolute())
-            .or_else(|| Some(PathBuf::from(std::env::var_os("HOME")?).join(".cache")))?;
-        Some(cache.join("wad-cosim/centernet-coco.onnx"))
+        Some(crate::bundled::cache_in(|name| std::env::var_os(name))?.join("centernet-coco.onnx"))
     }
 
     /// The outputs for a frame, in the order of `outputs`.

@@ -149,6 +149,11 @@ pub struct Memory {
 }
 
 impl Memory {
+    /// Of a town with so many traffic lights, none of them in sight.
+    pub fn new(lights: usize) -> Self {
+        Self { lights: vec![None; lights], ..Self::default() }
+    }
+
     /// The frame that a line means.
     pub fn frame(&mut self, line: Line) -> Result<Frame, String> {
         for TypeLine(id, kind, length, width, height, min_gap) in line.types {

@@ -96,7 +96,7 @@ impl Recording {
         if header.format != FORMAT {
             return Err(broken(format!("expected the format `{FORMAT}`, found `{}`", header.format)));
         }
-        let mut memory = Memory::default();
+        let mut memory = Memory::new(header.lights.len());
         let mut frames = Vec::new();
         for (index, line) in lines.enumerate() {
             let line = line.map_err(|e| broken(format!("it is cut short after tick {index}: {e}")))?;
@@ -191,7 +191,8 @@ mod tests {
 
     fn header() -> Header {
         let ego = Body { length: 4.5, width: 1.9, height: 1.5 };
-        Header::new("town3", "town3", 167.0, Preset::WetNoon, ego)
+        let lights = vec!["near".to_string(), "far".to_string()];
+        Header { lights, ..Header::new("town3", "town3", 167.0, Preset::WetNoon, ego) }
     }
 
     fn recorded() -> Recorder {

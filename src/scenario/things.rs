@@ -533,7 +533,7 @@ fn read_polygon(reader: &mut Reader<'_>, network: &Network) -> Option<Thing> {
         let steps = (shape.length() / STEP) as usize;
         let mut covered = (0..=steps).map(|i| i as f64 * STEP).filter(|&s| inside(s));
         if let Some(first) = covered.next() {
-            let last = covered.last().unwrap_or(first);
+            let last = covered.next_back().unwrap_or(first);
             let at = LanePosition { lane: near.lane, s: first };
             closures.push(Closure { at, length: (last - first).max(STEP) });
         }

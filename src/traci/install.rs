@@ -3,6 +3,7 @@
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::Mutex;
 
 /// The oldest SUMO release that is good enough.
 pub const OLDEST_SUMO: (u32, u32, u32) = (1, 28, 0);
@@ -52,9 +53,7 @@ impl SumoInstall {
             let found = candidate(home.into(), "WAD_COSIM_SUMO_HOME");
             return found.ok_or(InstallError::NotFound { looked });
         }
-        let cache = variable("XDG_CACHE_HOME").map(PathBuf::from);
-        let cache = cache.or_else(|| Some(PathBuf::from(variable("HOME")?).join(".cache")));
-        let cached = cache.map(|cache| cache.join("wad-cosim/sumo-1.28.0/sumo"));
+        let cached = crate::bundled::cache_in(&variable).map(|cache| cache.join("sumo-1.28.0/sumo"));
         if let Some(install) = cached.and_then(|home| candidate(home, "the cache folder")) {
             return Ok(install);
         }
@@ -110,13 +109,20 @@ impl SumoInstall {
         })
     }
 
-    /// Fails where it is too old.
+    /// Fails where it is too old. Asked once of each SUMO: the answer costs a process.
     ///
     /// # Errors
     /// Too old, or as [`SumoInstall::version`].
     pub fn check_version(&self) -> Result<(), InstallError> {
+        static CHECKED: Mutex<Vec<SumoInstall>> = Mutex::new(Vec::new());
+        if CHECKED.lock().is_ok_and(|checked| checked.contains(self)) {
+            return Ok(());
+        }
         let found = self.version()?;
         if found >= OLDEST_SUMO {
+            if let Ok(mut checked) = CHECKED.lock() {
+                checked.push(self.clone());
+            }
             return Ok(());
         }
         let program = self.program("sumo");
@@ -189,6 +195,17 @@ mod tests {
         };
         let found = SumoInstall::find_with(variable).unwrap();
         assert!(found.home().ends_with("cache/wad-cosim/sumo-1.28.0/sumo"));
+        // A relative cache folder is passed over, and the one in the home folder taken.
+        let relative = |name: &str| match name {
+            "XDG_CACHE_HOME" => Some("cache".into()),
+            "HOME" => Some(folder.path().join("home").into()),
+            name => variable(name),
+        };
+        assert!(SumoInstall::find_with(relative).unwrap().home().ends_with("other"));
+        let own = folder.path().join("home/.cache/wad-cosim/sumo-1.28.0/sumo/bin");
+        std::fs::create_dir_all(&own).unwrap();
+        std::fs::write(own.join("sumo"), "").unwrap();
+        assert!(SumoInstall::find_with(relative).unwrap().home().starts_with(folder.path().join("home")));
         std::fs::remove_dir_all(folder.path().join("cache")).unwrap();
         assert!(SumoInstall::find_with(variable).unwrap().home().ends_with("other"));
     }

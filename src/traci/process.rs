@@ -186,14 +186,7 @@ impl SumoProcess {
     /// No usable SUMO, a wrong input or option (SUMO's own words are quoted), no TraCI.
     pub async fn launch(options: &LaunchOptions) -> Result<(Self, TcpClient), LaunchError> {
         let install = SumoInstall::find()?;
-        static CHECKED: Mutex<Vec<SumoInstall>> = Mutex::new(Vec::new());
-        let known = CHECKED.lock().is_ok_and(|checked| checked.contains(&install));
-        if !known {
-            install.check_version()?;
-            if let Ok(mut checked) = CHECKED.lock() {
-                checked.push(install.clone());
-            }
-        }
+        install.check_version()?;
         Self::launch_with(&install, options).await
     }
 

@@ -61,6 +61,11 @@ fn frame<'a>(reader: &mut Reader<'a>) -> Result<(Reader<'a>, usize), DecodeError
 }
 
 impl Replies {
+    /// Size of the message (bytes).
+    pub fn bytes(&self) -> usize {
+        self.data.len()
+    }
+
     /// Parses `data`, a message without its length field, as the answer to `batch`.
     pub(super) fn parse(batch: &Batch, data: Bytes) -> Result<Self, ReplyError> {
         let mut replies = Self {

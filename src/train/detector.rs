@@ -7,28 +7,31 @@
 
 use super::adamw::AdamW;
 use super::detector_data::{SIDE, Sample, Show, epoch, samples, steps};
-use super::tensorboard::EventWriter;
-use crate::dataset::{Dataset, DatasetError};
+pub use super::run::TrainError;
+use super::run::{self, Training};
+use crate::dataset::Dataset;
 use crate::latent::weights::{Weights, WeightsError};
-use crate::perception::PerceptionError;
 use crate::perception::centernet::loss::loss;
 use crate::perception::centernet::{Backbone, CenterNet, CenterNetDetector};
-use crate::perception::coco::class_index;
+use crate::perception::coco::{class_index, class_name};
 use crate::perception::metrics::{Found, Scored, average_precision, mean};
 use crate::perception::score::{SMALL, TALL};
-use crate::{seeds, telemetry};
+use crate::seeds;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
-use tch::{Device, Kind, TchError, Tensor};
+use tch::{Device, Kind, Tensor};
 
 /// How to train.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TrainOptions {
     pub backbone: Backbone,
     pub data: PathBuf,
+    /// More datasets, shown together with it.
+    #[serde(default)]
+    pub more: Vec<PathBuf>,
     pub out: PathBuf,
     pub epochs: u64,
     pub batch: usize,
@@ -41,7 +44,7 @@ pub struct TrainOptions {
     pub window: Option<(usize, usize)>,
     /// Compute the backbone in bfloat16; weights and optimiser stay in single precision.
     pub bfloat16: bool,
-    /// Vary light and colours.
+    /// Vary weather, light and colours.
     pub vary: bool,
     pub seed: u64,
     /// Use a dataset that was not collected to its end.
@@ -60,6 +63,7 @@ impl TrainOptions {
         Self {
             backbone,
             data: data.to_path_buf(),
+            more: Vec::new(),
             out: out.to_path_buf(),
             epochs: 12,
             batch: 16,
@@ -76,31 +80,6 @@ impl TrainOptions {
             time_limit: None,
         }
     }
-}
-
-/// Why training ended without its end.
-#[derive(Debug, thiserror::Error)]
-pub enum TrainError {
-    #[error(transparent)]
-    Dataset(#[from] DatasetError),
-    #[error(transparent)]
-    Weights(#[from] WeightsError),
-    #[error(transparent)]
-    Perception(#[from] PerceptionError),
-    #[error("libtorch: {0}")]
-    Torch(#[from] TchError),
-    #[error("could not write `{}`: {source}; the last checkpoint is kept", path.display())]
-    Write { path: PathBuf, source: std::io::Error },
-    #[error("`{}` holds a training already; go on with it by --resume, or name another folder with --out", path.display())]
-    Taken { path: PathBuf },
-    #[error("`{}` holds no training to resume: expected checkpoint.safetensors in it", path.display())]
-    NothingToResume { path: PathBuf },
-    #[error(
-        "the loss became {loss} at step {step}: training stopped, `{}` is the last good one; a smaller \
-         --learning-rate may help",
-        checkpoint.display()
-    )]
-    NotFinite { loss: f64, step: u64, checkpoint: PathBuf },
 }
 
 /// What validation says.
@@ -140,15 +119,7 @@ pub struct Trained {
 }
 
 /// How far it is.
-#[derive(Clone, Copy, Debug)]
-pub struct Progress {
-    pub epoch: u64,
-    pub step: u64,
-    pub steps: u64,
-    pub loss: f64,
-    /// At the end of an epoch.
-    pub validation: Option<Validation>,
-}
+pub type Progress = run::Progress<Validation>;
 
 /// Steps over which the learning rate rises.
 const WARM_UP: f64 = 100.0;
@@ -200,71 +171,32 @@ pub fn train(
     interrupt: &AtomicBool,
     mut report: impl FnMut(Progress),
 ) -> Result<Trained, TrainError> {
-    let mut trainer = Trainer::start(options, device, resume)?;
-    let write = |path: &Path| {
-        let path = path.to_path_buf();
-        move |source| TrainError::Write { path, source }
-    };
-    let log = options.out.join("metrics.jsonl");
-    let mut events = EventWriter::create(&options.out).map_err(write(&options.out))?;
-    let mut interrupted = false;
-    while trainer.reached.epoch < options.epochs && trainer.done_share() < 1.0 {
-        let Some(record) = trainer.epoch(interrupt, &mut report)? else {
-            interrupted = true;
-            break;
-        };
-        append(&log, &record).map_err(write(&log))?;
-        for (tag, value) in [
-            ("losses/train", record.loss),
-            ("charts/map50", record.validation.map50),
-            ("charts/map50_small", record.validation.map50_small),
-            ("charts/images_per_second", record.images_per_second),
-        ] {
-            events.scalar(tag, record.step, value).map_err(write(events.path()))?;
-        }
-        events.flush().map_err(write(events.path()))?;
-    }
-    let trained = trainer.summary(interrupted);
-    let path = options.out.join("summary.json");
-    telemetry::write_json(&path, &trained).map_err(|e| TrainError::Write { path, source: e.source })?;
-    Ok(trained)
-}
-
-fn append(path: &Path, record: &EpochRecord) -> std::io::Result<()> {
-    use std::io::Write;
-    let mut line = serde_json::to_vec(record)?;
-    line.push(b'\n');
-    std::fs::OpenOptions::new().create(true).append(true).open(path)?.write_all(&line)
+    let trainer = Trainer::start(options, device, resume)?;
+    run::walk(trainer, &options.out, interrupt, &mut report)
 }
 
 impl<'a> Trainer<'a> {
     fn start(options: &'a TrainOptions, device: Device, resume: bool) -> Result<Self, TrainError> {
-        let checkpoint = options.out.join("checkpoint.safetensors");
-        if resume && !checkpoint.is_file() {
-            return Err(TrainError::NothingToResume { path: options.out.clone() });
+        run::check(&options.out, resume)?;
+        let checkpoint = run::checkpoint(&options.out);
+        let folders = std::iter::once(&options.data).chain(&options.more);
+        let datasets: Vec<Dataset> =
+            folders.map(|folder| Dataset::open(folder, options.partial)).collect::<Result<_, _>>()?;
+        datasets.iter().try_for_each(Dataset::require_training)?;
+        run::write_json(&options.out.join("config.json"), options)?;
+        let (mut training, mut validation) = (Vec::new(), Vec::new());
+        for dataset in &datasets {
+            let (train, validate) = dataset.split();
+            training.extend(samples(dataset, &train, usize::MAX)?);
+            let share = options.validation_frames.div_ceil(datasets.len());
+            validation.extend(samples(dataset, &validate, share)?);
         }
-        if !resume && checkpoint.exists() {
-            return Err(TrainError::Taken { path: options.out.clone() });
-        }
-        let dataset = Dataset::open(&options.data, options.partial)?;
-        dataset.require_training()?;
-        let write = |path: &Path, source| TrainError::Write { path: path.to_path_buf(), source };
-        std::fs::create_dir_all(&options.out).map_err(|e| write(&options.out, e))?;
-        let config = options.out.join("config.json");
-        telemetry::write_json(&config, options).map_err(|e| write(&config, e.source))?;
-        let (train, validate) = dataset.split();
-        let training = samples(&dataset, &train, usize::MAX)?;
-        let validation = samples(&dataset, &validate, options.validation_frames)?;
         tch::manual_seed(seeds::derive(options.seed, "weights") as i64);
         let (network, mut adam);
         let mut reached = Reached::default();
         if resume {
             let weights = Weights::load(&checkpoint)?;
-            let text = weights.metadata.get("reached").map_or("", String::as_str);
-            reached = serde_json::from_str(text).map_err(|e| WeightsError::Format {
-                path: checkpoint.clone(),
-                why: format!("it does not say how far the training came ({e})"),
-            })?;
+            reached = run::reached(&weights)?;
             network = CenterNet::from_weights(&weights, device)?;
             if network.backbone != options.backbone {
                 return Err(TrainError::Weights(WeightsError::Mismatch {
@@ -282,10 +214,21 @@ impl<'a> Trainer<'a> {
         if reached.validation_frames != validation.len() {
             (reached.validation_frames, reached.best) = (validation.len(), None);
         }
-        let m = &dataset.manifest;
-        let weathers: Vec<&str> = m.weathers.iter().map(|w| w.name()).collect();
-        let made_of =
-            format!("{} frames of {} in {}, seed {}", training.len(), m.town, weathers.join(", "), m.seed);
+        let said = |dataset: &Dataset| {
+            let m = &dataset.manifest;
+            let weathers: Vec<&str> = m.weathers.iter().map(|w| w.name()).collect();
+            let showing: Vec<&str> = m.showing.iter().map(|c| class_name(*c)).collect();
+            let only =
+                if showing.is_empty() { String::new() } else { format!(" with {}", showing.join(", ")) };
+            format!(
+                "{} frames{only} of {} in {}, seed {}",
+                dataset.frames(),
+                m.town,
+                weathers.join(", "),
+                m.seed
+            )
+        };
+        let made_of = datasets.iter().map(said).collect::<Vec<_>>().join("; and ");
         let epoch_steps = steps(&training, options.batch, options.epoch_steps) as u64;
         let began = Instant::now();
         Ok(Self {
@@ -323,11 +266,64 @@ impl<'a> Trainer<'a> {
         self.options.learning_rate * rise * fall.max(0.01)
     }
 
-    /// One epoch, validation and checkpoint; None where it was interrupted.
+    /// The network as it would be shipped: in half precision, folded.
+    fn validate(&self) -> Result<Validation, TrainError> {
+        let copy = CenterNet::from_weights(&self.network.weights(&[])?, self.device)?;
+        let mut detector = CenterNetDetector::new("validation".into(), copy, self.device, LEAST_SCORE)?;
+        let mut scored: Vec<Scored> = Vec::with_capacity(self.validation.len());
+        for sample in &self.validation {
+            let mut one = sample.truths();
+            let found = detector.detect_rgb(&sample.rgb()?, SIDE, SIDE)?;
+            one.found =
+                found.into_iter().map(|d| Found { label: class_index(d.class), detection: d }).collect();
+            scored.push(one);
+        }
+        let map = |counts: &dyn Fn(f32) -> bool| {
+            mean((0..8).map(|class| average_precision(&scored, class, 0.5, counts))).unwrap_or(0.0)
+        };
+        Ok(Validation { map50: map(&|h| h >= TALL), map50_small: map(&|h| (SMALL..TALL).contains(&h)) })
+    }
+
+    /// The best network, as it ships.
+    fn export(&self, validation: Validation) -> Result<(), TrainError> {
+        let score = serde_json::to_string(&validation).unwrap_or_default();
+        let weights = self.network.weights(&[
+            ("made_of", self.made_of.clone()),
+            ("epochs", self.reached.epoch.to_string()),
+            ("validation", score),
+            ("program", env!("WAD_COSIM_VERSION").to_string()),
+        ])?;
+        Ok(weights.save(&self.options.out.join("detector.safetensors"))?)
+    }
+
+    fn checkpoint(&mut self) -> Result<(), TrainError> {
+        self.reached.optimiser_steps = self.adam.steps();
+        let reached = Reached { seconds: self.seconds(), ..self.reached.clone() };
+        let mut metadata: HashMap<String, String> = self.network.weights(&[])?.metadata;
+        metadata.insert(run::REACHED.to_string(), serde_json::to_string(&reached).unwrap_or_default());
+        let mut tensors: Vec<(String, Tensor)> = Vec::new();
+        for (name, tensor) in self.network.store.variables() {
+            tensors.push((name, tensor.f_detach()?.f_to_kind(Kind::Float)?));
+        }
+        tensors.extend(self.adam.tensors());
+        let path = run::checkpoint(&self.options.out);
+        Ok(Weights { path: path.clone(), tensors, metadata }.save(&path)?)
+    }
+}
+
+impl Training for Trainer<'_> {
+    type Validation = Validation;
+    type Record = EpochRecord;
+    type Summary = Trained;
+
+    fn is_over(&self) -> bool {
+        self.reached.epoch >= self.options.epochs || self.done_share() >= 1.0
+    }
+
     fn epoch(
         &mut self,
         interrupt: &AtomicBool,
-        report: &mut impl FnMut(Progress),
+        report: &mut dyn FnMut(Progress),
     ) -> Result<Option<EpochRecord>, TrainError> {
         let options = self.options;
         let number = self.reached.epoch;
@@ -359,10 +355,8 @@ impl<'a> Trainer<'a> {
                 let rate = self.rate();
                 let is_good = self.adam.step(&total, rate, LONGEST)?;
                 let (value, step) = (total.f_double_value(&[])?, self.reached.step);
-                if !value.is_finite() || !is_good {
-                    let checkpoint = options.out.join("checkpoint.safetensors");
-                    return Err(TrainError::NotFinite { loss: value, step, checkpoint });
-                }
+                // A gradient that is no number counts like such a loss.
+                run::require_finite(if is_good { value } else { f64::NAN }, step, &options.out)?;
                 sum += value;
                 looks += 1;
                 if step.is_multiple_of(REPORT_EVERY) {
@@ -401,48 +395,14 @@ impl<'a> Trainer<'a> {
         }))
     }
 
-    /// The network as it would be shipped: in half precision, folded.
-    fn validate(&self) -> Result<Validation, TrainError> {
-        let copy = CenterNet::from_weights(&self.network.weights(&[])?, self.device)?;
-        let mut detector = CenterNetDetector::new("validation".into(), copy, self.device, LEAST_SCORE)?;
-        let mut scored: Vec<Scored> = Vec::with_capacity(self.validation.len());
-        for sample in &self.validation {
-            let mut one = sample.truths();
-            let found = detector.detect_rgb(&sample.rgb()?, SIDE, SIDE)?;
-            one.found =
-                found.into_iter().map(|d| Found { label: class_index(d.class), detection: d }).collect();
-            scored.push(one);
-        }
-        let map = |counts: &dyn Fn(f32) -> bool| {
-            mean((0..8).map(|class| average_precision(&scored, class, 0.5, counts))).unwrap_or(0.0)
-        };
-        Ok(Validation { map50: map(&|h| h >= TALL), map50_small: map(&|h| (SMALL..TALL).contains(&h)) })
-    }
-
-    /// The best network, as it ships.
-    fn export(&self, validation: Validation) -> Result<(), TrainError> {
-        let score = serde_json::to_string(&validation).unwrap_or_default();
-        let weights = self.network.weights(&[
-            ("made_of", self.made_of.clone()),
-            ("epochs", self.reached.epoch.to_string()),
-            ("validation", score),
-            ("program", env!("WAD_COSIM_VERSION").to_string()),
-        ])?;
-        Ok(weights.save(&self.options.out.join("detector.safetensors"))?)
-    }
-
-    fn checkpoint(&mut self) -> Result<(), TrainError> {
-        self.reached.optimiser_steps = self.adam.steps();
-        let reached = Reached { seconds: self.seconds(), ..self.reached.clone() };
-        let mut metadata: HashMap<String, String> = self.network.weights(&[])?.metadata;
-        metadata.insert("reached".to_string(), serde_json::to_string(&reached).unwrap_or_default());
-        let mut tensors: Vec<(String, Tensor)> = Vec::new();
-        for (name, tensor) in self.network.store.variables() {
-            tensors.push((name, tensor.f_detach()?.f_to_kind(Kind::Float)?));
-        }
-        tensors.extend(self.adam.tensors());
-        let path = self.options.out.join("checkpoint.safetensors");
-        Ok(Weights { path: path.clone(), tensors, metadata }.save(&path)?)
+    fn figures(record: &EpochRecord) -> (u64, Vec<(&'static str, f64)>) {
+        let figures = vec![
+            ("losses/train", record.loss),
+            ("charts/map50", record.validation.map50),
+            ("charts/map50_small", record.validation.map50_small),
+            ("charts/images_per_second", record.images_per_second),
+        ];
+        (record.step, figures)
     }
 
     fn summary(&self, interrupted: bool) -> Trained {

@@ -1,7 +1,8 @@
 //! Batches of camera pictures and targets for CenterNet, made ahead by threads of their own.
 
+use super::weathering::{self, View};
 use crate::camera::model::ObjectClass;
-use crate::dataset::{BoxRecord, CameraCodec, Dataset, DatasetError, decode_camera};
+use crate::dataset::{BoxRecord, CameraPlace, Dataset, DatasetError, decode_camera};
 use crate::perception::centernet::targets::{Centre, Wanted, Window, encode};
 use crate::perception::centernet::{Backbone, loss::Target, network::STRIDE};
 use crate::perception::coco::class_index;
@@ -25,12 +26,19 @@ const EMPTY: f64 = 0.25;
 /// The side of a camera picture (pixels).
 pub const SIDE: usize = 512;
 
-/// A frame: the picture as it lies in the shard, and its objects.
+/// A frame: where its picture lies, and its objects.
 #[derive(Clone, Debug)]
 pub struct Sample {
-    codec: CameraCodec,
-    picture: Vec<u8>,
+    picture: Picture,
     objects: Vec<BoxRecord>,
+}
+
+/// Pictures are read from their shard each time: the system keeps what fits into the memory anyway.
+#[derive(Clone, Debug)]
+enum Picture {
+    Shard(CameraPlace),
+    #[cfg(test)]
+    Bytes(Vec<u8>),
 }
 
 impl Sample {
@@ -39,7 +47,11 @@ impl Sample {
     /// # Errors
     /// It is damaged, or has another size than the camera's.
     pub fn rgb(&self) -> Result<Vec<u8>, DatasetError> {
-        decode_camera(self.codec, &self.picture, SIDE, SIDE)
+        match &self.picture {
+            Picture::Shard(place) => decode_camera(place.codec(), &place.read()?, SIDE, SIDE),
+            #[cfg(test)]
+            Picture::Bytes(png) => decode_camera(crate::dataset::CameraCodec::Png, png, SIDE, SIDE),
+        }
     }
 
     /// What the network is taught.
@@ -77,15 +89,15 @@ pub fn samples(dataset: &Dataset, shards: &[usize], most: usize) -> Result<Vec<S
     let (mut found, mut seen) = (Vec::new(), 0_usize);
     for &shard in shards {
         let mut reader = dataset.reader(shard)?;
-        let Some(codec) = reader.header().camera_codec else {
+        if reader.header().camera_codec.is_none() {
             return Err(DatasetError::Empty {
                 path: dataset.folder.clone(),
                 hint: " with camera pictures; collect it with --camera",
             });
-        };
-        while let Some(frame) = reader.next_frame()? {
+        }
+        while let Some((record, place)) = reader.next_place()? {
             if seen.is_multiple_of(every) {
-                found.push(Sample { codec, picture: frame.camera, objects: frame.record.boxes });
+                found.push(Sample { picture: Picture::Shard(place), objects: record.boxes });
             }
             seen += 1;
         }
@@ -142,7 +154,7 @@ pub struct Show {
     pub batch: usize,
     /// Width and height of the small windows; None: whole pictures only.
     pub window: Option<(usize, usize)>,
-    /// Vary light and colours.
+    /// Vary weather, light and colours ([`weathering`]).
     pub vary: bool,
 }
 
@@ -212,7 +224,7 @@ pub struct Batch {
 }
 
 impl Batch {
-    /// `count` windows of the picked samples, mirrored at random, their light and colours varied.
+    /// `count` windows of the picked samples, mirrored at random, their weather varied.
     fn new(
         show: &Show,
         samples: &[Sample],
@@ -240,18 +252,20 @@ impl Batch {
             }
             let wanted: Vec<Wanted> = samples[index].wanted().collect();
             let window = show.place(size, &wanted, rng);
-            let mirrored = rng.random::<bool>();
             let start = batch.pixels.len();
             for y in window.top..window.top + height {
-                let row = &rgb[(y * SIDE + window.left) * 3..][..width * 3];
-                if mirrored {
-                    batch.pixels.extend(row.as_chunks::<3>().0.iter().rev().flatten());
-                } else {
-                    batch.pixels.extend(row);
-                }
+                batch.pixels.extend(&rgb[(y * SIDE + window.left) * 3..][..width * 3]);
             }
             if show.vary {
-                vary(&mut batch.pixels[start..], rng);
+                let Window { left, top, .. } = window;
+                let view = View { left, top, width, objects: &samples[index].objects };
+                weathering::weather(&mut batch.pixels[start..], view, rng);
+            }
+            let mirrored = rng.random::<bool>();
+            if mirrored {
+                for row in batch.pixels[start..].chunks_exact_mut(3 * width) {
+                    row.as_chunks_mut::<3>().0.reverse();
+                }
             }
             let shown = wanted.iter().filter_map(|one| window.view(one, cuts_rows)).map(|mut one| {
                 if mirrored {
@@ -294,33 +308,6 @@ impl Batch {
         Ok((x, Target { heat, cells, size: pairs(&|c| c.size)?, offset: pairs(&|c| c.offset)? }))
     }
 }
-
-/// Other light, other colours, less contrast, some noise: towards the weathers that training never sees.
-/// A table per colour, since a picture has many pixels and a byte few values.
-fn vary(rgb: &mut [u8], rng: &mut impl RngExt) {
-    let gamma = rng.random_range(-0.45_f32..0.45).exp();
-    let (gain, contrast) = (rng.random_range(0.7..1.25), rng.random_range(0.55..1.2));
-    let tables: [[f32; 256]; 3] = std::array::from_fn(|_| {
-        let gain: f32 = gain * rng.random_range(0.88..1.12);
-        std::array::from_fn(|v| {
-            let value: f32 = (v as f32 / 255.0 - MIDDLE) * contrast + MIDDLE;
-            255.0 * gain * value.clamp(0.0, 1.0).powf(gamma)
-        })
-    });
-    let noise = rng.random_range(0.0_f32..NOISE) / 128.0;
-    for pixel in rgb.as_chunks_mut::<3>().0 {
-        let dice = rng.random::<u32>().to_le_bytes();
-        for c in 0..3 {
-            let off = noise * (f32::from(dice[c]) - 127.5);
-            pixel[c] = (tables[c][usize::from(pixel[c])] + off + 0.5) as u8;
-        }
-    }
-}
-
-/// What contrast is varied about.
-const MIDDLE: f32 = 0.45;
-/// The most that noise changes a byte by.
-const NOISE: f32 = 10.0;
 
 /// Makes the batches of an epoch on `workers` threads and hands each to `take`, in an order that does not
 /// depend on their number. `take` says whether to go on.

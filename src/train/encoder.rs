@@ -7,24 +7,24 @@
 
 mod terms;
 
-pub use terms::{EpochRecord, Progress, TrainError, TrainOptions, Trained, Validation};
+pub use super::run::TrainError;
+pub use terms::{EpochRecord, Progress, TrainOptions, Trained, Validation};
 
 use super::images;
 use super::loss;
-use super::tensorboard::EventWriter;
+use super::run::{self, Training};
 use crate::dataset::Dataset;
 use crate::latent::chance;
 use crate::latent::encoder::{keys, to_pictures, weights_of};
 use crate::latent::network::{Architecture, Autoencoder, Slot};
 use crate::latent::weights::{Weights, WeightsError};
 use crate::perception::TransformedImage;
-use crate::{seeds, telemetry};
+use crate::seeds;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
-use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 use tch::{Device, Kind, TchError, Tensor};
@@ -77,63 +77,19 @@ pub fn train(
     interrupt: &AtomicBool,
     mut report: impl FnMut(Progress),
 ) -> Result<Trained, TrainError> {
-    let mut trainer = Trainer::start(options, device, resume)?;
-    let write = |path: PathBuf| move |source| TrainError::Write { path, source };
-    let log_path = options.out.join("metrics.jsonl");
-    let mut log = std::fs::OpenOptions::new()
-        .create(true)
-        .append(true)
-        .open(&log_path)
-        .map_err(write(log_path.clone()))?;
-    let mut events = EventWriter::create(&options.out).map_err(write(options.out.clone()))?;
-    let mut interrupted = false;
-    while trainer.reached.epoch < options.epochs && !trainer.is_late() {
-        let record = match trainer.epoch(interrupt, &mut report)? {
-            Some(record) => record,
-            None => {
-                interrupted = true;
-                break;
-            }
-        };
-        let mut line = serde_json::to_vec(&record).unwrap_or_default();
-        line.push(b'\n');
-        log.write_all(&line).map_err(write(log_path.clone()))?;
-        let v = record.validation;
-        for (tag, value) in [
-            ("losses/train", record.train_loss),
-            ("losses/validation", v.loss),
-            ("losses/divergence", v.divergence),
-            ("charts/psnr", v.psnr),
-            ("charts/painted_iou", v.painted_iou),
-            ("charts/learning_rate", record.learning_rate),
-            ("charts/images_per_second", record.images_per_second),
-        ] {
-            events.scalar(tag, record.step, value).map_err(write(events.path().to_path_buf()))?;
-        }
-        events.flush().map_err(write(events.path().to_path_buf()))?;
-    }
-    let trained = trainer.summary(interrupted);
-    let path = options.out.join("summary.json");
-    telemetry::write_json(&path, &trained).map_err(|e| TrainError::Write { path, source: e.source })?;
-    Ok(trained)
+    let trainer = Trainer::start(options, device, resume)?;
+    run::walk(trainer, &options.out, interrupt, &mut report)
 }
 
 impl<'a> Trainer<'a> {
     fn start(options: &'a TrainOptions, device: Device, resume: bool) -> Result<Self, TrainError> {
-        let checkpoint = options.out.join("checkpoint.safetensors");
-        if resume && !checkpoint.is_file() {
-            return Err(TrainError::NothingToResume { path: options.out.clone() });
-        }
-        if !resume && checkpoint.exists() {
-            return Err(TrainError::Taken { path: options.out.clone() });
-        }
+        run::check(&options.out, resume)?;
+        let checkpoint = run::checkpoint(&options.out);
         let dataset = Dataset::open(&options.data, options.partial)?;
         dataset.require_training()?;
-        let failed = |path: &Path, source| TrainError::Write { path: path.to_path_buf(), source };
-        std::fs::create_dir_all(&options.out).map_err(|e| failed(&options.out, e))?;
         let config = options.out.join("config.json");
         if !resume {
-            telemetry::write_json(&config, options).map_err(|e| failed(&config, e.source))?;
+            run::write_json(&config, options)?;
         }
         let architecture = Architecture {
             variational: options.beta > 0.0,
@@ -149,11 +105,7 @@ impl<'a> Trainer<'a> {
                 Ok(weights.get(name, &size)?.f_to_device(device)?)
             };
             let moments = (moment("adam.first")?, moment("adam.second")?);
-            let text = weights.metadata.get("reached").map_or("", String::as_str);
-            let reached: Reached = serde_json::from_str(text).map_err(|e| WeightsError::Format {
-                path: checkpoint.clone(),
-                why: format!("it does not say how far the training came ({e})"),
-            })?;
+            let reached: Reached = run::reached(&weights)?;
             check_same(options, &config)?;
             (network, moments, reached)
         } else {
@@ -231,94 +183,8 @@ impl<'a> Trainer<'a> {
         self.options.learning_rate * left.max(0.01)
     }
 
-    /// One epoch with validation, export and checkpoint; None where it was interrupted.
-    fn epoch(
-        &mut self,
-        interrupt: &AtomicBool,
-        report: &mut impl FnMut(Progress),
-    ) -> Result<Option<EpochRecord>, TrainError> {
-        self.load()?;
-        let began = Instant::now();
-        let epoch = self.reached.epoch;
-        // Dropout and augmentation of an epoch depend on its number alone.
-        let mut rng = seeds::rng(self.options.seed, &format!("epoch {epoch}"));
-        let images = self.resident.1.size()[0];
-        let mut order: Vec<i64> = (0..images).collect();
-        order.shuffle(&mut seeds::rng(self.options.seed, &format!("order {epoch}")));
-        let order = Tensor::f_from_slice(&order)?.f_to_device(self.device)?;
-        let steps = self.steps();
-        let batch = (self.options.batch as i64).clamp(1, images.max(1));
-        let mut sum = Tensor::f_zeros([1], (Kind::Double, self.device))?;
-        let (mut rate, mut seen, mut taken) = (0.0, 0, 0);
-        for step in 0..steps {
-            if interrupt.load(Ordering::Relaxed) {
-                return Ok(None);
-            }
-            // At least one step, so that every epoch moves.
-            if step > 0 && self.is_late() {
-                break;
-            }
-            let from = (step as i64 * batch).min(images - batch);
-            let picked = self.resident.1.f_index_select(0, &order.f_narrow(0, from, batch)?)?;
-            rate = self.learning_rate(self.done(step, steps));
-            let loss = self.step(&picked, rate, &mut rng)?;
-            sum = sum.f_add(&loss.f_to_kind(Kind::Double)?)?;
-            seen += batch as u64;
-            taken += 1;
-            if (step + 1) % LOOK_EVERY == 0 || step + 1 == steps {
-                let loss = loss.f_double_value(&[])?;
-                self.require_finite(loss)?;
-                report(Progress {
-                    epoch,
-                    step: self.reached.step,
-                    steps: self.reached.step + steps - step - 1
-                        + (self.options.epochs - epoch).saturating_sub(1) * steps,
-                    loss,
-                    validation: None,
-                });
-            }
-        }
-        let train_loss = sum.f_double_value(&[0])? / f64::from(taken.max(1));
-        self.require_finite(train_loss)?;
-        let validation = self.validate()?;
-        self.require_finite(validation.loss)?;
-        self.reached.epoch += 1;
-        self.reached.images += seen;
-        let seconds = began.elapsed().as_secs_f64();
-        self.reached.seconds += seconds;
-        let best = self.reached.best.is_none_or(|best| validation.loss < best.loss);
-        if best {
-            (self.reached.best, self.reached.best_epoch) = (Some(validation), self.reached.epoch);
-            self.export(&validation)?;
-        }
-        self.save()?;
-        let left = (self.options.epochs - self.reached.epoch) * steps;
-        report(Progress {
-            epoch,
-            step: self.reached.step,
-            steps: self.reached.step + left,
-            loss: train_loss,
-            validation: Some(validation),
-        });
-        Ok(Some(EpochRecord {
-            epoch: self.reached.epoch,
-            step: self.reached.step,
-            images: self.reached.images,
-            train_loss,
-            validation,
-            learning_rate: rate,
-            best,
-            wall_seconds: self.reached.seconds,
-            images_per_second: seen as f64 / seconds.max(1e-9),
-        }))
-    }
-
     fn require_finite(&self, loss: f64) -> Result<(), TrainError> {
-        if loss.is_finite() {
-            return Ok(());
-        }
-        let checkpoint = self.options.out.join("checkpoint.safetensors");
-        Err(TrainError::NotFinite { loss, step: self.reached.step, checkpoint })
+        run::require_finite(loss, self.reached.step, &self.options.out)
     }
 
     /// One Adam step on a batch of bytes; the loss, still on the device.
@@ -461,9 +327,114 @@ impl<'a> Trainer<'a> {
         tensors.push(("adam.first".to_string(), self.first.shallow_clone()));
         tensors.push(("adam.second".to_string(), self.second.shallow_clone()));
         let reached = serde_json::to_string(&self.reached).unwrap_or_default();
-        let metadata = HashMap::from([("reached".to_string(), reached)]);
-        let path = self.options.out.join("checkpoint.safetensors");
+        let metadata = HashMap::from([(run::REACHED.to_string(), reached)]);
+        let path = run::checkpoint(&self.options.out);
         Ok(Weights { path: path.clone(), tensors, metadata }.save(&path)?)
+    }
+}
+
+impl Training for Trainer<'_> {
+    type Validation = Validation;
+    type Record = EpochRecord;
+    type Summary = Trained;
+
+    fn is_over(&self) -> bool {
+        self.reached.epoch >= self.options.epochs || self.is_late()
+    }
+
+    fn epoch(
+        &mut self,
+        interrupt: &AtomicBool,
+        report: &mut dyn FnMut(Progress),
+    ) -> Result<Option<EpochRecord>, TrainError> {
+        self.load()?;
+        let began = Instant::now();
+        let epoch = self.reached.epoch;
+        // Dropout and augmentation of an epoch depend on its number alone.
+        let mut rng = seeds::rng(self.options.seed, &format!("epoch {epoch}"));
+        let images = self.resident.1.size()[0];
+        let mut order: Vec<i64> = (0..images).collect();
+        order.shuffle(&mut seeds::rng(self.options.seed, &format!("order {epoch}")));
+        let order = Tensor::f_from_slice(&order)?.f_to_device(self.device)?;
+        let steps = self.steps();
+        let batch = (self.options.batch as i64).clamp(1, images.max(1));
+        let mut sum = Tensor::f_zeros([1], (Kind::Double, self.device))?;
+        let (mut rate, mut seen, mut taken) = (0.0, 0, 0);
+        for step in 0..steps {
+            if interrupt.load(Ordering::Relaxed) {
+                return Ok(None);
+            }
+            // At least one step, so that every epoch moves.
+            if step > 0 && self.is_late() {
+                break;
+            }
+            let from = (step as i64 * batch).min(images - batch);
+            let picked = self.resident.1.f_index_select(0, &order.f_narrow(0, from, batch)?)?;
+            rate = self.learning_rate(self.done(step, steps));
+            let loss = self.step(&picked, rate, &mut rng)?;
+            sum = sum.f_add(&loss.f_to_kind(Kind::Double)?)?;
+            seen += batch as u64;
+            taken += 1;
+            if (step + 1) % LOOK_EVERY == 0 || step + 1 == steps {
+                let loss = loss.f_double_value(&[])?;
+                self.require_finite(loss)?;
+                report(Progress {
+                    epoch,
+                    step: self.reached.step,
+                    steps: self.reached.step + steps - step - 1
+                        + (self.options.epochs - epoch).saturating_sub(1) * steps,
+                    loss,
+                    validation: None,
+                });
+            }
+        }
+        let train_loss = sum.f_double_value(&[0])? / f64::from(taken.max(1));
+        self.require_finite(train_loss)?;
+        let validation = self.validate()?;
+        self.require_finite(validation.loss)?;
+        self.reached.epoch += 1;
+        self.reached.images += seen;
+        let seconds = began.elapsed().as_secs_f64();
+        self.reached.seconds += seconds;
+        let best = self.reached.best.is_none_or(|best| validation.loss < best.loss);
+        if best {
+            (self.reached.best, self.reached.best_epoch) = (Some(validation), self.reached.epoch);
+            self.export(&validation)?;
+        }
+        self.save()?;
+        let left = (self.options.epochs - self.reached.epoch) * steps;
+        report(Progress {
+            epoch,
+            step: self.reached.step,
+            steps: self.reached.step + left,
+            loss: train_loss,
+            validation: Some(validation),
+        });
+        Ok(Some(EpochRecord {
+            epoch: self.reached.epoch,
+            step: self.reached.step,
+            images: self.reached.images,
+            train_loss,
+            validation,
+            learning_rate: rate,
+            best,
+            wall_seconds: self.reached.seconds,
+            images_per_second: seen as f64 / seconds.max(1e-9),
+        }))
+    }
+
+    fn figures(record: &EpochRecord) -> (u64, Vec<(&'static str, f64)>) {
+        let v = record.validation;
+        let figures = vec![
+            ("losses/train", record.train_loss),
+            ("losses/validation", v.loss),
+            ("losses/divergence", v.divergence),
+            ("charts/psnr", v.psnr),
+            ("charts/painted_iou", v.painted_iou),
+            ("charts/learning_rate", record.learning_rate),
+            ("charts/images_per_second", record.images_per_second),
+        ];
+        (record.step, figures)
     }
 
     fn summary(&self, interrupted: bool) -> Trained {

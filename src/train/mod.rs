@@ -14,4 +14,8 @@ pub mod encoder;
 pub mod images;
 #[cfg(feature = "learn")]
 mod loss;
+#[cfg(feature = "learn")]
+pub mod run;
 pub mod tensorboard;
+#[cfg(feature = "learn")]
+mod weathering;

@@ -183,13 +183,13 @@ impl Chassis {
         );
     }
 
-    /// One sub-step of `dt` (s).
+    /// One sub-step of `dt` (s), `elapsed` (s) after the tick's begin.
     pub(super) fn sub_step(
         &mut self,
         params: &EgoParams,
         statics: &Statics,
         demand: &Demand,
-        dt: f64,
+        (elapsed, dt): (f64, f64),
         log: &mut ContactLog,
     ) {
         let ego = self.motion().pose.xy();
@@ -205,6 +205,7 @@ impl Chassis {
         if changed {
             self.world.detect_collisions(&(), &());
         }
+        self.surroundings.drive_movers(&mut self.world, elapsed, dt);
         self.springs(demand, dt as f32);
         self.tyres(params, demand, dt);
 

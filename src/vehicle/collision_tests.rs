@@ -14,12 +14,28 @@ fn ego(speed: f64) -> EgoVehicle {
 
 fn car(key: u64, x: f64, y: f64, heading: f64, speed: f64) -> MovingBody {
     let pose = Pose::new(x, y, 0.0, heading);
-    MovingBody { key, kind: PartnerKind::Vehicle, pose, speed, length: 4.5, width: 1.8, height: 1.5 }
+    let (acceleration, turn_rate) = (0.0, 0.0);
+    MovingBody {
+        key,
+        kind: PartnerKind::Vehicle,
+        pose,
+        speed,
+        acceleration,
+        turn_rate,
+        length: 4.5,
+        width: 1.8,
+        height: 1.5,
+    }
 }
 
 fn pedestrian(key: u64, x: f64, y: f64, heading: f64, speed: f64) -> MovingBody {
-    let pose = Pose::new(x, y, 0.0, heading);
-    MovingBody { key, kind: PartnerKind::Pedestrian, pose, speed, length: 0.4, width: 0.5, height: 1.75 }
+    MovingBody {
+        kind: PartnerKind::Pedestrian,
+        length: 0.4,
+        width: 0.5,
+        height: 1.75,
+        ..car(key, x, y, heading, speed)
+    }
 }
 
 fn block(key: u64, kind: StaticKind, centre: (f64, f64), size: (f64, f64), top: f64) -> StaticBody {

@@ -68,7 +68,7 @@ impl PedestrianStrikes {
         let half = Vector::new(0.5 * params.length, 0.5 * params.width);
         let mut blows = Vec::new();
         for body in pedestrians {
-            let now = body.pose.advanced(body.speed * elapsed);
+            let now = body.at(elapsed);
             let centre = ego.pose.to_local(now.xy());
             let radius = 0.25 * (body.length + body.width);
             let Some((point, outward)) = touch(half, centre, radius) else {

@@ -128,7 +128,8 @@ impl EgoVehicle {
         let mut speed = before;
         for i in 0..sub_steps {
             let demand = self.actuators.advance(&self.params, &control, speed, dt);
-            self.chassis.sub_step(&self.params, &self.statics, &demand, dt, &mut log);
+            let span = (i as f64 * dt, dt);
+            self.chassis.sub_step(&self.params, &self.statics, &demand, span, &mut log);
             let elapsed = (i + 1) as f64 * dt;
             let footprint = self.chassis.footprint();
             speed = footprint.velocity.x;

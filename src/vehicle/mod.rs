@@ -29,7 +29,7 @@ mod collision_tests;
 mod driving_tests;
 
 pub use ego::EgoVehicle;
-pub use params::{EgoParams, GRAVITY};
+pub use params::{EgoParams, GRAVITY, ParamsError};
 pub use roadside::from_network as statics_from_network;
 pub use statics::{StaticBody, StaticKind};
 
@@ -78,7 +78,8 @@ pub enum PartnerKind {
     Static,
 }
 
-/// Another road user, moved through the tick at constant velocity.
+/// Another road user. Through the tick it goes on as it did: gaining or losing speed, turning, and
+/// standing once it has stopped.
 #[derive(Clone, Copy, Debug)]
 pub struct MovingBody {
     /// The caller's own number for it, stable over ticks.
@@ -86,12 +87,38 @@ pub struct MovingBody {
     pub kind: PartnerKind,
     /// Centre of the footprint at the tick's begin.
     pub pose: Pose,
-    /// m/s along the heading.
+    /// m/s along the heading at the tick's begin.
     pub speed: f64,
+    /// m/s2 along the heading, and rad/s to the left.
+    pub acceleration: f64,
+    pub turn_rate: f64,
     /// Footprint and height (m).
     pub length: f64,
     pub width: f64,
     pub height: f64,
+}
+
+impl MovingBody {
+    /// Where it is `elapsed` (s) after the tick's begin.
+    pub fn at(&self, elapsed: f64) -> Pose {
+        let (v, a) = (self.speed, self.acceleration);
+        // Who brakes stands, and does not go backward.
+        let slows = v >= 0.0 && a < 0.0 || v < 0.0 && a > 0.0;
+        let moving = if slows { elapsed.min(-v / a) } else { elapsed };
+        let way = (v + 0.5 * a * moving) * moving;
+        let turn = self.turn_rate * moving;
+        // Along the chord of its arc.
+        let half = 0.5 * turn;
+        let chord = if half.abs() < 1e-6 { way } else { way * half.sin() / half };
+        let along = Pose { heading: self.pose.heading + half, ..self.pose };
+        Pose { heading: self.pose.heading + turn, ..along.advanced(chord) }
+    }
+
+    /// Mean speed (m/s) over the first `duration` (s).
+    pub(crate) fn mean_speed(&self, duration: f64) -> f64 {
+        let way = (self.at(duration).xy() - self.pose.xy()).norm() / duration.max(1e-9);
+        way * self.speed.signum()
+    }
 }
 
 /// A contact of the ego's body over one tick.

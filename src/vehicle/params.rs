@@ -114,7 +114,84 @@ impl Default for EgoParams {
     }
 }
 
+/// Measures that no vehicle can have.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "the ego's {name} cannot be {found}: expected {low} to {high}{unit}; correct it, or leave it out for {usual}"
+)]
+pub struct ParamsError {
+    pub name: &'static str,
+    pub found: f64,
+    pub low: f64,
+    pub high: f64,
+    unit: &'static str,
+    usual: f64,
+}
+
+/// A measure: its name, how to read it, least, most, unit.
+type Measure = (&'static str, fn(&EgoParams) -> f64, f64, f64, &'static str);
+
+/// What a road vehicle from a child's kart to a heavy lorry can measure.
+const MEASURES: [Measure; 29] = [
+    ("mass", |p| p.mass, 50.0, 60_000.0, " kg"),
+    ("length", |p| p.length, 0.5, 30.0, " m"),
+    ("width", |p| p.width, 0.3, 5.0, " m"),
+    ("height", |p| p.height, 0.3, 6.0, " m"),
+    ("ground_clearance", |p| p.ground_clearance, 0.01, 2.0, " m"),
+    ("wheelbase", |p| p.wheelbase, 0.3, 20.0, " m"),
+    ("track", |p| p.track, 0.2, 5.0, " m"),
+    ("front_weight_share", |p| p.front_weight_share, 0.05, 0.95, ""),
+    ("mass_height", |p| p.mass_height, 0.05, 4.0, " m"),
+    ("wheel_radius", |p| p.wheel_radius, 0.05, 1.5, " m"),
+    ("max_steer_angle", |p| p.max_steer_angle, 0.01, 1.4, " rad"),
+    ("steer_rate", |p| p.steer_rate, 0.01, 100.0, " rad/s"),
+    ("max_drive_force", |p| p.max_drive_force, 0.0, 1e6, " N"),
+    ("drive_power", |p| p.drive_power, 0.0, 1e7, " W"),
+    ("engine_lag", |p| p.engine_lag, 0.0, 10.0, " s"),
+    ("engine_braking", |p| p.engine_braking, 0.0, 1e5, " N"),
+    ("air_drag", |p| p.air_drag, 0.0, 100.0, " N per (m/s)2"),
+    ("rolling_resistance", |p| p.rolling_resistance, 0.0, 0.5, ""),
+    ("max_brake_force", |p| p.max_brake_force, 0.0, 1e6, " N"),
+    ("brake_lag", |p| p.brake_lag, 0.0, 10.0, " s"),
+    ("tyre_grip", |p| p.tyre_grip, 0.01, 5.0, ""),
+    ("front_cornering_grip", |p| p.front_cornering_grip, 0.05, 5.0, ""),
+    ("cornering_stiffness_front", |p| p.cornering_stiffness_front, 0.1, 200.0, " 1/rad"),
+    ("cornering_stiffness_rear", |p| p.cornering_stiffness_rear, 0.1, 200.0, " 1/rad"),
+    ("suspension_frequency", |p| p.suspension_frequency, 0.5, 20.0, " Hz"),
+    ("suspension_damping", |p| p.suspension_damping, 0.0, 5.0, ""),
+    ("suspension_length", |p| p.suspension_length, 0.02, 2.0, " m"),
+    ("body_friction", |p| p.body_friction, 0.0, 5.0, ""),
+    ("pedestrian_mass", |p| p.pedestrian_mass, 1.0, 500.0, " kg"),
+];
+
 impl EgoParams {
+    /// Whether a vehicle can be made of them.
+    ///
+    /// # Errors
+    /// The first measure that is no number or beyond what road vehicles have, or that does not fit
+    /// another: axles beyond the body, wheels wider apart than it, springs shorter than their sag.
+    pub fn check(&self) -> Result<(), ParamsError> {
+        let usual = Self::default();
+        let within = |&(name, value, low, high, unit): &Measure| {
+            let found = value(self);
+            if (low..=high).contains(&found) {
+                return Ok(());
+            }
+            Err(ParamsError { name, found, low, high, unit, usual: value(&usual) })
+        };
+        MEASURES.iter().try_for_each(within)?;
+        within(&("wheelbase", |p| p.wheelbase, 0.3, self.length, " m (its length)"))?;
+        within(&("track", |p| p.track, 0.2, self.width, " m (its width)"))?;
+        let sag = self.suspension_sag();
+        within(&(
+            "suspension_length",
+            |p| p.suspension_length,
+            sag,
+            2.0,
+            " m (less than the springs give in)",
+        ))
+    }
+
     /// How far the springs give in at rest (m).
     pub fn suspension_sag(&self) -> f64 {
         GRAVITY / (std::f64::consts::TAU * self.suspension_frequency).powi(2)
@@ -146,5 +223,44 @@ impl EgoParams {
     pub fn turning_radius(&self) -> f64 {
         let rear = self.wheelbase / self.max_steer_angle.tan();
         (rear + 0.5 * self.track).hypot(self.wheelbase)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn measures_that_no_vehicle_has_are_refused_by_name() {
+        assert_eq!(EgoParams::default().check(), Ok(()));
+        let usual = EgoParams::default;
+        let cases = [
+            ("mass", EgoParams { mass: 0.0, ..usual() }),
+            ("mass", EgoParams { mass: f64::NAN, ..usual() }),
+            ("width", EgoParams { width: -1.0, ..usual() }),
+            ("drive_power", EgoParams { drive_power: f64::INFINITY, ..usual() }),
+            ("front_weight_share", EgoParams { front_weight_share: 1.0, ..usual() }),
+            ("wheelbase", EgoParams { wheelbase: 5.0, ..usual() }),
+            ("track", EgoParams { track: 1.9, ..usual() }),
+            ("suspension_length", EgoParams { suspension_length: 0.05, ..usual() }),
+        ];
+        for (name, params) in cases {
+            let error = params.check().expect_err(name);
+            assert_eq!(error.name, name);
+            assert!(error.to_string().contains(name), "{error}");
+        }
+    }
+
+    #[test]
+    fn each_measure_is_looked_at() {
+        let json = serde_json::to_value(EgoParams::default()).unwrap();
+        let names: Vec<&str> = MEASURES.iter().map(|m| m.0).collect();
+        assert_eq!(json.as_object().map(|o| o.len()), Some(names.len()));
+        for name in names {
+            let mut bad = json.clone();
+            bad[name] = serde_json::json!(-1e12);
+            let bad: EgoParams = serde_json::from_value(bad).unwrap();
+            assert_eq!(bad.check().expect_err(name).name, name);
+        }
     }
 }

@@ -65,6 +65,8 @@ pub(super) fn groups(member: Group, with: Group) -> InteractionGroups {
 struct Mover {
     body: RigidBodyHandle,
     size: [f64; 3],
+    /// How it moves in this tick.
+    motion: MovingBody,
     /// Still near in the present tick.
     present: bool,
     /// Let through the ego until they are apart.
@@ -96,7 +98,7 @@ impl Reach {
             return false;
         }
         let apart = body.pose.xy() - self.ego;
-        let closing = direction(body.pose.heading) * body.speed - self.velocity;
+        let closing = direction(body.pose.heading) * body.mean_speed(self.duration) - self.velocity;
         // When the two, each keeping its velocity, are closest.
         let when = -apart.dot(&closing) / closing.norm_squared().max(1e-9);
         let closest = apart + closing * when.clamp(0.0, self.duration);
@@ -216,6 +218,7 @@ impl Surroundings {
             let mover = self.movers.entry(id).or_insert_with(|| Mover {
                 body: insert_mover(world, body, friction),
                 size,
+                motion: *body,
                 present: false,
                 ghost: false,
             });
@@ -223,13 +226,12 @@ impl Surroundings {
                 continue; // The same key twice in one tick: the first stands.
             }
             mover.present = true;
+            mover.motion = *body;
             let at = body.pose.xy() - origin;
-            let velocity = direction(body.pose.heading) * body.speed;
             if let Some(rigid) = world.bodies.get_mut(mover.body) {
                 let translation = Vector::new(at.x as f32, at.y as f32, 0.0);
                 let rotation = Rotation::from_rotation_z(body.pose.heading as f32);
                 rigid.set_position(Pose::from_parts(translation, rotation), true);
-                rigid.set_linvel(Vector::new(velocity.x as f32, velocity.y as f32, 0.0), true);
                 if mover.ghost {
                     let position = *rigid.position();
                     let collider = rigid.colliders().first().copied();
@@ -247,6 +249,19 @@ impl Surroundings {
 }
 
 impl Surroundings {
+    /// Sends the moving bodies on their way from `elapsed` (s) after the tick's begin, for `dt` (s).
+    pub(super) fn drive_movers(&self, world: &mut PhysicsWorld, elapsed: f64, dt: f64) {
+        for mover in self.movers.values() {
+            let (from, to) = (mover.motion.at(elapsed), mover.motion.at(elapsed + dt));
+            let velocity = (to.xy() - from.xy()) / dt;
+            let turn = (to.heading - from.heading) / dt;
+            if let Some(rigid) = world.bodies.get_mut(mover.body) {
+                rigid.set_linvel(Vector::new(velocity.x as f32, velocity.y as f32, 0.0), true);
+                rigid.set_angvel(Vector::new(0.0, 0.0, turn as f32), true);
+            }
+        }
+    }
+
     /// Lets a moving body through the ego until they are apart.
     pub(super) fn let_through(&mut self, world: &mut PhysicsWorld, kind: PartnerKind, key: u64) {
         let Some(mover) = self.movers.get_mut(&(kind as u8, key)) else { return };

@@ -408,6 +408,8 @@ async fn drive(seed: u64, ticks: u64, additional: &[PathBuf]) -> Score {
                 },
                 pose: a.pose,
                 speed: a.speed,
+                acceleration: 0.0,
+                turn_rate: 0.0,
                 length: a.actor_type.length,
                 width: a.actor_type.width,
                 height: a.actor_type.height,

@@ -428,17 +428,7 @@ async fn it_drives_on_the_left_where_that_is_the_rule() {
         traffic: TrafficSpec::Counts(Counts::new(15, 15)),
         ..BridgeOptions::new(&net, scene.path("out"))
     };
-    let mut drive = Drive::start(DriveOptions {
-        scenario: None,
-        bridge,
-        route: None,
-        ego: EgoParams::default(),
-        autopilot: AutopilotParams::default(),
-        criteria: wad_cosim::criteria::CriteriaParams::default(),
-        out: scene.path("out"),
-    })
-    .await
-    .expect("a drive");
+    let mut drive = Drive::start(DriveOptions::new(bridge, scene.path("out"))).await.expect("a drive");
     assert!(drive.bridge().network().left_hand);
     for _ in 0..600 {
         drive.tick().await.expect("a tick");
@@ -465,17 +455,8 @@ async fn long_ticks_keep_it_on_the_road() {
             traffic: TrafficSpec::Empty,
             ..BridgeOptions::new(&net, folder.path().join("out"))
         };
-        let mut drive = Drive::start(DriveOptions {
-            scenario: None,
-            bridge,
-            route: None,
-            ego: EgoParams::default(),
-            autopilot: AutopilotParams::default(),
-            criteria: wad_cosim::criteria::CriteriaParams::default(),
-            out: folder.path().join("out"),
-        })
-        .await
-        .expect("a drive");
+        let mut drive =
+            Drive::start(DriveOptions::new(bridge, folder.path().join("out"))).await.expect("a drive");
         for _ in 0..300 {
             drive.tick().await.expect("a tick");
         }
@@ -483,4 +464,68 @@ async fn long_ticks_keep_it_on_the_road() {
         assert!(summary.distance_m > 150.0, "{summary:?}");
         assert_eq!((summary.outside_lane_ticks, summary.collisions), (0, Default::default()), "{summary:?}");
     }
+}
+
+/// The junction with an ego that stands and a car that waits behind it; `far`: and a second junction 3 km
+/// away, full of cars and walkers. Size of an answer (bytes), who is in sight, vehicles in the net.
+async fn answers(far: bool) -> (Vec<u64>, usize, usize) {
+    let scene = Scene::new();
+    let mut nodes = NODES.to_string();
+    let mut ways = edges();
+    let mut demand =
+        r#"<trip id="near" type="car" depart="0" departSpeed="max" from="WC" to="CE"/>"#.to_string();
+    if far {
+        let copy = |text: &str| {
+            let mut text = text.to_string();
+            for id in ["WC", "CW", "EC", "CE", "SC", "CS", "NC", "CN", "C", "W", "E", "S", "N"] {
+                text = text.replace(&format!("\"{id}\""), &format!("\"far{id}\""));
+            }
+            text
+        };
+        let moved = copy(NODES).replace("x=\"", "x=\"3").replace("x=\"3-250\"", "x=\"2750\"");
+        let moved = moved.replace("x=\"30\"", "x=\"3000\"");
+        nodes = nodes.replace("</nodes>", "") + &moved.replace("<nodes>", "");
+        ways = ways.replace("</edges>", "") + &copy(&edges()).replace("<edges>", "");
+        for (from, to) in [("WC", "CE"), ("EC", "CW"), ("SC", "CN"), ("NC", "CS")] {
+            demand += &format!(
+                r#"<flow id="far{from}" type="car" begin="0" end="60" period="3" from="far{from}" to="far{to}"/>"#
+            );
+        }
+    }
+    let net = scene.path("x.net.xml");
+    let mut command = SumoInstall::find().expect("SUMO").command("netconvert");
+    command.arg("-n").arg(scene.write("x.nod.xml", &nodes));
+    command.arg("-e").arg(scene.write("x.edg.xml", &ways));
+    run(command.arg("-o").arg(net));
+    scene.write("x.rou.xml", &format!("<routes>{VEHICLE_TYPE}{demand}</routes>"));
+    scene.write(
+        "x.sumocfg",
+        r#"<configuration><net-file value="x.net.xml"/><route-files value="x.rou.xml"/></configuration>"#,
+    );
+    let mut bridge = scene.bridge().await;
+    let mut ego = Ego::new("ego", EgoParams::default(), route(bridge.network(), "WC", "CE"), 150.0);
+    bridge.spawn(&mut ego).await.expect("the ego is in");
+    let mut sizes = Vec::new();
+    for number in 0..120 {
+        let before = bridge.answer_bytes();
+        tick(&mut bridge, &mut ego, STAND).await;
+        if number >= 100 {
+            sizes.push(bridge.answer_bytes() - before);
+        }
+    }
+    sizes.sort_unstable();
+    let seen = ego.world().vehicles.len() + ego.world().pedestrians.len();
+    let counts = bridge.counts();
+    bridge.close().await.expect("it ends");
+    (sizes, seen, counts.0)
+}
+
+#[tokio::test]
+async fn a_tick_brings_what_is_near_the_ego_and_nothing_of_a_larger_town() {
+    let ((small, near, alone), (large, near_too, crowd)) = (answers(false).await, answers(true).await);
+    assert_eq!((near, near_too), (1, 1), "the one that waits behind the ego");
+    assert!(alone == 1 && crowd > 20, "{alone} and {crowd} vehicles in the net");
+    // Ticks in which nobody departs or arrives anywhere.
+    assert_eq!(small[0], large[0], "bytes: {small:?} and {large:?}");
+    assert!(large[large.len() / 2] < large[0] + 60, "{large:?}");
 }

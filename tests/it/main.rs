@@ -19,5 +19,6 @@ mod run;
 mod scenario;
 mod traci;
 mod traffic;
+mod view;
 #[cfg(feature = "vision")]
 mod watch;

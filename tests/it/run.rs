@@ -215,6 +215,24 @@ fn a_missing_sumo_is_exit_code_3_and_says_what_to_do() {
 }
 
 #[test]
+fn a_sumo_that_is_too_old_is_exit_code_3_and_says_which_is_needed() {
+    use std::os::unix::fs::PermissionsExt;
+    let dir = tempfile::tempdir().expect("a folder");
+    let program = dir.path().join("bin/sumo");
+    std::fs::create_dir(dir.path().join("bin")).expect("a folder");
+    std::fs::write(&program, "#!/bin/sh\necho 'Eclipse SUMO sumo Version 1.15.0'\n").expect("a script");
+    std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).expect("executable");
+    let out = dir.path().join("r");
+    let mut command = wad(&["run", "town5", "--ticks", "5", "--out"]);
+    command.arg(&out).env("WAD_COSIM_SUMO_HOME", dir.path());
+    let output = finish(command);
+    assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
+    for part in ["1.15.0", "1.28.0 or newer", "scripts/setup"] {
+        assert!(stderr(&output).contains(part), "{}", stderr(&output));
+    }
+}
+
+#[test]
 fn a_killed_sumo_ends_the_run_with_exit_code_3_and_its_last_log_lines() {
     let dir = tempfile::tempdir().expect("a folder");
     let background = Background::start(dir.path(), &[]);

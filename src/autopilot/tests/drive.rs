@@ -197,6 +197,8 @@ fn body(actor: &Actor) -> MovingBody {
         kind,
         pose: actor.pose,
         speed: actor.speed,
+        acceleration: 0.0,
+        turn_rate: 0.0,
         length: actor.actor_type.length,
         width: actor.actor_type.width,
         height: actor.actor_type.height,

@@ -80,7 +80,9 @@ fn road() -> Scene {
 fn car(scene: &mut Scene) -> ModelId {
     let material =
         Material { albedo: [0.6, 0.1, 0.1], tag: SemanticTag::Car, gloss: 0.4, ..Default::default() };
-    block(&mut scene.library, material, [4.5, 1.8, 1.5])
+    let model = block(&mut scene.library, material, [4.5, 1.8, 1.5]);
+    scene.index();
+    model
 }
 
 fn at(model: ModelId, id: u32, x: f64, y: f64) -> Instance {

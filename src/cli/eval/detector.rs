@@ -230,14 +230,21 @@ fn text(report: &Report) -> String {
 
     let cell = |v: Option<f64>| v.map_or("-".to_string(), |v| format!("{v:.3}"));
     out += "Average precision of boxes 24 px high or more, and of 12 to 24 px\n";
-    out += "| class | truths | AP@0.5 | AP@[.5:.95] | truths 12-24 | AP@0.5 12-24 |\n|---|---|---|---|---|---|\n";
-    for row in &report.precision {
+    out += "| class | truths | AP@0.5 | training weathers | unseen weathers | AP@[.5:.95] | truths 12-24 | AP@0.5 12-24 |\n";
+    out += "|---|---|---|---|---|---|---|---|\n";
+    let counted = |rows: &[Precision], n: usize| match rows.get(n) {
+        Some(row) if row.truths > 0 => format!("{} of {}", cell(row.ap50), row.truths),
+        _ => "-".to_string(),
+    };
+    for (n, row) in report.precision.iter().enumerate() {
         let _ = writeln!(
             out,
-            "| {} | {} | {} | {} | {} | {} |",
+            "| {} | {} | {} | {} | {} | {} | {} | {} |",
             row.class,
             row.truths,
             cell(row.ap50),
+            counted(&report.precision_training_weathers, n),
+            counted(&report.precision_unseen_weathers, n),
             cell(row.ap),
             row.truths_small,
             cell(row.ap50_small)

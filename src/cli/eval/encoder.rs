@@ -103,7 +103,8 @@ fn text(j: &Judgement) -> String {
     format!(
         "encoder {} on {} frames of {}\n  PSNR {:.2} dB, SSIM {:.3}, blue IoU {:.3}; {:.2} ms CPU an image\n  PSNR by weather: {}\n\
          painted objects still there (blue IoU 0.5):\n{}{}{}\
-         linear probes, fitted on {} frames of {}:\n{}{}{}{}{}{}",
+         linear probes, fitted on {} frames of {}:\n{}{}{}{}{}{}{}{}{}\
+         the same from the picture itself, by cells of paint:\n{}{}{}{}",
         j.encoder,
         j.frames,
         j.town,
@@ -123,5 +124,12 @@ fn text(j: &Judgement) -> String {
         linear("lateral offset in the lane", "m", &j.lateral),
         linear("heading error", "rad", &j.heading),
         linear("gap within 20 m", "m", &j.gap),
+        probe("vehicle, where the route is straight", &j.lead_straight),
+        linear("middle of the painted boundaries", "m", &j.middle),
+        linear("their slope", "", &j.slope),
+        probe("vehicle in the lane within 20 m", &j.lead_of_picture),
+        probe("pedestrian in the lane within 15 m", &j.pedestrian_of_picture),
+        linear("middle of the painted boundaries", "m", &j.middle_of_picture),
+        linear("their slope", "", &j.slope_of_picture),
     )
 }

@@ -351,7 +351,7 @@ fn table(summary: &Summary) -> String {
         let ends: Vec<String> = score.ends.iter().map(|(end, n)| format!("{end} {n}")).collect();
         text += &format!(
             "{:10} {:9} {:7} {:18} {:>4}/{:<4}  {:>5.1}-{:<5.1} %  {:>5.1}  {:>6.0}  {}{}\n",
-            total.agent,
+            eval::report::short(&total.agent),
             total.condition,
             total.town,
             total.task,

@@ -81,6 +81,9 @@ pub struct Args {
     /// Environment steps that the autopilot drives first, into the replay buffer ("with demonstrations").
     #[arg(long, value_name = "N", default_value_t = 0)]
     demonstrations: u64,
+    /// Steps of behaviour cloning on the demonstrations, the actor alone, before anything else.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    clone: u64,
     /// Updates on the demonstrations before the agent drives.
     #[arg(long, value_name = "N", default_value_t = 0)]
     pretrain: u64,
@@ -273,6 +276,7 @@ fn config(args: &Args) -> anyhow::Result<TrainConfig> {
     config.n_step = args.n_step;
     config.learning_starts = args.learning_starts;
     config.demonstrations = args.demonstrations;
+    config.cloning = args.clone;
     config.pretrain = args.pretrain;
     config.recorded.clone_from(&args.recorded);
     config.validation.every = args.validate_every;

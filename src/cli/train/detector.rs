@@ -1,6 +1,7 @@
 //! `wad-cosim train detector`.
 
 use super::encoder::Device;
+use super::with_exit;
 use crate::cli::progress::Bar;
 use crate::cli::{Exit, dataset, print};
 use anyhow::Context;
@@ -8,15 +9,15 @@ use clap::{ValueEnum, ValueHint};
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use wad_cosim::dataset::{self as frames, CollectOptions, collect};
-use wad_cosim::latent::weights::WeightsError;
 use wad_cosim::perception::centernet;
-use wad_cosim::train::detector::{Progress, TrainError, TrainOptions, Trained, train};
+use wad_cosim::train::detector::{Progress, TrainOptions, Trained, train};
 
 const EXAMPLES: &str = "\
 Examples:
   wad-cosim train detector --collect 8000 --out runs/detector
   wad-cosim dataset collect --frames 8000 --every 1.5 --camera --out data/detector
-  wad-cosim train detector --data data/detector --out runs/detector --epochs 12
+  wad-cosim dataset collect --frames 3000 --showing bus,truck,bicycle,motorcycle,bench --camera --out data/rare
+  wad-cosim train detector --data data/detector --data data/rare --out runs/detector --epochs 12
   wad-cosim train detector --data data/detector --out runs/detector --epochs 20 --resume
   wad-cosim train detector --data data/detector --out runs/paper --backbone resnet50_v2 --device cuda
   wad-cosim eval detector --detector centernet:runs/detector/detector.safetensors
@@ -30,9 +31,9 @@ pub struct Args {
     /// What finds the features.
     #[arg(long, value_enum, default_value_t = Backbone::Light)]
     backbone: Backbone,
-    /// The dataset's folder (`wad-cosim dataset collect --camera`).
+    /// The dataset's folder (`wad-cosim dataset collect --camera`); several are shown together.
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath, required_unless_present = "collect")]
-    data: Option<PathBuf>,
+    data: Vec<PathBuf>,
     /// Collect so many frames of town3 first, to --data or to data in --out.
     #[arg(long, value_name = "N")]
     collect: Option<usize>,
@@ -63,7 +64,7 @@ pub struct Args {
     /// AdamW's weight decay.
     #[arg(long, value_name = "X", default_value_t = 1e-3)]
     weight_decay: f64,
-    /// Leave light and colours of the training pictures as they are.
+    /// Leave weather, light and colours of the training pictures as they are.
     #[arg(long)]
     no_augment: bool,
     /// Everything random derives from it.
@@ -118,7 +119,7 @@ enum Backbone {
 pub fn run(args: Args) -> anyhow::Result<Exit> {
     tch::set_num_threads(args.threads.max(1));
     let device = args.device.open()?;
-    let data = args.data.clone().unwrap_or_else(|| args.out.join("data"));
+    let data = args.data.first().cloned().unwrap_or_else(|| args.out.join("data"));
     let options = options(&args, &data)?;
     let interrupt = wad_cosim::interrupt::flag().context("cannot listen for Ctrl-C")?;
     if let Some(count) = args.collect
@@ -163,6 +164,7 @@ fn options(args: &Args, data: &std::path::Path) -> anyhow::Result<TrainOptions> 
         partial: args.partial,
         workers: args.workers.max(1),
         validation_frames: args.validation_frames.max(1),
+        more: args.data.iter().skip(1).cloned().collect(),
         time_limit: dataset::minutes(args.max_minutes)?.map(|limit| limit.as_secs_f64()),
         ..TrainOptions::new(backbone, data, &args.out)
     })
@@ -204,19 +206,6 @@ fn show(bar: &Bar, progress: Progress) {
         bar.say(&message);
     }
     bar.show(progress.step, &message);
-}
-
-/// The exit code that belongs to a training's error.
-fn with_exit(error: TrainError) -> anyhow::Error {
-    let exit = match &error {
-        TrainError::Weights(WeightsError::Io { .. } | WeightsError::Torch(_)) => Exit::Other,
-        TrainError::Dataset(_)
-        | TrainError::Weights(_)
-        | TrainError::Taken { .. }
-        | TrainError::NothingToResume { .. } => Exit::Input,
-        _ => Exit::Other,
-    };
-    exit.because(error)
 }
 
 fn report(t: &Trained, json: bool) -> anyhow::Result<()> {

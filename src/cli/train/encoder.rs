@@ -1,13 +1,12 @@
 //! `wad-cosim train encoder`.
 
+use super::with_exit;
 use crate::cli::progress::Bar;
 use crate::cli::{Exit, dataset, print};
 use anyhow::Context;
 use clap::{ValueEnum, ValueHint};
 use std::path::PathBuf;
-use wad_cosim::latent::weights::WeightsError;
-use wad_cosim::train::encoder::{Progress, TrainError, TrainOptions, Trained, train};
-use wad_cosim::train::images::ImagesError;
+use wad_cosim::train::encoder::{Progress, TrainOptions, Trained, train};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -177,20 +176,6 @@ fn show(bar: &Bar, progress: Progress) {
         bar.say(&message);
     }
     bar.show(progress.step, &message);
-}
-
-/// The exit code that belongs to a training's error.
-pub fn with_exit(error: TrainError) -> anyhow::Error {
-    let exit = match &error {
-        TrainError::Dataset(_) | TrainError::Images(ImagesError::Dataset(_)) => Exit::Input,
-        TrainError::Weights(WeightsError::Io { .. } | WeightsError::Torch(_)) => Exit::Other,
-        TrainError::Weights(_)
-        | TrainError::Taken { .. }
-        | TrainError::NothingToResume { .. }
-        | TrainError::Differs { .. } => Exit::Input,
-        _ => Exit::Other,
-    };
-    exit.because(error)
 }
 
 fn report(t: &Trained, json: bool) -> anyhow::Result<()> {

@@ -45,6 +45,27 @@ fn what_is_written_is_read_back() {
 }
 
 #[test]
+fn pictures_are_found_again_and_a_change_is_noticed() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("shard.wads");
+    write(&path);
+    let mut reader = ShardReader::open(&path).unwrap();
+    let places: Vec<_> = std::iter::from_fn(|| reader.next_place().unwrap()).collect();
+    assert_eq!(places.len(), 2);
+    for (n, (record, place)) in places.iter().enumerate() {
+        assert_eq!((record, place.codec()), (&frame(n as u8).record, CameraCodec::Png));
+        assert_eq!(place.read().unwrap(), vec![n as u8; 5]);
+    }
+    let mut bytes = std::fs::read(&path).unwrap();
+    // The last frame's picture ends where the trailer begins.
+    let last = bytes.len() - 9;
+    bytes[last] ^= 1;
+    std::fs::write(&path, bytes).unwrap();
+    assert_eq!(places[0].1.read().unwrap(), vec![0; 5]);
+    assert!(matches!(places[1].1.read(), Err(DatasetError::Torn { .. })));
+}
+
+#[test]
 fn every_cut_is_found() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("shard.wads");

@@ -5,7 +5,7 @@ use super::{Section, short};
 use crate::destination::EGO_CLASS;
 use crate::env::{Assets, End};
 use crate::eval::{Histogram, Score};
-use crate::network::Network;
+use crate::network::{LinkId, Network};
 
 /// Kinds of ends and their colours: good ones cool, bad ones warm.
 const ENDS: [(&str, &str); 9] = [
@@ -87,15 +87,16 @@ pub fn maps(section: &Section) -> Vec<(String, Option<String>)> {
 const MAP: f64 = 620.0;
 
 fn map(section: &Section, town: &str, network: &Network) -> String {
-    let lanes = network.drivable_lanes(EGO_CLASS).iter().map(|&lane| {
-        let shape = &network.lane(lane).shape;
-        let steps = (shape.length() / 8.0).ceil().max(1.0) as usize;
-        (0..=steps)
-            .map(|i| shape.at(shape.length() * i as f64 / steps as f64).xy())
-            .map(|p| (p.x, p.y))
-            .collect::<Vec<_>>()
-    });
-    let lanes: Vec<Vec<(f64, f64)>> = lanes.collect();
+    let points = |line: &crate::geometry::Polyline| {
+        let steps = (line.length() / 8.0).ceil().max(1.0) as usize;
+        let at = |i: usize| line.at(line.length() * i as f64 / steps as f64).xy();
+        (0..=steps).map(|i| (at(i).x, at(i).y)).collect::<Vec<_>>()
+    };
+    let open = |lane| network.lane(lane).permissions.allows(EGO_CLASS);
+    let links = network.links.iter().enumerate().filter(|(_, link)| open(link.from) && open(link.to));
+    let links = links.map(|(i, _)| points(&network.link_path(LinkId(i as u32))));
+    let lanes = network.drivable_lanes(EGO_CLASS).iter().map(|&lane| points(&network.lane(lane).shape));
+    let lanes: Vec<Vec<(f64, f64)>> = links.chain(lanes).collect();
     let all = || lanes.iter().flatten();
     let (left, right) = all().fold((f64::MAX, f64::MIN), |(l, h), p| (l.min(p.0), h.max(p.0)));
     let (low, high) = all().fold((f64::MAX, f64::MIN), |(l, h), p| (l.min(p.1), h.max(p.1)));

@@ -21,7 +21,7 @@ h1{font-size:26px;margin:0 0 4px}h2{font-size:21px;margin:40px 0 8px;border-bott
 h3{font-size:16px;margin:26px 0 8px}p{margin:6px 0}.small,.note{color:#56606a;font-size:13px}
 .scroll{overflow-x:auto}table{border-collapse:collapse;font-size:13.5px}
 th,td{padding:4px 10px;border-bottom:1px solid #e6e9ec;text-align:right;white-space:nowrap;font-variant-numeric:tabular-nums}
-th{background:#f4f6f7;font-weight:600}td:first-child,th:first-child{text-align:left}
+th{background:#f4f6f7;font-weight:600;white-space:normal;vertical-align:bottom}td.t,th.t{text-align:left}
 .published table{color:#56606a}.published h3::after{content:'published';font-size:11px;background:#eee6d4;color:#6a5518;border-radius:9px;padding:1px 8px;margin-left:10px;vertical-align:middle}
 .row{display:flex;flex-wrap:wrap;gap:18px;align-items:flex-start}
 .shots{display:grid;grid-template-columns:repeat(auto-fill,minmax(340px,1fr));gap:16px}
@@ -128,7 +128,11 @@ fn table_html(table: &Table) -> String {
         html += "</tr>";
     }
     let cells = |cells: &[String], tag: &str| -> String {
-        cells.iter().map(|cell| format!("<{tag}>{}</{tag}>", escape(cell))).collect()
+        let cell = |(column, cell): (usize, &String)| {
+            let class = if words(table, column) { " class=\"t\"" } else { "" };
+            format!("<{tag}{class}>{}</{tag}>", escape(cell))
+        };
+        cells.iter().enumerate().map(cell).collect()
     };
     html += &format!("<tr>{}</tr></thead>\n<tbody>\n", cells(&table.head, "th"));
     for row in &table.rows {
@@ -139,6 +143,12 @@ fn table_html(table: &Table) -> String {
         html += &format!("<p class=\"note\">{}</p>\n", escape(note));
     }
     html + "</div>\n"
+}
+
+/// Whether a column holds words, not numbers.
+fn words(table: &Table, column: usize) -> bool {
+    let word = |row: &Vec<String>| row.get(column).is_some_and(|c| c.starts_with(char::is_alphabetic));
+    table.rows.iter().any(word)
 }
 
 /// `to` as seen from the folder `from`; as it is where there is no way between them.

@@ -4,7 +4,7 @@ use super::published::published;
 use super::{Section, Table, short};
 use crate::camera::Preset;
 use crate::env::End;
-use crate::eval::{EpisodeRecord, Score, grouped};
+use crate::eval::{DriverSpec, EpisodeRecord, Score, grouped};
 
 /// The weathers that encoder, detector and agents were trained in.
 const TRAINED_IN: [Preset; 3] = [Preset::ClearNoon, Preset::CloudyNoon, Preset::SoftRainNoon];
@@ -78,6 +78,15 @@ fn success(section: &Section) -> Table {
         "Success rate, its standard deviation over weathers and seeds, Wilson's 95 % interval, number of episodes."
             .to_string(),
     ];
+    let blind = |agent: &String| agent.parse::<DriverSpec>().is_ok_and(|spec| !spec.looks());
+    let blind: Vec<String> = agents.iter().filter(|agent| blind(agent)).cloned().collect();
+    if !blind.is_empty() && section.suite.conditions.iter().any(|c| c.weathers.len() > 1) {
+        notes.push(format!(
+            "Without eyes, an episode is the same in every weather: the intervals of {} count it once per weather, \
+             and are narrower than they should be.",
+            blind.join(", ")
+        ));
+    }
     let lost = section.of(|e| e.fault == Some(crate::eval::Fault::Simulator)).len();
     if lost > 0 {
         notes.push(format!("{lost} episodes in which SUMO died do not count."));
@@ -177,7 +186,12 @@ fn infractions(section: &Section) -> Table {
         let s = Score::of(&group);
         cells.push(format!("{:.2}", s.distance_km));
         cells.extend(s.events.named().map(|(_, n)| {
-            if n == 0 { "0".to_string() } else { format!("{:.2} ({n})", n as f64 / s.distance_km.max(1e-3)) }
+            match s.distance_km {
+                _ if n == 0 => "0".to_string(),
+                // Who does not move has none per km.
+                km if km < 0.1 => format!("({n})"),
+                km => format!("{:.2} ({n})", n as f64 / km),
+            }
         }));
         cells.push(s.events.collisions_caused.to_string());
         cells

@@ -46,6 +46,9 @@ pub struct TrainConfig {
     pub noisy_demonstrations: f64,
     /// Folders of recorded episodes that are put into the replay buffer first.
     pub recorded: Vec<PathBuf>,
+    /// Steps of behaviour cloning, the actor alone, before anything else is learned.
+    #[serde(default)]
+    pub cloning: u64,
     /// Updates on the demonstrations before the agent drives.
     pub pretrain: u64,
     pub validation: ValidationParams,
@@ -93,6 +96,7 @@ impl TrainConfig {
             demonstrations: 0,
             noisy_demonstrations: 0.7,
             recorded: Vec::new(),
+            cloning: 0,
             pretrain: 0,
             validation: ValidationParams::default(),
             checkpoint_every: 25_000,
@@ -149,7 +153,7 @@ impl TrainConfig {
                 self.batch_size,
                 self.learning_starts + self.demonstrations
             ))
-        } else if self.pretrain > 0 && !self.is_warm() {
+        } else if self.pretrain + self.cloning > 0 && !self.is_warm() {
             Some("updates before the agent drives need demonstrations, found none".to_string())
         } else {
             None

@@ -31,6 +31,8 @@ const TOGETHER: usize = 8;
 const SLACK: u64 = 64;
 /// Updates between two copies of the actor for the collectors.
 const PUBLISH: u64 = 64;
+/// Adam's step where behaviour cloning begins.
+const CLONING_RATE: f64 = 1e-3;
 /// Between two lines of figures.
 const FIGURES: Duration = Duration::from_secs(5);
 /// Observations that the inputs' scale is measured on.
@@ -109,6 +111,8 @@ struct Learning<'a> {
     metrics: Metrics,
     log: RunLog,
     checkpoints: Checkpoints,
+    /// Steps of behaviour cloning so far.
+    cloned: u64,
     /// Environment steps of the agent, and those that the autopilot drove.
     steps: u64,
     demonstrated: u64,
@@ -176,6 +180,7 @@ impl<'a> Learning<'a> {
             sampled: Sampled::default(),
             metrics: Metrics::default(),
             checkpoints,
+            cloned: 0,
             steps: 0,
             demonstrated: 0,
             version: 0,
@@ -299,6 +304,12 @@ impl<'a> Learning<'a> {
             if self.limits.time.is_some_and(|limit| self.began.elapsed() >= limit) {
                 return Ok(());
             }
+            if self.ready() && self.learner.updates() == 0 && self.cloned < self.config.cloning {
+                // Nobody is heard meanwhile: collectors wait rather than drive with what knows nothing yet.
+                self.clone_expert(shared)?;
+                self.now_and_then(shared, progress)?;
+                continue;
+            }
             let over = self.steps >= self.limits.steps;
             let behind = if self.ready() { self.due().saturating_sub(self.learner.updates()) } else { 0 };
             if over && behind == 0 && self.validation.is_none() {
@@ -320,27 +331,8 @@ impl<'a> Learning<'a> {
 
     fn learn(&mut self, shared: &Shared, updates: usize) -> Result<(), TrainError> {
         let clock = Instant::now();
-        if self.rate.began.is_none() {
-            self.rate.began = Some(clock);
-            (self.rate.steps, self.rate.updates) = (self.steps, self.learner.updates());
-            self.rate.last = (self.steps, self.learner.updates());
-            self.figures_at = clock;
-        }
-        if self.scale.is_none() {
-            let (mean, deviation) = self.buffer.moments(MEASURED);
-            let scale = InputScale::measured(
-                &mean,
-                &deviation,
-                Dims::DRIVING,
-                self.config.inputs,
-                self.config.latent_gain,
-            );
-            let tensors = scale.tensors(self.limits.device);
-            self.scale = Some((scale, tensors));
-        }
-        let Some((_, scale)) = &self.scale else { return Ok(()) };
-        self.buffer.sample(&mut self.rng, self.config.sampling(), updates, &mut self.sampled);
-        let batches = Batches::upload(&self.sampled, Dims::DRIVING, scale, self.limits.device);
+        self.begin_rate(clock);
+        let batches = self.sample(updates);
         for i in 0..updates {
             self.learner.update(&batches.get(i), &mut self.metrics);
         }
@@ -349,6 +341,43 @@ impl<'a> Learning<'a> {
         }
         self.rate.learning += clock.elapsed().as_secs_f64();
         Ok(())
+    }
+
+    /// A few steps of behaviour cloning, at a rate that falls in a straight line to a tenth.
+    fn clone_expert(&mut self, shared: &Shared) -> Result<(), TrainError> {
+        let batches = self.sample(TOGETHER);
+        for i in 0..TOGETHER {
+            let done = self.cloned as f64 / self.config.cloning as f64;
+            self.learner.clone_expert(&batches.get(i), CLONING_RATE * (1.0 - 0.9 * done.min(1.0)));
+            self.cloned += 1;
+        }
+        if self.cloned.is_multiple_of(PUBLISH) || self.cloned >= self.config.cloning {
+            self.publish(shared)?;
+        }
+        Ok(())
+    }
+
+    fn begin_rate(&mut self, clock: Instant) {
+        if self.rate.began.is_none() {
+            self.rate.began = Some(clock);
+            (self.rate.steps, self.rate.updates) = (self.steps, self.learner.updates());
+            self.rate.last = (self.steps, self.learner.updates());
+            self.figures_at = clock;
+        }
+    }
+
+    /// Batches of experience; the first call measures the inputs' scale.
+    fn sample(&mut self, updates: usize) -> Batches {
+        let config = self.config;
+        let (_, scale) = self.scale.get_or_insert_with(|| {
+            let (mean, deviation) = self.buffer.moments(MEASURED);
+            let scale =
+                InputScale::measured(&mean, &deviation, Dims::DRIVING, config.inputs, config.latent_gain);
+            let tensors = scale.tensors(self.limits.device);
+            (scale, tensors)
+        });
+        self.buffer.sample(&mut self.rng, config.sampling(), updates, &mut self.sampled);
+        Batches::upload(&self.sampled, Dims::DRIVING, scale, self.limits.device)
     }
 
     /// Gives collectors the newest actor.

@@ -1,11 +1,8 @@
-//! What an encoder's training is asked for and answers: options, errors, progress, figures.
+//! What an encoder's training is asked for and answers: options, progress, figures.
 
-use crate::dataset::DatasetError;
-use crate::latent::weights::WeightsError;
-use crate::train::images::ImagesError;
+use crate::train::run;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-use tch::TchError;
 
 /// How to train.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -64,33 +61,6 @@ impl TrainOptions {
     }
 }
 
-/// Why training ended without its end.
-#[derive(Debug, thiserror::Error)]
-pub enum TrainError {
-    #[error(transparent)]
-    Dataset(#[from] DatasetError),
-    #[error(transparent)]
-    Images(#[from] ImagesError),
-    #[error(transparent)]
-    Weights(#[from] WeightsError),
-    #[error("libtorch: {0}")]
-    Torch(#[from] TchError),
-    #[error("could not write `{}`: {source}; the last checkpoint is kept", path.display())]
-    Write { path: PathBuf, source: std::io::Error },
-    #[error("`{}` holds a training already; go on with it by --resume, or name another folder with --out", path.display())]
-    Taken { path: PathBuf },
-    #[error("`{}` holds no training to resume: expected checkpoint.safetensors in it", path.display())]
-    NothingToResume { path: PathBuf },
-    #[error("the training in `{}` differs in {what}: it has {found}, asked for was {asked}", path.display())]
-    Differs { path: PathBuf, what: &'static str, found: String, asked: String },
-    #[error(
-        "the loss became {loss} at step {step}: training stopped, `{}` is the last good one; a smaller \
-         --learning-rate may help",
-        checkpoint.display()
-    )]
-    NotFinite { loss: f64, step: u64, checkpoint: PathBuf },
-}
-
 /// What validation says.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Validation {
@@ -135,12 +105,4 @@ pub struct Trained {
 }
 
 /// How far it is.
-#[derive(Clone, Copy, Debug)]
-pub struct Progress {
-    pub epoch: u64,
-    /// Steps in all so far and at the end.
-    pub step: u64,
-    pub steps: u64,
-    pub loss: f64,
-    pub validation: Option<Validation>,
-}
+pub type Progress = run::Progress<Validation>;

@@ -1,0 +1,185 @@
+//! `wad-cosim bench view`: what viewers cost the simulation.
+
+use super::run::{Interrupt, with_exit};
+use super::view::{About, View, ViewArgs};
+use super::{Exit, print};
+use anyhow::Context;
+use serde::Serialize;
+use std::time::Instant;
+use wad_cosim::bench::{median, quantile};
+use wad_cosim::bundled;
+use wad_cosim::camera::Preset;
+use wad_cosim::drive::{Drive, DriveOptions};
+use wad_cosim::perception::DETECTORS;
+use wad_cosim::traffic::TrafficSpec;
+use wad_cosim::view::{Crowd, Listener, ViewAddress};
+
+/// Ticks with nobody, one viewer and many, in turn: what else the machine does touches them alike.
+#[derive(clap::Args, Debug)]
+pub struct Args {
+    /// Config or bundled town.
+    #[arg(default_value = "town5")]
+    config: String,
+    /// Background traffic: as-is, empty, regular, dense, or VEHICLES,PEDESTRIANS.
+    #[arg(long, default_value = "70,100", value_name = "T")]
+    traffic: TrafficSpec,
+    /// How many are many.
+    #[arg(long, default_value_t = 20)]
+    viewers: usize,
+    /// Length of a tick in milliseconds; they are driven in real time.
+    #[arg(long, default_value_t = 50.0, value_name = "MS")]
+    tick_ms: f64,
+    /// Ticks of a turn that are measured.
+    #[arg(long, default_value_t = 40)]
+    ticks: usize,
+    /// Turns.
+    #[arg(long, default_value_t = 5)]
+    repeat: usize,
+    #[arg(long, help = format!("Who detects: {DETECTORS}"), default_value = "truth", value_name = "NAME")]
+    detector: String,
+    /// Seed of the traffic.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Print one JSON object as the last line of stdout; everything else goes to stderr.
+    #[arg(long)]
+    json: bool,
+}
+
+/// What was measured with so many viewers.
+#[derive(Debug, Default, Serialize)]
+struct Row {
+    viewers: usize,
+    ticks: usize,
+    /// A tick from its begin to its being handed over (ms): median, and what 95 of 100 stay below.
+    tick_ms: f64,
+    tick_p95_ms: f64,
+    /// Of that: handing over.
+    show_ms: f64,
+    /// Beyond a tick without viewers (ms, and as a share).
+    cost_ms: f64,
+    share: f64,
+    /// Frames that a viewer got, of the ticks that there were.
+    frames_share: f64,
+    /// From the end of a tick to its message at a viewer (ms).
+    late_ms: f64,
+    megabytes_per_second: f64,
+}
+
+#[derive(Default)]
+struct Times {
+    ticks: Vec<f64>,
+    shows: Vec<f64>,
+    late: Vec<f64>,
+    frames: u64,
+    bytes: u64,
+    seconds: f64,
+}
+
+/// Ticks after a change before anything is measured.
+const SETTLE: usize = 10;
+
+/// Runs the command.
+pub async fn run(args: Args) -> anyhow::Result<Exit> {
+    let config = bundled::resolve(&args.config).map_err(|e| Exit::Input.because(e))?;
+    let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
+    let any: ViewAddress = "127.0.0.1:0".parse().map_err(anyhow::Error::msg)?;
+    let listener = Listener::bind(any, None)?;
+    let address = listener.address();
+    let mut options = DriveOptions::passing(config, args.seed, args.traffic, scratch.path());
+    options.bridge.tick_ms = Some(args.tick_ms);
+    let mut drive = Drive::start(options).await.map_err(with_exit)?;
+    let about = About {
+        config: &args.config,
+        seed: args.seed,
+        agent: "autopilot",
+        encoder: None,
+        detector: &args.detector,
+        weather: Preset::ClearNoon,
+        traffic: None,
+        out: scratch.path(),
+        recording: None,
+    };
+    let mut view = View::open(listener, &ViewArgs::at_real_time(), &drive, &about)?;
+    let crowds = [0, 1, args.viewers];
+    let mut times: [Times; 3] = Default::default();
+    let mut interrupt = Interrupt::listen()?;
+    let mut sight = None;
+    'turns: for turn in 0..args.repeat {
+        for (viewers, times) in crowds.iter().zip(&mut times) {
+            let crowd = Crowd::watch(address, *viewers, view.cores())?;
+            let began = Instant::now();
+            for tick in 0..SETTLE + args.ticks {
+                let control = tokio::select! {
+                    () = interrupt.wait() => break 'turns,
+                    next = view.next(&mut drive, &mut sight) => next.map_err(with_exit)?,
+                };
+                let clock = Instant::now();
+                let status = drive.tick_with(control).await.map_err(with_exit)?;
+                let driven = clock.elapsed();
+                view.show(&drive, &status);
+                let all = clock.elapsed();
+                // The first turn warms up.
+                if tick >= SETTLE && turn > 0 {
+                    times.ticks.push(1000.0 * all.as_secs_f64());
+                    times.shows.push(1000.0 * (all - driven).as_secs_f64());
+                }
+            }
+            let seconds = began.elapsed().as_secs_f64();
+            let got = crowd.leave();
+            if turn > 0 {
+                times.seconds += seconds;
+                times.frames += got.frames;
+                times.bytes += got.bytes;
+                times.late.extend(got.late_ms);
+            }
+        }
+        eprintln!("turn {} of {}", turn + 1, args.repeat);
+    }
+    view.close();
+    drive.finish("survived", false).await.map_err(with_exit)?;
+    let alone = median(times[0].ticks.clone());
+    let per_turn = (SETTLE + args.ticks) as f64 / args.ticks as f64;
+    let rows: Vec<Row> = crowds
+        .iter()
+        .zip(&times)
+        .filter(|(_, t)| !t.ticks.is_empty())
+        .map(|(&viewers, t)| {
+            let tick_ms = median(t.ticks.clone());
+            let wanted = viewers as f64 * t.ticks.len() as f64 * per_turn;
+            Row {
+                viewers,
+                ticks: t.ticks.len(),
+                tick_ms,
+                tick_p95_ms: quantile(t.ticks.clone(), 0.95),
+                show_ms: median(t.shows.clone()),
+                cost_ms: tick_ms - alone,
+                share: (tick_ms - alone) / alone,
+                frames_share: if viewers == 0 { 0.0 } else { t.frames as f64 / wanted },
+                late_ms: if t.late.is_empty() { 0.0 } else { median(t.late.clone()) },
+                megabytes_per_second: t.bytes as f64 / 1e6 / t.seconds.max(1e-9),
+            }
+        })
+        .collect();
+    for row in &rows {
+        let line = format!(
+            "{:2} viewers: tick {:.2} ms (95 %: {:.2}), {:+.2} ms = {:+.1} %, handing over {:.3} ms; message after {:.0} ms, {:.0} % of the frames, {:.1} MB/s",
+            row.viewers,
+            row.tick_ms,
+            row.tick_p95_ms,
+            row.cost_ms,
+            100.0 * row.share,
+            row.show_ms,
+            row.late_ms,
+            100.0 * row.frames_share,
+            row.megabytes_per_second
+        );
+        if args.json { eprintln!("{line}") } else { print(&format!("{line}\n"))? }
+    }
+    if args.json {
+        print(&format!(
+            "{}\n",
+            serde_json::json!({ "config": args.config, "tick_ms": args.tick_ms, "rows": rows })
+        ))?;
+    }
+    Ok(Exit::Done)
+}

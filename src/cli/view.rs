@@ -1,0 +1,243 @@
+//! `--view`: the live view of a run.
+
+use super::Exit;
+use super::run::Sight;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use wad_cosim::camera::{CameraConfig, Preset, Town};
+use wad_cosim::cores::Cores;
+use wad_cosim::drive::{Drive, DriveError, Status};
+use wad_cosim::latent::Decoder;
+use wad_cosim::network::Network;
+use wad_cosim::perception::{self, Perception};
+use wad_cosim::sight;
+use wad_cosim::traffic::Counts;
+use wad_cosim::vehicle::Control;
+use wad_cosim::view::{
+    Artist, DEFAULT_ADDRESS, Listener, MakeDriver, Ready, RunSetting, RunView, Token, ViewAddress, ViewError,
+};
+
+/// The live view's options.
+#[derive(clap::Args, Debug)]
+pub struct ViewArgs {
+    /// Open a page that shows the run in the browser, and lets people drive; it then runs at real time
+    /// [default address: 127.0.0.1:8765].
+    #[arg(long, value_name = "ADDR", num_args = 0..=1, default_missing_value = DEFAULT_ADDRESS)]
+    pub view: Option<ViewAddress>,
+    /// A secret that viewers must know; asked for where the page can be reached from other machines.
+    #[arg(long, value_name = "TOKEN", requires = "view")]
+    view_token: Option<Token>,
+    /// The live view's pace, times real time; 0: as fast as it goes. The page can change it.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, requires = "view")]
+    pub view_speed: f64,
+}
+
+impl ViewArgs {
+    /// What a measurement has.
+    pub fn at_real_time() -> Self {
+        Self { view: None, view_token: None, view_speed: 1.0 }
+    }
+
+    /// Takes the port, before anything else is done. None where no view is asked for.
+    pub fn listen(&self) -> anyhow::Result<Option<Listener>> {
+        let Some(address) = self.view else { return Ok(None) };
+        if !(self.view_speed == 0.0 || (0.05..=50.0).contains(&self.view_speed)) {
+            return Err(Exit::Input.because(anyhow::anyhow!("--view-speed is 0, or from 0.05 to 50")));
+        }
+        listen(address, self.view_token.clone()).map(Some)
+    }
+}
+
+/// Listens on an address; where that is the default one and in use, on the next that is free.
+pub fn listen(address: ViewAddress, token: Option<Token>) -> anyhow::Result<Listener> {
+    let is_default = DEFAULT_ADDRESS.parse() == Ok(address);
+    let listener = match Listener::bind(address, token.clone()) {
+        Err(ViewError::Busy { address, free: Some(free) }) if is_default => {
+            eprintln!("{address} is in use already, perhaps by another run; taking {free}");
+            Listener::bind(ViewAddress(free), token)
+        }
+        other => other,
+    };
+    let listener = listener.map_err(|e| Exit::Input.because(e))?;
+    eprintln!("live view: {}", listener.url());
+    Ok(listener)
+}
+
+/// What the run says of itself.
+pub struct About<'a> {
+    pub config: &'a str,
+    pub seed: u64,
+    pub agent: &'a str,
+    pub encoder: Option<&'a str>,
+    pub detector: &'a str,
+    pub weather: Preset,
+    pub traffic: Option<Counts>,
+    pub out: &'a Path,
+    pub recording: Option<&'a Path>,
+}
+
+/// Every town looks to viewers as it looks to agents.
+const LOOK: u64 = 0;
+
+/// A run with its page.
+pub struct View {
+    run: RunView,
+    out: PathBuf,
+    /// Films that the page has asked for.
+    films: usize,
+}
+
+impl View {
+    pub fn open(
+        listener: Listener,
+        args: &ViewArgs,
+        drive: &Drive,
+        about: &About<'_>,
+    ) -> anyhow::Result<Self> {
+        let bridge = drive.bridge();
+        let town = sight::town(bridge, LOOK);
+        let (network, length) = (bridge.network(), drive.ego().params().length);
+        let artist = artist(town, network, length, about.detector, about.encoder, about.seed)?;
+        let make_driver = Some(maker(about));
+        let mut agents: Vec<String> = bundled_agents();
+        if about.agent != "autopilot" && !agents.iter().any(|name| name == about.agent) {
+            agents.push(about.agent.to_string());
+        }
+        let setting = RunSetting {
+            seed: about.seed,
+            driver: about.agent.to_string(),
+            weather: about.weather,
+            speed_factor: args.view_speed,
+            agents,
+            make_driver,
+            traffic: about.traffic,
+            recording: about.recording.map(|path| path.display().to_string()),
+            folder: about.out.display().to_string(),
+        };
+        let run = RunView::open(listener, drive, artist, setting)?;
+        Ok(Self { run, out: about.out.to_path_buf(), films: 0 })
+    }
+
+    /// Waits until a tick is due; with the control of the person who drives.
+    pub async fn next(
+        &mut self,
+        drive: &mut Drive,
+        sight: &mut Option<Sight>,
+    ) -> Result<Option<Control>, DriveError> {
+        loop {
+            match self.run.next(drive).await? {
+                Ready::Tick(control) => return Ok(control),
+                Ready::Weather(weather) => {
+                    if let Some(sight) = sight {
+                        sight.set_weather(weather);
+                    }
+                }
+                Ready::Film(on) => {
+                    let film = self.film(on, drive, sight);
+                    self.run.filming(film.as_ref().map(|path| path.as_deref()).map_err(Clone::clone), drive);
+                }
+            }
+        }
+    }
+
+    /// Begins or ends a film in the run's folder.
+    fn film(
+        &mut self,
+        on: bool,
+        drive: &Drive,
+        sight: &mut Option<Sight>,
+    ) -> Result<Option<PathBuf>, String> {
+        if let Some(sight) = sight {
+            sight.end_film().map_err(|e| e.to_string())?;
+        }
+        if !on {
+            return Ok(None);
+        }
+        self.films += 1;
+        let ending = if cfg!(feature = "vision") { ".mp4" } else { "/" };
+        let path = self.out.join(format!("film-{}{ending}", self.films));
+        let sight =
+            sight.get_or_insert_with(|| Sight::plain(sight::town(drive.bridge(), LOOK), self.run.weather()));
+        sight.begin_film(&path, 1.0 / drive.bridge().tick()).map_err(|e| e.to_string())?;
+        Ok(Some(path))
+    }
+
+    /// The cores for all but the simulation.
+    pub fn cores(&self) -> Option<Cores> {
+        self.run.cores()
+    }
+
+    pub fn show(&mut self, drive: &Drive, status: &Status) {
+        self.run.show(drive, status);
+    }
+
+    pub fn close(self) {
+        self.run.close();
+    }
+}
+
+/// Who draws `town` for viewers; `seed` draws the detector's faults.
+pub fn artist(
+    town: Town,
+    network: &Arc<Network>,
+    length: f64,
+    detector: &str,
+    encoder: Option<&str>,
+    seed: u64,
+) -> anyhow::Result<Artist> {
+    let detector =
+        perception::detector(detector, perception::MIN_SCORE).map_err(|e| Exit::Input.because(e))?;
+    // Without OpenCV there are no stages, but everything else.
+    let perception = match Perception::new(detector, CameraConfig::default()) {
+        Ok(mut perception) => {
+            perception.reset(seed);
+            Some(perception)
+        }
+        Err(error) => {
+            tracing::info!("the view shows no stages: {error}");
+            None
+        }
+    };
+    let decoder = perception.is_some().then(|| decoder(encoder)).flatten();
+    Ok(Artist::new(town, Arc::clone(network), length, perception, decoder)?)
+}
+
+#[cfg(feature = "learn")]
+fn bundled_agents() -> Vec<String> {
+    ["wad-t", "wad-s"]
+        .into_iter()
+        .filter(|name| wad_cosim::agent::policy::Policy::find(name).is_ok())
+        .map(str::to_string)
+        .collect()
+}
+
+#[cfg(not(feature = "learn"))]
+fn bundled_agents() -> Vec<String> {
+    Vec::new()
+}
+
+fn maker(about: &About<'_>) -> MakeDriver {
+    let (config, encoder) = (about.config.to_string(), about.encoder.map(str::to_string));
+    let (detector, seed) = (about.detector.to_string(), about.seed);
+    let make = move |name: &str, weather: Preset| {
+        super::run::learned(&config, name, encoder.as_deref(), &detector, weather, seed)
+            .map_err(|e| format!("{e:#}"))
+    };
+    Arc::new(make)
+}
+
+#[cfg(feature = "learn")]
+fn decoder(encoder: Option<&str>) -> Option<Box<dyn Decoder>> {
+    match wad_cosim::latent::TchEncoder::find(encoder.unwrap_or("default")) {
+        Ok(encoder) => Some(Box::new(encoder)),
+        Err(error) => {
+            tracing::info!("the view shows no reconstruction: {error}");
+            None
+        }
+    }
+}
+
+#[cfg(not(feature = "learn"))]
+fn decoder(_: Option<&str>) -> Option<Box<dyn Decoder>> {
+    None
+}

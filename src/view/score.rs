@@ -1,0 +1,88 @@
+//! The paper's reward for whoever drives: terms of each tick, and their sums.
+
+use crate::criteria::{EgoOnRoute, Event};
+use crate::env::episode::bends;
+use crate::network::{Network, Route};
+use crate::observation::LeadState;
+use crate::perception::{EgoFacts, LightAhead};
+use crate::reward::{self, Facts, Light, RewardParams, RewardTerms};
+use crate::telemetry::LeaderRecord;
+use crate::vehicle::{Control, EgoParams};
+use std::sync::Arc;
+
+/// Keeps the score of a drive.
+#[derive(Debug, Default)]
+pub struct Score {
+    params: RewardParams,
+    steer: f64,
+    acceleration: f64,
+    pub terms: RewardTerms,
+    pub sums: RewardTerms,
+}
+
+/// A tick to be counted: the state after it.
+pub struct Tick<'a> {
+    pub network: &'a Network,
+    pub route: &'a Route,
+    pub at: EgoOnRoute,
+    pub ego: &'a EgoParams,
+    pub signals: &'a [Option<Arc<str>>],
+    /// Its length (s).
+    pub dt: f64,
+    pub control: Control,
+    /// The vehicle in front as the autopilot sees it, which sees the whole world.
+    pub leader: Option<LeaderRecord>,
+    pub events: &'a [Event],
+}
+
+impl Score {
+    /// Counts a tick, and says which light is ahead.
+    pub fn count(&mut self, tick: &Tick<'_>) -> Option<LightAhead> {
+        let Tick { network, route, at, ego, events, .. } = *tick;
+        let here = route.at(at.s);
+        let facts = EgoFacts {
+            network,
+            route,
+            on_route: at,
+            length: ego.length,
+            signals: tick.signals,
+            tick: tick.dt,
+        };
+        let ahead = LightAhead::find(&facts);
+        let bend = (ego.wheelbase * here.curvature).atan() / ego.max_steer_angle;
+        let worst = |worst: Option<f64>, event: &Event| match event {
+            Event::Collision { impulse, .. } => Some(worst.map_or(*impulse, |worst| worst.max(*impulse))),
+            _ => worst,
+        };
+        let left = |event: &Event| matches!(event, Event::OutsideLane { .. } | Event::Sidewalk);
+        let state = at.state;
+        let facts = Facts {
+            speed: state.speed,
+            acceleration: state.acceleration,
+            previous_acceleration: self.acceleration,
+            steer: tick.control.steer,
+            previous_steer: self.steer,
+            speed_limit: here.speed_limit,
+            curve_speed: reward::curve_speed(&self.params, bends(route, at.s, state.speed)),
+            curve_steer: bend.clamp(-1.0, 1.0),
+            offset: route.corridor_offset(at.s, at.d),
+            lead: tick.leader.map(|l| LeadState { gap: l.gap, closing_speed: state.speed - l.speed }),
+            light: ahead
+                .filter(LightAhead::stops)
+                .map(|light| Light { distance: light.distance, red: light.state.is_red() }),
+            ran_red: events.iter().any(|event| matches!(event, Event::RedLight { .. })),
+            collision: events.iter().fold(None, worst),
+            blocked: events.contains(&Event::VehicleBlocked),
+            left_road: events.iter().any(left),
+        };
+        (self.steer, self.acceleration) = (tick.control.steer, state.acceleration);
+        self.terms = reward::compute(&self.params, &facts);
+        self.sums.add(&self.terms);
+        ahead
+    }
+
+    /// Begins anew.
+    pub fn reset(&mut self) {
+        *self = Self::default();
+    }
+}

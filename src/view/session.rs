@@ -1,0 +1,593 @@
+//! A run with viewers: its pace, its drivers, and what viewers ask for, between one tick and the next.
+
+use super::artist::Artist;
+use super::hub::{Hands, Hub, Shot};
+use super::net;
+use super::protocol::{EgoNow, Note, Noted, Request, State};
+use super::score::{Score, Tick};
+use super::server::{Listener, ViewError};
+use super::wheel::Wheel;
+use crate::bridge::Ego;
+use crate::camera::Preset;
+use crate::cores::Cores;
+use crate::drive::{Drive, DriveError, Status};
+use crate::learned_driver::LearnedDriver;
+use crate::network::Route;
+use crate::sight;
+use crate::telemetry::Wish;
+use crate::traffic::Counts;
+use crate::vehicle::Control;
+use serde_json::json;
+use std::collections::VecDeque;
+use std::path::Path;
+use std::sync::Arc;
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use tokio::sync::{mpsc, oneshot};
+
+/// Makes the trained agent of a name, as it sees that weather; called on a thread of its own.
+pub type MakeDriver = Arc<dyn Fn(&str, Preset) -> Result<LearnedDriver, String> + Send + Sync>;
+
+/// The autopilot's and the person's names among the drivers.
+const AUTOPILOT: &str = "autopilot";
+const MANUAL: &str = "manual";
+/// A person this far off the route (m) goes another way: the route is to follow. Tried so many ticks apart.
+const ASTRAY: f64 = 6.0;
+const ASTRAY_TICKS: u64 = 12;
+/// The autopilot finds back to its route from this far (m).
+const NEAR_ROUTE: f64 = 2.0;
+/// Notes that the page is told again with every tick, so that none is lost with a tick left out.
+const NOTES: usize = 40;
+/// A tick that is late by more than this is not caught up with.
+const SLACK: Duration = Duration::from_millis(250);
+
+/// What a run with viewers begins with.
+pub struct RunSetting {
+    pub seed: u64,
+    /// Who drives: `autopilot`, or an agent's name.
+    pub driver: String,
+    pub weather: Preset,
+    /// Times real time; 0: as fast as it goes.
+    pub speed_factor: f64,
+    /// Names of the agents to pick from.
+    pub agents: Vec<String>,
+    pub make_driver: Option<MakeDriver>,
+    /// Background traffic that is kept alive; None: the config's own.
+    pub traffic: Option<Counts>,
+    /// The film that runs already.
+    pub recording: Option<String>,
+    pub folder: String,
+}
+
+/// What is to be done next.
+#[derive(Debug)]
+pub enum Ready {
+    /// The tick is due; with the control of the person who drives.
+    Tick(Option<Control>),
+    /// A film is to begin or to end; [`RunView::filming`] tells what came of it.
+    Film(bool),
+    /// The weather is another one now.
+    Weather(Preset),
+}
+
+type Loading = (String, oneshot::Receiver<Result<LearnedDriver, String>>);
+
+/// See the module.
+pub struct RunView {
+    hub: Arc<Hub>,
+    requests: mpsc::Receiver<(u64, Request)>,
+    threads: Vec<JoinHandle<()>>,
+    cores: Option<Cores>,
+    setting: RunSetting,
+    state: State,
+    score: Score,
+    notes: VecDeque<Noted>,
+    noted: u64,
+    route: Option<Arc<Route>>,
+    /// The person's wheel, while he drives.
+    wheel: Option<Wheel>,
+    astray_until: u64,
+    loading: Option<Loading>,
+    /// A trained agent that does not drive just now.
+    parked: Option<(String, LearnedDriver)>,
+    due: Instant,
+    step: bool,
+    ticked: VecDeque<Instant>,
+    /// The weather has changed since the last [`Ready::Weather`].
+    film: Option<bool>,
+    new_weather: Option<Preset>,
+}
+
+impl RunView {
+    /// Opens the page for a run.
+    ///
+    /// # Errors
+    /// The threads cannot be started.
+    pub fn open(
+        mut listener: Listener,
+        drive: &Drive,
+        artist: Artist,
+        setting: RunSetting,
+    ) -> Result<Self, ViewError> {
+        let (hub, requests) = Hub::new();
+        let cores = listener.cores();
+        let bridge = drive.bridge();
+        let polygons = crate::drive::polygons(bridge, bridge.network());
+        hub.set_map(net::street_map(bridge.network(), &polygons));
+        let (stages, reconstruction) = artist.stages();
+        hub.set_hello(json!({
+            "mode": "run",
+            "town": bridge.config().name(),
+            "seed": setting.seed,
+            "folder": setting.folder,
+            "agents": setting.agents,
+            "weathers": Preset::ALL.map(Preset::name),
+            "stages": stages,
+            "reconstruction": reconstruction,
+            "version": env!("WAD_COSIM_VERSION"),
+        }));
+        let drawing = {
+            let hub = Arc::clone(&hub);
+            let work = move || {
+                if let Some(cores) = cores {
+                    cores.confine(0);
+                }
+                artist.work(&hub, 0);
+            };
+            std::thread::Builder::new()
+                .name("view artist".to_string())
+                .spawn(work)
+                .map_err(ViewError::Thread)?
+        };
+        let serving = listener.serve(Arc::clone(&hub))?;
+        let state = State {
+            dt: bridge.tick(),
+            speed_factor: setting.speed_factor,
+            driver: setting.driver.clone(),
+            weather: setting.weather.name().to_string(),
+            wanted_traffic: setting.traffic.map(|c| (c.vehicles, c.pedestrians)),
+            recording: setting.recording.clone(),
+            ..State::default()
+        };
+        let mut view = Self {
+            hub,
+            requests,
+            threads: vec![drawing, serving],
+            cores,
+            setting,
+            state,
+            score: Score::default(),
+            notes: VecDeque::new(),
+            noted: 0,
+            route: None,
+            wheel: None,
+            astray_until: 0,
+            loading: None,
+            parked: None,
+            due: Instant::now(),
+            step: false,
+            ticked: VecDeque::new(),
+            film: None,
+            new_weather: None,
+        };
+        view.show_ego(drive);
+        Ok(view)
+    }
+
+    /// Waits until there is something to do, and does what viewers ask for meanwhile.
+    ///
+    /// # Errors
+    /// SUMO fails.
+    pub async fn next(&mut self, drive: &mut Drive) -> Result<Ready, DriveError> {
+        loop {
+            while let Ok((viewer, request)) = self.requests.try_recv() {
+                self.grant(viewer, request, drive).await?;
+            }
+            self.take_loaded(drive);
+            if let Some(on) = self.film.take() {
+                return Ok(Ready::Film(on));
+            }
+            if let Some(weather) = self.new_weather.take() {
+                drive.set_weather(weather);
+                return Ok(Ready::Weather(weather));
+            }
+            let runs = !self.state.paused || self.step;
+            if runs && Instant::now() >= self.due {
+                self.step = false;
+                let control = self.control(drive).await?;
+                self.due = self.next_due();
+                return Ok(Ready::Tick(control));
+            }
+            let due = self.due;
+            let loaded = async {
+                match &mut self.loading {
+                    Some((_, loaded)) => Some(loaded.await),
+                    None => std::future::pending().await,
+                }
+            };
+            let request = tokio::select! {
+                request = self.requests.recv() => request,
+                () = tokio::time::sleep_until(due.into()), if runs => None,
+                Some(loaded) = loaded => {
+                    self.loaded(loaded.unwrap_or_else(|_| Err("it could not be made ready".to_string())), drive);
+                    None
+                }
+            };
+            if let Some((viewer, request)) = request {
+                self.grant(viewer, request, drive).await?;
+            }
+        }
+    }
+
+    fn next_due(&self) -> Instant {
+        let now = Instant::now();
+        if self.state.speed_factor <= 0.0 {
+            return now;
+        }
+        let next = self.due + Duration::from_secs_f64(self.state.dt / self.state.speed_factor);
+        if next + SLACK < now { now } else { next }
+    }
+
+    /// The control of the person at the wheel, if there is one.
+    async fn control(&mut self, drive: &mut Drive) -> Result<Option<Control>, DriveError> {
+        match self.hub.hands() {
+            Hands::On(_, wanted) => {
+                let Some(wheel) = &mut self.wheel else { return Ok(None) };
+                let at = drive.ego().on_route();
+                let control = wheel.follow(&wanted, at.state.speed, self.state.dt);
+                if at.d.abs() > ASTRAY && self.state.tick >= self.astray_until {
+                    self.astray_until = self.state.tick + ASTRAY_TICKS;
+                    drive.grant(Wish::FindBack).await?;
+                }
+                Ok(Some(control))
+            }
+            Hands::Lost(viewer) => {
+                tracing::warn!("viewer {viewer} has gone while driving: the autopilot takes over");
+                self.say(format!("viewer {viewer} has gone while driving: the autopilot takes over"));
+                self.give_back(drive).await?;
+                Ok(None)
+            }
+            Hands::Off => Ok(None),
+        }
+    }
+
+    /// Shows a tick.
+    pub fn show(&mut self, drive: &Drive, status: &Status) {
+        let record = &status.record;
+        let (ego, bridge) = (drive.ego(), drive.bridge());
+        self.score.count(&Tick {
+            network: bridge.network(),
+            route: ego.route(),
+            at: ego.on_route(),
+            ego: ego.params(),
+            signals: &ego.world().traffic_lights,
+            dt: bridge.tick(),
+            control: record.control,
+            leader: record.leader,
+            events: &record.events,
+        });
+        for event in &record.events {
+            self.note(record.time, Note::Event(event.clone()));
+        }
+        let state = &mut self.state;
+        state.tick = record.tick;
+        state.time = record.time;
+        state.control = record.control;
+        state.limit = record.limit;
+        state.light = record.light;
+        state.leader = record.leader;
+        state.option = Some(record.route.option);
+        state.lane.clone_from(&record.route.lane);
+        state.traffic = (record.vehicles, record.pedestrians);
+        let reason = record.reason.and_then(|r| serde_json::to_value(r).ok());
+        state.reason = reason.and_then(|r| Some(r.get("kind")?.as_str()?.replace('_', " ")));
+        state.reward = self.score.terms.values();
+        state.sums = self.score.sums.values();
+        let now = Instant::now();
+        self.ticked.push_back(now);
+        if self.ticked.len() > 12 {
+            self.ticked.pop_front();
+        }
+        if let (Some(first), true) = (self.ticked.front(), self.ticked.len() > 1) {
+            let passed = (now - *first).as_secs_f64().max(1e-6);
+            state.pace = (self.ticked.len() - 1) as f64 * state.dt / passed;
+        }
+        let [a, b, c, d, e, f] = state.reward.map(|v| v as f32);
+        let speed = record.ego.speed as f32;
+        self.hub.remember([state.time as f32, speed, state.limit as f32, a, b, c, d, e, f]);
+        self.show_ego(drive);
+    }
+
+    /// Shows where the ego is now, with the rest of the state as it was.
+    fn show_ego(&mut self, drive: &Drive) {
+        let (ego, bridge) = (drive.ego(), drive.bridge());
+        let at = ego.on_route();
+        let route = self.follow_route(ego);
+        let state = &mut self.state;
+        state.ego = ego_now(ego);
+        state.route = (at.s, at.d, route.length());
+        state.seq += 1;
+        state.viewers = self.hub.viewers();
+        state.at = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |d| d.as_secs_f64() * 1000.0);
+        state.time = bridge.time();
+        if state.viewers == 0 {
+            return;
+        }
+        state.notes = self.notes.iter().cloned().collect();
+        self.hub.show(Shot {
+            state: state.clone(),
+            world: ego.world().clone(),
+            ego: sight::from_outside(ego),
+            weather: self.setting.weather,
+            way: Some((route, at)),
+        });
+    }
+
+    /// The route, told to the viewers where it is another one.
+    fn follow_route(&mut self, ego: &Ego) -> Arc<Route> {
+        let now = ego.route();
+        let same = |old: &Arc<Route>| {
+            (old.from, old.to, old.sections.len()) == (now.from, now.to, now.sections.len())
+                && old.length() == now.length()
+        };
+        if let Some(old) = self.route.as_ref().filter(|old| same(old)) {
+            return Arc::clone(old);
+        }
+        let route = Arc::new(now.clone());
+        self.state.route_id += 1;
+        let id = self.state.route_id;
+        let text =
+            json!({ "type": "route", "id": id, "line": net::line(&route.centre_line, 3.0) }).to_string();
+        self.hub.set_route(id, text);
+        self.route = Some(Arc::clone(&route));
+        route
+    }
+
+    fn note(&mut self, time: f64, what: Note) {
+        self.noted += 1;
+        self.notes.push_back(Noted { n: self.noted, time, what });
+        if self.notes.len() > NOTES {
+            self.notes.pop_front();
+        }
+    }
+
+    fn say(&mut self, said: String) {
+        self.note(self.state.time, Note::Said { said });
+    }
+
+    async fn grant(&mut self, viewer: u64, request: Request, drive: &mut Drive) -> Result<(), DriveError> {
+        let own = |holder: Option<u64>| holder.is_none_or(|holder| holder == viewer);
+        match request {
+            Request::Pause { on } => {
+                self.state.paused = on;
+                self.due = Instant::now();
+            }
+            Request::Step {} => {
+                self.state.paused = true;
+                self.step = true;
+                self.due = Instant::now();
+            }
+            Request::Speed { factor } => {
+                self.state.speed_factor = factor;
+                self.due = Instant::now();
+                self.ticked.clear();
+            }
+            Request::Respawn {} => {
+                drive.grant(Wish::Respawn).await?;
+                self.score.reset();
+                self.hub.forget_history();
+                self.say("put down elsewhere; the sums begin anew".to_string());
+            }
+            Request::NewRoute {} => {
+                let text = if drive.grant(Wish::NewRoute).await? {
+                    "a new destination"
+                } else {
+                    "no way leads on from here; try respawn"
+                };
+                self.say(text.to_string());
+            }
+            Request::Weather { name } => {
+                self.setting.weather = name;
+                self.state.weather = name.name().to_string();
+                self.new_weather = Some(name);
+            }
+            Request::Traffic { vehicles, pedestrians } => {
+                drive.grant(Wish::Traffic { vehicles, pedestrians }).await?;
+                self.state.wanted_traffic = Some((vehicles, pedestrians));
+            }
+            Request::Record { on } => self.film = Some(on),
+            Request::Driver { name } if !own(self.state.holder) => {
+                let holder = self.state.holder.unwrap_or_default();
+                self.say(format!("viewer {viewer} asks for {name}, but viewer {holder} is driving"));
+            }
+            Request::Driver { name } if name == MANUAL => self.take_over(viewer, drive),
+            Request::Driver { name } if name == AUTOPILOT => {
+                self.loading = None;
+                self.state.loading = None;
+                self.give_back(drive).await?;
+            }
+            Request::Driver { name } => self.load(name, drive).await?,
+            Request::Refresh => {}
+            Request::Seek { .. } | Request::Open { .. } => self.say("this is no replay".to_string()),
+            Request::Drive { .. } | Request::Look { .. } | Request::Shown { .. } => return Ok(()),
+        }
+        self.show_ego(drive);
+        Ok(())
+    }
+
+    fn take_over(&mut self, viewer: u64, drive: &mut Drive) {
+        if !self.hub.take_wheel(viewer) {
+            return self.say(format!("viewer {viewer} asks for the wheel, but another one has it"));
+        }
+        self.park(drive, Some(MANUAL));
+        self.wheel = Some(Wheel::taken_from(self.state.control));
+        self.state.holder = Some(viewer);
+        self.state.driver = MANUAL.to_string();
+        self.loading = None;
+        self.state.loading = None;
+        self.say(format!("viewer {viewer} takes the wheel"));
+    }
+
+    /// The autopilot drives from now on.
+    async fn give_back(&mut self, drive: &mut Drive) -> Result<(), DriveError> {
+        let by_hand = self.wheel.take().is_some();
+        self.hub.leave_wheel();
+        let own = self.setting.driver == AUTOPILOT;
+        self.park(drive, (!own).then_some(AUTOPILOT));
+        self.state.holder = None;
+        self.state.driver = AUTOPILOT.to_string();
+        if by_hand {
+            self.find_back(drive).await?;
+            self.say("the autopilot drives".to_string());
+        }
+        Ok(())
+    }
+
+    /// After a person has driven: to the route again, or to another one.
+    async fn find_back(&mut self, drive: &mut Drive) -> Result<(), DriveError> {
+        let far = |drive: &Drive| drive.ego().on_route().d.abs() > NEAR_ROUTE;
+        if far(drive) && !drive.grant(Wish::FindBack).await? && !drive.grant(Wish::NewRoute).await? {
+            self.say("no road is near: put down elsewhere".to_string());
+            drive.grant(Wish::Respawn).await?;
+        }
+        Ok(())
+    }
+
+    /// Takes the trained agent from the wheel, and keeps it.
+    fn park(&mut self, drive: &mut Drive, guest: Option<&str>) {
+        let name = self.state.driver.clone();
+        if let Some(driver) = drive.hand_over(None, guest.map(str::to_string)) {
+            self.parked = Some((name, driver));
+        }
+    }
+
+    async fn load(&mut self, name: String, drive: &mut Drive) -> Result<(), DriveError> {
+        if self.state.driver == name || self.state.loading.as_ref() == Some(&name) {
+            return Ok(());
+        }
+        if !self.setting.agents.contains(&name) {
+            self.say(format!("nobody here is called {name}"));
+            return Ok(());
+        }
+        if self.parked.as_ref().is_some_and(|(parked, _)| *parked == name) {
+            if let Some((_, driver)) = self.parked.take() {
+                self.seat(name, driver, drive);
+            }
+            return Ok(());
+        }
+        let Some(make) = self.setting.make_driver.clone() else { return Ok(()) };
+        if self.wheel.is_some() {
+            self.give_back(drive).await?;
+        }
+        let (sender, receiver) = oneshot::channel();
+        let (cores, weather, wanted) = (self.cores, self.setting.weather, name.clone());
+        let work = move || {
+            if let Some(cores) = cores {
+                cores.confine(0);
+            }
+            // Nobody listens any more where another driver was picked meanwhile.
+            let _ = sender.send(make(&wanted, weather));
+        };
+        match std::thread::Builder::new().name("view loader".to_string()).spawn(work) {
+            Ok(_) => {
+                self.state.loading = Some(name.clone());
+                self.loading = Some((name, receiver));
+            }
+            Err(error) => self.say(format!("{name} cannot be made ready: {error}")),
+        }
+        Ok(())
+    }
+
+    fn take_loaded(&mut self, drive: &mut Drive) {
+        if let Some((_, loaded)) = &mut self.loading
+            && let Ok(result) = loaded.try_recv()
+        {
+            self.loaded(result, drive);
+        }
+    }
+
+    fn loaded(&mut self, result: Result<LearnedDriver, String>, drive: &mut Drive) {
+        let Some((name, _)) = self.loading.take() else { return };
+        self.state.loading = None;
+        match result {
+            Ok(driver) => self.seat(name, driver, drive),
+            Err(why) => self.say(format!("{name} cannot drive: {why}")),
+        }
+        self.show_ego(drive);
+    }
+
+    fn seat(&mut self, name: String, mut driver: LearnedDriver, drive: &mut Drive) {
+        #[cfg(feature = "learn")]
+        tch::set_num_threads(1);
+        driver.reset();
+        driver.set_weather(self.setting.weather);
+        self.wheel = None;
+        self.hub.leave_wheel();
+        self.park(drive, None);
+        drive.hand_over(Some(driver), (self.setting.driver != name).then(|| name.clone()));
+        self.state.holder = None;
+        self.say(format!("{name} drives"));
+        self.state.driver = name;
+    }
+
+    /// What came of [`Ready::Film`]: the film under way, or why there is none.
+    pub fn filming(&mut self, film: Result<Option<&Path>, String>, drive: &Drive) {
+        match film {
+            Ok(film) => {
+                let name = film.map(|path| path.display().to_string());
+                match (&name, self.state.recording.take()) {
+                    (Some(name), _) => self.say(format!("filming to {name}")),
+                    (None, Some(was)) => self.say(format!("the film is in {was}")),
+                    (None, None) => {}
+                }
+                self.state.recording = name;
+            }
+            Err(why) => {
+                self.state.recording = None;
+                self.say(why);
+            }
+        }
+        self.show_ego(drive);
+    }
+
+    /// The cores for all but the simulation.
+    pub fn cores(&self) -> Option<Cores> {
+        self.cores
+    }
+
+    /// Viewers now.
+    pub fn viewers(&self) -> usize {
+        self.hub.viewers()
+    }
+
+    /// The weather now.
+    pub fn weather(&self) -> Preset {
+        self.setting.weather
+    }
+
+    /// Tells the viewers that it is over, and ends the threads.
+    pub fn close(self) {
+        self.hub.close();
+        for thread in self.threads {
+            if thread.join().is_err() {
+                tracing::warn!("a thread of the live view has panicked");
+            }
+        }
+    }
+}
+
+/// The ego for the page.
+pub fn ego_now(ego: &Ego) -> EgoNow {
+    let (state, params) = (ego.state(), ego.params());
+    EgoNow {
+        x: state.pose.position.x,
+        y: state.pose.position.y,
+        heading: state.pose.heading,
+        speed: state.speed,
+        acceleration: state.acceleration,
+        yaw_rate: state.yaw_rate,
+        steer_angle: state.steer_angle,
+        length: params.length,
+        width: params.width,
+    }
+}

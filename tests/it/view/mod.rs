@@ -1,0 +1,484 @@
+//! The live view: `run --view` from outside, as a browser and as those who should not be let in.
+
+mod browser;
+
+use browser::Browser;
+use futures_util::{SinkExt, StreamExt};
+use serde_json::{Value, json};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::os::unix::process::CommandExt;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc;
+use std::time::{Duration, Instant};
+use tokio_tungstenite::tungstenite::client::IntoClientRequest;
+use tokio_tungstenite::tungstenite::{Error, Message};
+use tokio_tungstenite::{MaybeTlsStream, WebSocketStream};
+
+/// A program with a live view; its SUMO goes with it.
+struct Viewed {
+    child: Child,
+    /// `127.0.0.1:PORT`.
+    address: String,
+    said: mpsc::Receiver<String>,
+}
+
+impl Viewed {
+    fn start(args: &[&str]) -> Self {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_wad-cosim"))
+            .args(args)
+            .args(["--view", "127.0.0.1:0"])
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .process_group(0)
+            .spawn()
+            .expect("the binary runs");
+        let lines = BufReader::new(child.stderr.take().expect("its stderr")).lines();
+        let (sender, said) = mpsc::channel();
+        std::thread::spawn(move || lines.map_while(Result::ok).for_each(|line| drop(sender.send(line))));
+        let mut all = String::new();
+        let address = loop {
+            let line =
+                said.recv_timeout(Duration::from_secs(60)).unwrap_or_else(|_| panic!("no view: {all}"));
+            if let Some(url) = line.strip_prefix("live view: http://") {
+                break url.trim_end_matches('/').to_string();
+            }
+            all += &line;
+        };
+        Self { child, address, said }
+    }
+
+    fn url(&self) -> String {
+        format!("http://{}/", self.address)
+    }
+
+    fn said(&self, text: &str) -> bool {
+        let until = Instant::now() + Duration::from_secs(10);
+        while let Ok(line) = self.said.recv_timeout(until.saturating_duration_since(Instant::now())) {
+            if line.contains(text) {
+                return true;
+            }
+        }
+        false
+    }
+
+    /// Ctrl-C, and its exit code.
+    fn stop(mut self) -> Option<i32> {
+        if let Ok(pid) = i32::try_from(self.child.id()) {
+            // SAFETY: kill() only takes numbers; the process is this test's own.
+            unsafe { libc::kill(pid, libc::SIGINT) };
+        }
+        self.child.wait().expect("it ends").code()
+    }
+}
+
+impl Drop for Viewed {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// A viewer without a browser.
+struct Viewer {
+    runtime: tokio::runtime::Runtime,
+    socket: WebSocketStream<MaybeTlsStream<tokio::net::TcpStream>>,
+    hello: Value,
+}
+
+impl Viewer {
+    fn join(address: &str) -> Self {
+        Self::join_at(&format!("ws://{address}/ws"))
+    }
+
+    fn join_at(url: &str) -> Self {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
+        let began = Instant::now();
+        let socket = loop {
+            // The page opens when the town is built.
+            match runtime.block_on(tokio_tungstenite::connect_async(url)) {
+                Ok((socket, _)) => break socket,
+                Err(error) => assert!(began.elapsed() < Duration::from_secs(60), "{error}"),
+            }
+            std::thread::sleep(Duration::from_millis(50));
+        };
+        let mut viewer = Self { runtime, socket, hello: Value::Null };
+        viewer.hello = viewer.text();
+        assert_eq!(viewer.hello["type"], "hello");
+        viewer
+    }
+
+    fn receive(&mut self) -> Option<Result<Message, Error>> {
+        let limit = Duration::from_secs(20);
+        let socket = &mut self.socket;
+        self.runtime
+            .block_on(async { tokio::time::timeout(limit, socket.next()).await })
+            .expect("a message within 20 s")
+    }
+
+    fn text(&mut self) -> Value {
+        match self.receive() {
+            Some(Ok(Message::Text(text))) => serde_json::from_str(&text).expect("JSON"),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    /// The state that the next tick shows, and its pictures.
+    fn tick(&mut self) -> (Value, Vec<u8>) {
+        loop {
+            match self.receive() {
+                Some(Ok(Message::Binary(bytes))) => {
+                    let length = u32::from_le_bytes(bytes[..4].try_into().expect("a length")) as usize;
+                    let state: Value = serde_json::from_slice(&bytes[4..4 + length]).expect("JSON");
+                    self.send(json!({ "do": "shown", "seq": state["seq"] }));
+                    return (state, bytes[4 + length..].to_vec());
+                }
+                Some(Ok(_)) => {}
+                other => panic!("{other:?}"),
+            }
+        }
+    }
+
+    fn until(&mut self, what: &str, is: impl Fn(&Value) -> bool) -> Value {
+        let began = Instant::now();
+        loop {
+            let (state, _) = self.tick();
+            if is(&state) {
+                return state;
+            }
+            assert!(began.elapsed() < Duration::from_secs(30), "never {what}: {state}");
+        }
+    }
+
+    fn send(&mut self, request: Value) {
+        self.send_raw(Message::text(request.to_string()));
+    }
+
+    fn send_raw(&mut self, message: Message) {
+        let socket = &mut self.socket;
+        // One that was sent away finds out when it listens.
+        let _ = self.runtime.block_on(socket.send(message));
+    }
+
+    fn drive(&mut self, steer: f64, throttle: f64) {
+        self.send(json!({ "do": "drive", "steer": steer, "throttle": throttle, "brake": 0 }));
+    }
+
+    /// Whether the server ends the connection.
+    fn is_sent_away(&mut self) -> bool {
+        let began = Instant::now();
+        while began.elapsed() < Duration::from_secs(10) {
+            match self.receive() {
+                Some(Ok(Message::Close(_)) | Err(_)) | None => return true,
+                _ => {}
+            }
+        }
+        false
+    }
+}
+
+fn run_in(folder: &Path, extra: &[&str]) -> Viewed {
+    let out = folder.join("run").display().to_string();
+    let mut args = vec!["run", "town5", "--traffic", "8,8", "--seed", "3", "--out", &out];
+    args.extend(extra);
+    Viewed::start(&args)
+}
+
+/// The status line of a plain HTTP request.
+fn request(address: &str, path: &str, headers: &str) -> String {
+    let mut stream = TcpStream::connect(address).expect("it listens");
+    let text = format!("GET {path} HTTP/1.1\r\n{headers}Connection: close\r\n\r\n");
+    stream.write_all(text.as_bytes()).expect("it reads");
+    let mut answer = String::new();
+    let _ = stream.read_to_string(&mut answer);
+    answer.lines().next().unwrap_or_default().to_string()
+}
+
+#[test]
+fn who_does_not_belong_is_refused_and_the_run_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = run_in(folder.path(), &["--view-speed", "4"]);
+    let mut viewer = Viewer::join(&run.address);
+    let (first, pictures) = viewer.tick();
+    assert!(pictures.starts_with(&[0xff, 0xd8]), "no JPEG");
+
+    let own = format!("Host: {}\r\n", run.address);
+    assert!(request(&run.address, "/", &own).contains("200"));
+    assert!(request(&run.address, "/map.json", "Host: evil.example\r\n").contains("403"));
+    assert!(request(&run.address, "/", &format!("{own}Origin: http://evil.example\r\n")).contains("403"));
+    assert!(request(&run.address, "/../Cargo.toml", &own).contains("404"));
+    let mut cross = format!("ws://{}/ws", run.address).into_client_request().unwrap();
+    cross.headers_mut().insert("Origin", "http://evil.example".parse().unwrap());
+    let refused = viewer.runtime.block_on(tokio_tungstenite::connect_async(cross));
+    assert!(matches!(refused, Err(Error::Http(answer)) if answer.status() == 403));
+
+    // What cannot be read is refused with a word, too much of it ends the connection.
+    let mut wrong = Viewer::join(&run.address);
+    wrong.send_raw(Message::text("{\"do\":\"fly\"}"));
+    let answer = loop {
+        if let Some(Ok(Message::Text(text))) = wrong.receive()
+            && text.contains("refused")
+        {
+            break text;
+        }
+    };
+    assert!(answer.contains("fly"), "{answer}");
+    for _ in 0..30 {
+        wrong.send_raw(Message::text("nonsense"));
+    }
+    assert!(wrong.is_sent_away());
+    let mut long = Viewer::join(&run.address);
+    long.send_raw(Message::text("x".repeat(1 << 16)));
+    assert!(long.is_sent_away());
+    let mut many = Viewer::join(&run.address);
+    for _ in 0..2000 {
+        many.send(json!({ "do": "look", "chase": false, "stages": false }));
+    }
+    assert!(many.is_sent_away());
+
+    let tick = first["tick"].as_u64().unwrap();
+    viewer.until("further on", |state| state["tick"].as_u64().unwrap() > tick + 10);
+    assert_eq!(viewer.until("alone", |state| state["viewers"] == 1)["paused"], false);
+
+    // Another run on the same port says so, and offers one that is free.
+    let busy = Command::new(env!("CARGO_BIN_EXE_wad-cosim"))
+        .args(["run", "town5", "--view", &run.address, "--out"])
+        .arg(folder.path().join("other"))
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&busy.stderr);
+    assert_eq!(busy.status.code(), Some(2), "{said}");
+    assert!(said.contains("in use") && said.contains("--view 127.0.0.1:"), "{said}");
+    assert_eq!(run.stop(), Some(4));
+}
+
+#[test]
+fn a_person_drives_goes_and_the_drive_can_be_driven_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = run_in(folder.path(), &["--view-speed", "2"]);
+    let (mut other, mut viewer) = (Viewer::join(&run.address), Viewer::join(&run.address));
+    viewer.tick();
+    viewer.send(json!({ "do": "driver", "name": "manual" }));
+    let own = viewer.hello["you"].clone();
+    viewer.until("at the wheel", |state| state["holder"] == own);
+    // What is wanted before a tick is in that tick, and rises as a foot presses.
+    viewer.send(json!({ "do": "pause", "on": true }));
+    let still = viewer.until("paused", |state| state["paused"] == true);
+    viewer.drive(0.0, 1.0);
+    viewer.send(json!({ "do": "step" }));
+    let next = viewer.until("a tick", |state| state["tick"].as_u64() > still["tick"].as_u64());
+    assert_eq!(next["tick"].as_u64().unwrap(), still["tick"].as_u64().unwrap() + 1);
+    let throttle = |state: &Value| state["control"]["throttle"].as_f64().unwrap();
+    let pressed = throttle(&next) - throttle(&still);
+    assert!(throttle(&next) == 1.0 || pressed > 0.2, "{pressed}");
+    viewer.send(json!({ "do": "pause", "on": false }));
+    // Another viewer may not take the wheel away.
+    other.send(json!({ "do": "driver", "name": "manual" }));
+    let began = viewer.tick().0;
+    let mut end = began.clone();
+    while end["time"].as_f64().unwrap() < began["time"].as_f64().unwrap() + 4.0 {
+        viewer.drive(0.0, 0.7);
+        end = viewer.tick().0;
+    }
+    let place = |state: &Value| (state["ego"]["x"].as_f64().unwrap(), state["ego"]["y"].as_f64().unwrap());
+    let ((x, y), (to_x, to_y)) = (place(&still), place(&end));
+    let way = (to_x - x).hypot(to_y - y);
+    assert!(way > 3.0, "{way}");
+
+    assert!(end["holder"] == own && end["notes"].to_string().contains("asks for manual"), "{end}");
+
+    // When the driver has gone, the autopilot has it at once.
+    drop(viewer);
+    let gone = Instant::now();
+    other.until("the autopilot's", |state| state["driver"] == "autopilot");
+    assert!(gone.elapsed() < Duration::from_millis(2500), "{:?}", gone.elapsed());
+    assert!(run.said("the autopilot takes over"));
+
+    // Wishes are part of the drive.
+    other.send(json!({ "do": "respawn" }));
+    other.send(json!({ "do": "traffic", "vehicles": 12, "pedestrians": 4 }));
+    let state = other.until("put down elsewhere", |state| state["notes"].to_string().contains("put down"));
+    let tick = state["tick"].as_u64().unwrap();
+    other.send(json!({ "do": "new_route" }));
+    other.until("a few ticks on", |state| state["tick"].as_u64().unwrap() > tick + 12);
+    assert_eq!(run.stop(), Some(4));
+    let telemetry = std::fs::read_to_string(folder.path().join("run/telemetry.jsonl")).unwrap();
+    assert!(telemetry.contains(r#""driver":"manual""#) && telemetry.contains(r#""wish":"respawn""#));
+    collect_again(folder.path());
+}
+
+/// `dataset collect` drives the run again, and finds the ego where the run says.
+#[cfg(feature = "vision")]
+fn collect_again(folder: &Path) {
+    let collected = Command::new(env!("CARGO_BIN_EXE_wad-cosim"))
+        .args(["dataset", "collect", "--weather", "ClearNoon", "--json", "--from"])
+        .arg(folder.join("run"))
+        .arg("--out")
+        .arg(folder.join("data"))
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&collected.stderr);
+    assert!(collected.status.success(), "{said}");
+    let report: Value = serde_json::from_slice(&collected.stdout).unwrap();
+    assert!(report["frames"].as_u64().unwrap() > 3, "{report}");
+}
+
+#[cfg(not(feature = "vision"))]
+fn collect_again(_: &Path) {}
+
+#[test]
+fn beyond_this_machine_a_token_is_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let said = |extra: &[&str]| {
+        let run = Command::new(env!("CARGO_BIN_EXE_wad-cosim"))
+            .args(["run", "town5", "--view", "0.0.0.0:0", "--ticks", "1", "--out"])
+            .arg(folder.path().join("run"))
+            .args(extra)
+            .output()
+            .unwrap();
+        (run.status.code(), String::from_utf8_lossy(&run.stderr).into_owned())
+    };
+    let (code, text) = said(&[]);
+    assert!(code == Some(2) && text.contains("--view-token"), "{text}");
+    let (code, text) = said(&["--view-token", "short"]);
+    assert!(code == Some(2) && text.contains("8 characters"), "{text}");
+
+    let out = folder.path().join("run").display().to_string();
+    let args = ["run", "town5", "--traffic", "empty", "--out", &out, "--view-token", "let-me-in"];
+    let run = Viewed::start(&args);
+    let (address, query) = run.address.split_once("/?").expect("the token in the address");
+    let mut viewer = Viewer::join_at(&format!("ws://{address}/ws?{query}"));
+    viewer.tick();
+    let own = format!("Host: {address}\r\n");
+    assert!(
+        request(address, "/", &own).contains("403")
+            && request(address, "/map.json?token=", &own).contains("403")
+    );
+    assert!(request(address, &format!("/?{query}"), &own).contains("200"));
+}
+
+#[test]
+fn the_page_in_a_browser() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = run_in(folder.path(), &["--view-speed", "2"]);
+    drop(Viewer::join(&run.address));
+    let mut browser = Browser::start();
+    let page = browser.open(&run.url(), (1366, 768));
+    browser.wait(&page, "window.wad && wad.frames > 3");
+    let shown = "(() => { const t = document.createElement('canvas'); t.width = t.height = 64; \
+                 const c = t.getContext('2d', { willReadFrequently: true }); \
+                 c.drawImage(document.getElementById('camera'), 0, 0, 64, 64); \
+                 return c.getImageData(0, 0, 64, 64).data.reduce((h, v) => (h * 31 + v) | 0, 0); })()";
+    let pixels = browser.ask(&page, shown);
+    browser.wait(&page, &format!("{shown} !== {pixels}"));
+
+    // Pause holds the clock, a step moves it by one.
+    browser.key(&page, "p", "KeyP", true);
+    browser.key(&page, "p", "KeyP", false);
+    browser.wait(&page, "wad.state.paused");
+    let tick = browser.ask(&page, "wad.state.tick").as_u64().unwrap();
+    std::thread::sleep(Duration::from_millis(500));
+    assert_eq!(browser.ask(&page, "wad.state.tick"), tick);
+    browser.ask(&page, "document.getElementById('step').click()");
+    browser.wait(&page, &format!("wad.state.tick === {}", tick + 1));
+
+    // Two viewers agree.
+    let second = browser.open(&run.url(), (390, 844));
+    browser.wait(&second, "window.wad && wad.state");
+    let place = "[wad.state.tick, wad.state.ego.x, wad.state.ego.y, wad.state.sums.join()].join()";
+    assert_eq!(browser.ask(&page, place), browser.ask(&second, place));
+    browser.close(&second);
+    browser.ask(&page, "document.getElementById('pause').click()");
+    browser.wait(&page, "!wad.state.paused");
+
+    // Keys drive the ego for ten simulated seconds, from a place where nobody stands in its way.
+    browser.ask(&page, "document.getElementById('respawn').click()");
+    browser.wait(&page, "document.getElementById('events').textContent.includes('put down')");
+    browser.key(&page, "m", "KeyM", true);
+    browser.key(&page, "m", "KeyM", false);
+    browser.wait(&page, "wad.state.holder === wad.hello.you");
+    let before = browser.ask(&page, "[wad.state.ego.x, wad.state.ego.y, wad.state.time]");
+    browser.key(&page, "ArrowUp", "ArrowUp", true);
+    let until = before[2].as_f64().unwrap() + 10.0;
+    browser.wait(&page, "wad.state.control.throttle > 0.5");
+    browser.wait(&page, &format!("wad.state.time > {until}"));
+    browser.key(&page, "ArrowUp", "ArrowUp", false);
+    let after = browser.ask(&page, "[wad.state.ego.x, wad.state.ego.y]");
+    let way = |i: usize| after[i].as_f64().unwrap() - before[i].as_f64().unwrap();
+    assert!(way(0).hypot(way(1)) > 10.0, "{before} {after}");
+    browser.ask(&page, "document.querySelector('[data-name=autopilot]').click()");
+    browser.wait(&page, "wad.state.driver === 'autopilot'");
+
+    // A page that is loaded again is there again.
+    browser.reload(&page);
+    browser.wait(
+        &page,
+        "window.wad && wad.frames > 2 && document.getElementById('link').textContent === 'live'",
+    );
+    let mut latencies: Vec<f64> =
+        serde_json::from_value(browser.ask(&page, "wad.latencies")).expect("numbers of ms");
+    latencies.sort_by(f64::total_cmp);
+    eprintln!("tick to pixels: median {:.0} ms", latencies[latencies.len() / 2]);
+    assert_eq!(browser.complaints, Vec::<String>::new());
+    assert_eq!(run.stop(), Some(4));
+}
+
+/// A crash of a driver who only accelerates, as `eval` keeps it.
+#[cfg(feature = "vision")]
+fn kept_crashes(folder: &Path) -> String {
+    let out = folder.join("eval");
+    let evaluated = Command::new(env!("CARGO_BIN_EXE_wad-cosim"))
+        .args(["eval", "tasks", "--agent", "constant:1,0,0", "--town", "town5", "--task", "one_turn"])
+        .args(["--weather", "WetCloudySunset", "--episodes", "2", "--out"])
+        .arg(&out)
+        .output()
+        .unwrap();
+    assert!(evaluated.status.success(), "{}", String::from_utf8_lossy(&evaluated.stderr));
+    out.display().to_string()
+}
+
+#[cfg(feature = "vision")]
+#[test]
+fn a_kept_episode_is_played_and_scrubbed_in_a_browser() {
+    let folder = tempfile::tempdir().unwrap();
+    let kept = kept_crashes(folder.path());
+    let replay = Viewed::start(&["replay", &kept]);
+    drop(Viewer::join(&replay.address));
+    let mut browser = Browser::start();
+    let page = browser.open(&replay.url(), (1366, 768));
+    browser.wait(&page, "window.wad && wad.frames > 1 && wad.hello.mode === 'replay'");
+    assert!(browser.ask(&page, "wad.hello.ticks").as_u64().unwrap() > 5);
+    assert_eq!(browser.ask(&page, "document.querySelectorAll('#episodes li').length"), 2);
+
+    // It plays to its end, which says how it ended.
+    browser.ask(&page, "wad.send({ do: 'speed', factor: 10 })");
+    browser.wait(&page, "wad.state.over");
+    let last = browser.ask(&page, "wad.hello.ticks - 1");
+    assert_eq!(browser.ask(&page, "wad.state.tick"), last);
+    assert!(browser.ask(&page, "document.querySelectorAll('#events li.bad, #events li.warn').length") != 0);
+
+    // The timeline goes where it is dragged, and the same state comes back.
+    let scrub = |tick: u64| {
+        format!(
+            "(() => {{ const s = document.getElementById('scrub'); s.value = {tick}; s.dispatchEvent(new Event('input')); s.dispatchEvent(new Event('change')); }})()"
+        )
+    };
+    assert_eq!(browser.ask(&page, "wad.state.paused"), true);
+    let mut seen = Vec::new();
+    for tick in [4, 1, 4] {
+        browser.ask(&page, &scrub(tick));
+        browser.wait(&page, &format!("wad.state.tick === {tick}"));
+        seen.push(browser.ask(&page, "[wad.state.ego.x, wad.state.ego.y, wad.state.time].join()"));
+    }
+    assert!(seen[0] == seen[2] && seen[0] != seen[1], "{seen:?}");
+
+    // Another one from the list.
+    let first = browser.ask(&page, "wad.hello.episode");
+    browser.ask(&page, "[...document.querySelectorAll('#episodes button')].find((b) => !b.hasAttribute('aria-current')).click()");
+    browser.wait(&page, &format!("wad.hello.episode !== {first}"));
+    browser.wait(&page, "wad.state.tick > 1 && document.querySelector('#episodes [aria-current]')");
+    assert_eq!(browser.complaints, Vec::<String>::new());
+    assert_eq!(replay.stop(), Some(0));
+}
