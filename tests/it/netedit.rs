@@ -133,8 +133,13 @@ fn every_shipped_scenario_survives_netedit() {
             [("rou.xml", "<vType id=\"t_0\""), ("add.xml", "<additional"), ("sumocfg", "netedit")]
         {
             let text = std::fs::read_to_string(copy.folder.join(format!("{name}.{ending}"))).unwrap();
+            let empty = ending == "add.xml" && !text.contains("<poi") && !text.contains("<poly");
             let saved = ending == "sumocfg" || text.contains(made);
-            assert!(saved && text.contains("generated on"), "{name}: netedit did not save {ending}: {text}");
+            // A file without a single shape is nobody's: netedit leaves it alone.
+            assert!(
+                empty || saved && text.contains("generated on"),
+                "{name}: netedit did not save {ending}: {text}"
+            );
         }
         let after = Scenario::load(&config).unwrap_or_else(|error| panic!("{name} after netedit: {error}"));
         assert_eq!(before, meaning(&after), "{name}");
