@@ -12,7 +12,7 @@ fn it_stands_before_the_line_at_red_and_goes_at_green() {
         setup.seconds = 45.0;
         let report = setup.run();
         assert_eq!(report.red_runs, 0, "{report:?}");
-        assert!(report.speed < 0.1 && report.to_line > 0.5 && report.to_line < 1.5, "{report:?}");
+        assert!(report.speed < 0.1 && report.to_line > 1.0 && report.to_line < 2.0, "{report:?}");
         assert!(report.hardest > -3.2, "{report:?}");
         assert!(report.last.is_some_and(|d| d.held && d.brake_light), "{report:?}");
     }
