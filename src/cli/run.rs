@@ -259,6 +259,8 @@ fn scenario_of(args: &Args, config: &std::path::Path) -> anyhow::Result<Option<A
         return Ok(None);
     }
     let install = SumoInstall::find().map_err(|e| Exit::Sumo.because(e))?;
+    // One that is too old is told so, rather than that its list of options reads badly.
+    install.check_version().map_err(|e| Exit::Sumo.because(e))?;
     let schema = OptionSchema::cached(&install, false).map_err(|e| Exit::Sumo.because(e))?;
     let loaded = SumoConfig::load(config, &schema).map_err(|e| Exit::Input.because(e))?;
     if !scenario::has_ego(&loaded) {
