@@ -1,8 +1,12 @@
 //! `run`: the autopilot or a trained agent drives one ego from destination to destination.
 
+mod summary;
+
+pub use summary::{CollisionCounts, Summary};
+
 use crate::autopilot::{Autopilot, AutopilotParams, Decision, EgoModel};
 use crate::bridge::{Bridge, BridgeError, BridgeOptions, Ego, Lamps};
-use crate::criteria::{Cause, Criteria, CriteriaParams, Event, Situation};
+use crate::criteria::{Criteria, CriteriaParams, Event, Situation};
 use crate::destination::{self, DestinationError, Destinations};
 use crate::env::episode;
 use crate::env::{Ending, Termination};
@@ -13,12 +17,13 @@ use crate::telemetry::{
     FolderError, LeaderRecord, LightRecord, RouteRecord, RunFolder, TickRecord, Wish, WriteError,
 };
 use crate::traffic::{Counts, TrafficSpec};
-use crate::vehicle::{self, Control, EgoParams, PartnerKind};
+use crate::vehicle::{self, Control, EgoParams};
 use crate::{cpu_time, seeds};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
+use summary::Totals;
 
 /// What a run is made of; saved as its `config.json`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -82,65 +87,6 @@ struct RunConfig<'a> {
     driver: Option<&'a DriverRecord>,
 }
 
-/// Counts by partner.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct CollisionCounts {
-    pub vehicle: u64,
-    pub pedestrian: u64,
-    #[serde(rename = "static")]
-    pub fixed: u64,
-}
-
-impl CollisionCounts {
-    fn add(&mut self, kind: PartnerKind) {
-        match kind {
-            PartnerKind::Vehicle => self.vehicle += 1,
-            PartnerKind::Pedestrian => self.pedestrian += 1,
-            PartnerKind::Static => self.fixed += 1,
-        }
-    }
-}
-
-/// `summary.json`, and the last line of `run --json`.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Summary {
-    pub town: String,
-    pub seed: u64,
-    pub ticks: u64,
-    pub tick_ms: f64,
-    pub sim_seconds: f64,
-    pub wall_seconds: f64,
-    pub ticks_per_second: f64,
-    pub distance_m: f64,
-    pub mean_speed_mps: f64,
-    /// Mean speed over the ticks in which neither a light nor other traffic held the ego.
-    pub mean_free_speed_mps: f64,
-    /// Ticks in which a light or other traffic held the ego.
-    pub held_ticks: u64,
-    pub top_speed_mps: f64,
-    pub destinations_reached: u64,
-    pub collisions: CollisionCounts,
-    /// Those that the ego caused.
-    pub collisions_caused: CollisionCounts,
-    pub red_lights_run: u64,
-    pub outside_lane_ticks: u64,
-    pub sidewalk_events: u64,
-    pub vehicle_blocked: u64,
-    /// Times the ego was put down elsewhere because it was blocked or had nowhere to go on.
-    pub respawns: u64,
-    pub vehicles_mean: f64,
-    pub pedestrians_mean: f64,
-    pub end: String,
-    /// Of a scenario: whether its task counts the end as a success, and why it ended.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub success: Option<bool>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub cause: Option<String>,
-    pub interrupted: bool,
-    /// The run's folder.
-    pub out: PathBuf,
-}
-
 /// What the status line shows.
 #[derive(Clone, Debug)]
 pub struct Status {
@@ -181,24 +127,6 @@ pub struct Timings {
     pub bridge_cpu: f64,
     pub physics: f64,
     pub agent: f64,
-}
-
-#[derive(Debug, Default)]
-struct Totals {
-    ticks: u64,
-    distance: f64,
-    free: (u64, f64),
-    top_speed: f64,
-    destinations: u64,
-    collisions: CollisionCounts,
-    caused: CollisionCounts,
-    red_lights: u64,
-    outside_ticks: u64,
-    sidewalk: u64,
-    blocked: u64,
-    respawns: u64,
-    vehicles: u64,
-    pedestrians: u64,
 }
 
 impl Drive {
@@ -594,46 +522,6 @@ impl Drive {
             tracing::warn!("SUMO did not close properly: {error}");
         }
         Ok(summary)
-    }
-}
-
-impl Totals {
-    fn add(
-        &mut self,
-        decision: &Decision,
-        before: &crate::vehicle::EgoState,
-        after: &crate::vehicle::EgoState,
-        tick: f64,
-        counts: (usize, usize),
-    ) {
-        let step = (after.pose.position - before.pose.position).xy().norm();
-        self.ticks += 1;
-        self.distance += step;
-        if !decision.held {
-            self.free.0 += 1;
-            self.free.1 += step / tick;
-        }
-        self.top_speed = self.top_speed.max(after.speed);
-        self.vehicles += counts.0 as u64;
-        self.pedestrians += counts.1 as u64;
-    }
-
-    fn judge(&mut self, events: &[Event]) {
-        for event in events {
-            match event {
-                Event::Collision { kind, cause, .. } => {
-                    self.collisions.add(*kind);
-                    if *cause == Cause::Ego {
-                        self.caused.add(*kind);
-                    }
-                }
-                Event::RedLight { .. } => self.red_lights += 1,
-                Event::OutsideLane { .. } => {}
-                Event::Sidewalk => self.sidewalk += 1,
-                Event::VehicleBlocked => self.blocked += 1,
-                Event::Arrival => self.destinations += 1,
-            }
-        }
     }
 }
 

@@ -8,6 +8,7 @@
 //! bridge.step(&mut [&mut ego]) poses in, one SUMO step, a new WorldState for each ego
 //! ```
 
+mod background;
 mod director;
 mod ego;
 mod error;
@@ -21,12 +22,13 @@ pub use error::BridgeError;
 use crate::cores::SharedCore;
 use crate::destination::EGO_CLASS;
 use crate::geometry::Point;
-use crate::network::{LaneId, Network};
+use crate::network::Network;
 use crate::seeds;
 use crate::sumo_config::{OptionSchema, Overrides, SumoConfig};
 use crate::traci::process::{LaunchOptions, SumoInstall, SumoProcess};
-use crate::traci::{self, Batch, RemoveReason, Replies, TcpClient, gui, person, simulation, vehicle};
-use crate::traffic::{self, Counts, Population, StepEvents, TrafficSpec};
+use crate::traci::{self, Batch, Replies, TcpClient, gui, simulation, vehicle};
+use crate::traffic::{Population, StepEvents, TrafficSpec};
+use background::population_of;
 use observe::ActorCatalog;
 use serde::{Deserialize, Serialize};
 use signals::SignalWatch;
@@ -412,111 +414,6 @@ impl Bridge {
         Ok(replies)
     }
 
-    /// Whether no vehicle is on any of these lanes.
-    ///
-    /// # Errors
-    /// SUMO fails.
-    pub async fn is_free(&mut self, lanes: &[LaneId]) -> Result<bool, BridgeError> {
-        let mut batch = Batch::new();
-        let counts: Vec<_> = lanes
-            .iter()
-            .map(|lane| batch.get(traci::lane::LAST_STEP_VEHICLE_NUMBER, &self.network.lane(*lane).id))
-            .collect();
-        let replies = match self.client.send(&batch).await {
-            Ok(replies) => replies,
-            Err(error) => return Err(self.explain(error).await),
-        };
-        for count in counts {
-            if replies.get(count).map_err(traci::Error::from)? > 0 {
-                return Ok(false);
-            }
-        }
-        Ok(true)
-    }
-
-    /// Keeps `counts` of background traffic alive from now on; see [`Population::resize`]. False where
-    /// the population is the config's own.
-    pub fn resize_traffic(&mut self, counts: Counts) -> bool {
-        let Some(population) = &mut self.population else { return false };
-        if population.wanted() != counts {
-            population.resize(counts, &mut self.batch);
-        }
-        true
-    }
-
-    /// The same whatever the population was: the config's own gives way, with the next step, to one that
-    /// is kept alive.
-    ///
-    /// # Errors
-    /// SUMO fails.
-    pub async fn set_traffic(&mut self, counts: Counts) -> Result<(), BridgeError> {
-        self.resized = true;
-        if self.resize_traffic(counts) {
-            return Ok(());
-        }
-        let mut ask = Batch::new();
-        let (vehicles, persons) = (ask.get(vehicle::ID_LIST, ""), ask.get(person::ID_LIST, ""));
-        let replies = self.ask(&ask).await?;
-        let mut population =
-            population_of(&self.traffic_roads, Counts::default(), self.traffic_seed, self.traffic_alone);
-        for id in replies.get(vehicles).map_err(traci::Error::from)? {
-            if self.traffic_alone && !KEPT.contains(&id.as_str()) {
-                vehicle::remove(&mut self.batch, &id, RemoveReason::Vaporized);
-            }
-        }
-        let persons = replies.get(persons).map_err(traci::Error::from)?;
-        for id in persons.into_iter().filter(|_| self.traffic_alone) {
-            person::remove(&mut self.batch, &id, RemoveReason::Vaporized);
-        }
-        population.define_types(&mut self.batch);
-        // They come with the next updates, out of the ego's sight.
-        population.resize(counts, &mut self.batch);
-        self.population = Some(population);
-        Ok(())
-    }
-
-    /// Takes background vehicles within `radius` (m) of `place` away with the next step; they come
-    /// back elsewhere. `lanes` are the lanes looked at. False where one stays that is not the
-    /// population's.
-    ///
-    /// # Errors
-    /// SUMO fails.
-    pub async fn clear(&mut self, place: Point, radius: f64, lanes: &[LaneId]) -> Result<bool, BridgeError> {
-        let mut batch = Batch::new();
-        let tickets: Vec<_> = lanes
-            .iter()
-            .map(|lane| batch.get(traci::lane::LAST_STEP_VEHICLE_IDS, &self.network.lane(*lane).id))
-            .collect();
-        let replies = self.ask(&batch).await?;
-        let mut ids: Vec<String> = Vec::new();
-        for ticket in tickets {
-            ids.extend(replies.get(ticket).map_err(traci::Error::from)?);
-        }
-        ids.retain(|id| id != "ego");
-        ids.sort_unstable();
-        ids.dedup();
-        if ids.is_empty() {
-            return Ok(true);
-        }
-        let mut batch = Batch::new();
-        let tickets: Vec<_> = ids.iter().map(|id| batch.get(vehicle::POSITION, id)).collect();
-        let replies = self.ask(&batch).await?;
-        let near = ids.iter().zip(tickets).filter(|(_, ticket)| {
-            let position = replies.get(*ticket);
-            position.is_ok_and(|p| (Point::new(p.x, p.y) - place).norm() < radius)
-        });
-        let mut all = true;
-        for (id, _) in near {
-            match &mut self.population {
-                Some(population) if population.owns(id) => {
-                    population.evict([id.as_str()], &mut self.batch);
-                }
-                _ => all = false,
-            }
-        }
-        Ok(all)
-    }
-
     async fn ask(&mut self, batch: &Batch) -> Result<Replies, BridgeError> {
         match self.client.send(batch).await {
             Ok(replies) => Ok(replies),
@@ -557,15 +454,6 @@ impl Bridge {
         }
         Ok(closed?)
     }
-}
-
-/// Who is in SUMO beside the population.
-const KEPT: [&str; 2] = ["ego", OBSTACLE];
-
-fn population_of(network: &Arc<Network>, counts: Counts, seed: u64, alone: bool) -> Population {
-    let keep = KEPT.map(str::to_string).to_vec();
-    let behaviour = traffic::Options { alone, keep, ..Default::default() };
-    Population::new(Arc::clone(network), counts, seed, behaviour)
 }
 
 fn overrides(options: &BridgeOptions, config: &SumoConfig, tick_ms: f64) -> Overrides {

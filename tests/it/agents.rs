@@ -1,26 +1,11 @@
 //! `train agent` on a real SUMO: it learns, stops on Ctrl-C, goes on, and what it wrote drives.
 
+use super::program::{json, stderr, wad};
 use serde_json::Value;
 use std::os::unix::process::CommandExt;
 use std::path::Path;
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
-
-fn wad(args: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_wad-cosim"));
-    command.args(args).stdin(Stdio::null());
-    command
-}
-
-fn stderr(output: &Output) -> String {
-    String::from_utf8_lossy(&output.stderr).into_owned()
-}
-
-fn json(output: &Output) -> Value {
-    let text = String::from_utf8_lossy(&output.stdout);
-    let last = text.lines().last().unwrap_or_default();
-    serde_json::from_str(last).unwrap_or_else(|e| panic!("{e}: {last:?}\n{}", stderr(output)))
-}
 
 /// A small training behind the encoder that needs no weights.
 const SMALL: [&str; 14] = [

@@ -1,26 +1,10 @@
 //! Benchmarks on a real SUMO: the same table however it was driven, external agents, replays, reports.
 
-use serde_json::Value;
+use super::program::{json, stderr, wad};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
-
-fn wad(args: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_wad-cosim"));
-    command.args(args).stdin(Stdio::null());
-    command
-}
-
-fn stderr(output: &Output) -> String {
-    String::from_utf8_lossy(&output.stderr).into_owned()
-}
-
-fn json(output: &Output) -> Value {
-    let text = String::from_utf8_lossy(&output.stdout);
-    let last = text.lines().last().unwrap_or_default();
-    serde_json::from_str(last).unwrap_or_else(|e| panic!("{e}: {last:?}\n{}", stderr(output)))
-}
 
 /// A suite of short episodes, in a folder of its own.
 struct Small {

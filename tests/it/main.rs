@@ -15,6 +15,7 @@ mod eval;
 mod netedit;
 mod nets;
 mod network;
+mod program;
 mod run;
 mod scenario;
 mod traci;
