@@ -222,6 +222,8 @@ impl Ego {
         batch.set(vehicle_type::SET_WIDTH, &type_id, params.width);
         batch.set(vehicle_type::SET_HEIGHT, &type_id, params.height);
         batch.set(vehicle_type::SET_MAX_SPEED, &type_id, 60.0);
+        // Those behind keep a gap for how hard it can brake: SUMO's cars brake at 4.5 m/s2, so they expect that.
+        batch.set(vehicle_type::SET_APPARENT_DECEL, &type_id, params.hardest_braking());
         let route_id = self.define_route(network, batch);
         vehicle::add(
             batch,

@@ -62,6 +62,14 @@ struct Still {
     height: f32,
 }
 
+/// Pixels of a row with one look.
+#[derive(Clone, Copy)]
+struct Stretch {
+    look: usize,
+    x0: usize,
+    x1: usize,
+}
+
 /// The pixels of an item.
 #[derive(Clone, Copy, Debug)]
 struct Extent {
@@ -233,6 +241,7 @@ impl CpuRenderer {
             }
             // The first and the end of the pixels that show something.
             let (mut x, mut any, mut last) = (0, width, 0);
+            let mut waiting = None;
             let mut ends = std::mem::take(&mut self.ends);
             effects::find_runs(ids, width, &mut ends);
             for &end in ends.found() {
@@ -240,6 +249,7 @@ impl CpuRenderer {
                 let id = ids[x0];
                 x = end as usize;
                 let Some(index) = (id as usize).checked_sub(1) else {
+                    self.shade(waiting.take(), iz, &mut row, shot, &still, y);
                     if let (true, Some(sky)) = (outputs.rgb, &self.sky) {
                         sky.row(view, &self.look, y, (x0, x), &mut self.pixels[line..line + stride]);
                     }
@@ -253,9 +263,17 @@ impl CpuRenderer {
                         self.groups.push(group(geometry, index));
                         self.looks[index] = self.surfaces.len() as u32;
                     }
-                    let surface = &self.surfaces[self.looks[index] as usize - 1];
-                    let run = Run { surface, x0, x1: x, y: y as f32 + 0.5, iz };
-                    self.shade(&run, &mut row, shot, &still, y);
+                    let look = self.looks[index] as usize - 1;
+                    let stretch = Stretch { look, x0, x1: x };
+                    waiting = match waiting {
+                        Some(before) if self.go_on(before, stretch, iz, y) => {
+                            Some(Stretch { x1: x, ..before })
+                        }
+                        before => {
+                            self.shade(before, iz, &mut row, shot, &still, y);
+                            Some(stretch)
+                        }
+                    };
                 }
                 let tri = geometry.tris.get(index);
                 if outputs.semantic {
@@ -288,6 +306,7 @@ impl CpuRenderer {
                 }
             }
             self.ends = ends;
+            self.shade(waiting, iz, &mut row, shot, &still, y);
             if outputs.rgb {
                 if any < last {
                     let pixels = &mut self.pixels[line..line + stride];
@@ -340,8 +359,34 @@ impl CpuRenderer {
         effects::unpack(colours, &mut rgb[3 * y * width..][..3 * width]);
     }
 
-    /// The colours of a run.
-    fn shade(&self, run: &Run<'_>, row: &mut Row, shot: &Shot<'_>, still: &Still, y: usize) {
+    /// Whether `next` is ground that goes on as `before` it: then both are shaded in one.
+    fn go_on(&self, before: Stretch, next: Stretch, iz: &[f32], y: usize) -> bool {
+        let (a, b) = (&self.surfaces[before.look], &self.surfaces[next.look]);
+        if !a.kind.is_ground() || !a.is_lit_as(b) || before.x1 < before.x0 + 2 {
+            return false;
+        }
+        // In one plane: 1 / depth is linear over both.
+        let [first, last] = [before.x1 - 2, before.x1 - 1].map(|x| iz[x]);
+        if (2.0 * last - first - iz[next.x0]).abs() > 1e-3 * last {
+            return false;
+        }
+        let numbers = &self.grounds[a.material as usize];
+        let textured = a.kind == Kind::Slabs || a.kind == Kind::Asphalt && numbers.tracks;
+        !textured || [next.x0, next.x1 - 1].iter().all(|&x| a.maps_as(b, [x as f32, y as f32 + 0.5], iz[x]))
+    }
+
+    /// The colours of a stretch, if there is one.
+    fn shade(
+        &self,
+        stretch: Option<Stretch>,
+        iz: &[f32],
+        row: &mut Row,
+        shot: &Shot<'_>,
+        still: &Still,
+        y: usize,
+    ) {
+        let Some(Stretch { look, x0, x1 }) = stretch else { return };
+        let run = &Run { surface: &self.surfaces[look], x0, x1, y: y as f32 + 0.5, iz };
         let (view, weather) = (shot.view, shot.weather);
         let material = run.surface.material as usize;
         match run.surface.kind {

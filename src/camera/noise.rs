@@ -40,8 +40,6 @@ impl Tile {
 
 /// The tiles that the shading uses.
 pub struct Tiles {
-    /// Independent texels.
-    pub grain: Tile,
     /// Clouds of several sizes.
     pub clouds: Tile,
     /// Thin dark lines where fields of noise cross their middle.
@@ -52,7 +50,6 @@ pub struct Tiles {
 pub fn tiles() -> &'static Tiles {
     static TILES: OnceLock<Tiles> = OnceLock::new();
     TILES.get_or_init(|| Tiles {
-        grain: Tile::new(|x, y| random(x, y, 1)),
         clouds: Tile::new(|x, y| fractal(x as f32, y as f32, 3)),
         cracks: Tile::new(|x, y| {
             let warp = fractal(x as f32, y as f32, 9) - 0.5;

@@ -6,7 +6,7 @@
 use super::lanes::{Lane, lanes};
 use super::noise::{Tile, Tiles, tiles};
 use super::raster::PAD;
-use super::shade::{Linear, Row, Run, fade};
+use super::shade::{Linear, Row, Run, fade, grain};
 use super::shadow_map::{Texels, sample};
 use super::surface::{GroundNumbers, Kind, Surface};
 use super::weather::Weather;
@@ -86,22 +86,21 @@ struct Along<'a> {
 
 // Closures would not be compiled for the lanes' instructions: functions that are always inlined instead.
 
-/// The dry, unpainted albedo, and the middle and large noise about 0.
+/// The dry, unpainted albedo with `detail`, and the middle and large noise about 0.
 #[inline(always)]
-fn bare<L: Lane, const KIND: u8>(a: &Along<'_>, at: L, z: L, w: [L; 2], n_fine: L) -> ([L; 3], L, L) {
+fn bare<L: Lane, const KIND: u8>(a: &Along<'_>, at: L, z: L, w: [L; 2], detail: L) -> ([L; 3], L, L) {
     let v = L::splat;
-    let (zero, one, half) = (v(0.0), v(1.0), v(0.5));
+    let (zero, one) = (v(0.0), v(1.0));
     let n_mid = if a.mid > 0.0 { noise(&a.tiles.clouds, w, 8.0, a.mid) } else { zero };
     let n_large = noise(&a.tiles.clouds, w, 0.5, a.large);
     let [red, green, blue] = [v(a.s.albedo[0]), v(a.s.albedo[1]), v(a.s.albedo[2])];
-    let grain = v(GRAIN[KIND as usize]);
     let (mid, large) = match KIND {
         ASPHALT => (0.22, 0.34),
         SLABS => (0.16, 0.22),
         LAWN => (0.6, 0.35),
         _ => (0.25, 0.3),
     };
-    let mut m = n_fine.fma(grain, n_mid.fma(v(mid), n_large.fma(v(large), one)));
+    let mut m = detail + n_mid.fma(v(mid), n_large.fma(v(large), one));
     if KIND == ASPHALT {
         if a.mid > 0.0 {
             let cracks = a.tiles.cracks.sample(w[0] * v(5.0), w[1] * v(5.0));
@@ -115,21 +114,26 @@ fn bare<L: Lane, const KIND: u8>(a: &Along<'_>, at: L, z: L, w: [L; 2], n_fine: 
             m = m - v(0.10).fma(oil, v(0.05) * wheels) / (wheels * oil);
         }
     }
-    if KIND == SLABS && a.joint_fade > 0.02 {
-        let joint = a.g.numbers.slabs;
-        let (along, across) = (a.s_at.at(at, z) * v(1.0 / joint[0]), a.t_at.at(at, z) * v(1.0 / joint[1]));
-        let (ia, ib) = (along.floor(), across.floor());
-        let da = (half - (along - ia - half).abs()) * v(joint[0]);
-        let db = (half - (across - ib - half).abs()) * v(joint[1]);
-        let line = (one - da.min(db) * v(45.0)).max(zero) * v(a.joint_fade * 0.35);
-        m = m + (L::random(ia, ib, 5) - half) * v(0.16 * a.joint_fade) - line;
-    }
     if KIND == LAWN {
         let dry = n_large.fma(v(1.1), n_mid.fma(v(0.5), v(0.30))).unit();
         let (r, b) = (dry.fma(v(0.7), v(0.8)), dry.fma(v(-0.4), v(1.05)));
         return ([red * m * r, green * m, blue * m * b], n_mid, n_large);
     }
     ([red * m, green * m, blue * m], n_mid, n_large)
+}
+
+/// What slabs add to the brightness: each has its own, and joints are dark.
+#[inline(always)]
+fn slabs<L: Lane>(a: &Along<'_>, at: L, z: L) -> L {
+    let v = L::splat;
+    let (one, half) = (v(1.0), v(0.5));
+    let joint = a.g.numbers.slabs;
+    let (along, across) = (a.s_at.at(at, z) * v(1.0 / joint[0]), a.t_at.at(at, z) * v(1.0 / joint[1]));
+    let (ia, ib) = (along.floor(), across.floor());
+    let da = (half - (along - ia - half).abs()) * v(joint[0]);
+    let db = (half - (across - ib - half).abs()) * v(joint[1]);
+    let line = (one - da.min(db) * v(45.0)).max(v(0.0)) * v(a.joint_fade * 0.35);
+    (L::random(ia, ib, 5) - half) * v(0.16 * a.joint_fade) - line
 }
 
 /// The albedo of paint, and its share of the surface.
@@ -219,14 +223,14 @@ fn ground_run<L: Lane, const KIND: u8>(run: &Run<'_>, g: &Ground<'_>, row: &mut 
     let one = v(1.0);
     // Posts may stand as far apart (m) as what they carry varies: middle noise, shadows, large noise.
     let apart = across * POST as f32;
-    let most = if a.mid > 0.0 {
+    let most = if a.mid > 0.3 {
         0.42
     } else if a.shadowed {
         0.5
     } else {
         1.0
     };
-    let posted = KIND != SLABS && x1 - x0 >= POSTED && apart <= most;
+    let posted = x1 - x0 >= POSTED && apart <= most;
     if posted {
         let count = (x1 - x0).div_ceil(POST) + 1;
         // 1 / depth is linear along the run.
@@ -264,7 +268,12 @@ fn ground_run<L: Lane, const KIND: u8>(run: &Run<'_>, g: &Ground<'_>, row: &mut 
         let z = one / L::load(&run.iz[x..]);
         let at = v(x as f32) + L::ramp();
         let w = [world[0].at(at, z), world[1].at(at, z)];
-        let n_fine = if a.fine > 0.0 { noise(&a.tiles.grain, w, 56.0, a.fine) } else { v(0.0) };
+        // What is too fine for posts, as a share of the brightness.
+        let n_fine = if a.fine > 0.0 { grain(w[0], w[1], 56.0, a.fine) } else { v(0.0) };
+        let mut detail = n_fine * v(GRAIN[KIND as usize]);
+        if KIND == SLABS && a.joint_fade > 0.02 {
+            detail = detail + slabs(&a, at, z);
+        }
         // All lanes of a post's pixels go one way, however many there are.
         let k = (x - x0) / POST;
         let from = x0 + k * POST;
@@ -272,10 +281,9 @@ fn ground_run<L: Lane, const KIND: u8>(run: &Run<'_>, g: &Ground<'_>, row: &mut 
         let shaded = touched(g.shaded, g.shade, from, u16::MAX);
         if posted && !shaded {
             let part = v((x - from) as f32) + L::ramp();
-            let grain = n_fine.fma(v(GRAIN[KIND as usize]), one);
             let mut colour = [one; 3];
             for (colour, posts) in colour.iter_mut().zip(&row.posts) {
-                *colour = between(posts, k, part) * grain;
+                *colour = between(posts, k, part) * (one + detail);
             }
             if painted {
                 let n_mid = between(&row.posts[7], k, part);
@@ -294,7 +302,7 @@ fn ground_run<L: Lane, const KIND: u8>(run: &Run<'_>, g: &Ground<'_>, row: &mut 
             x += L::COUNT;
             continue;
         }
-        let (mut albedo, n_mid, n_large) = bare::<L, KIND>(&a, at, z, w, n_fine);
+        let (mut albedo, n_mid, n_large) = bare::<L, KIND>(&a, at, z, w, detail);
         if painted {
             let (paint, cover) = paint_of(&a, &g.paint[x..], n_fine, n_mid);
             for i in 0..3 {

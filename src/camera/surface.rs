@@ -29,6 +29,12 @@ pub enum Kind {
     Plate,
 }
 
+impl Kind {
+    pub fn is_ground(self) -> bool {
+        matches!(self, Self::Asphalt | Self::Slabs | Self::Lawn | Self::Rough)
+    }
+}
+
 /// A visible triangle's looks.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Surface {
@@ -46,6 +52,23 @@ pub struct Surface {
     /// The face's corners in the picture (pixels), across and down, a triangle's last one twice; None where it is cut by the
     /// near plane.
     pub outline: Option<[[f32; 4]; 2]>,
+}
+
+impl Surface {
+    /// Whether another is of the same stuff in the same light.
+    pub fn is_lit_as(&self, other: &Self) -> bool {
+        (self.kind, self.material, self.lies) == (other.kind, other.material, other.lies)
+            && (self.ambient, self.sun) == (other.ambient, other.sun)
+    }
+
+    /// Whether the texture of another lies as this one's at a pixel (across, down) of 1 / depth `iz`.
+    pub fn maps_as(&self, other: &Self, [x, y]: [f32; 2], iz: f32) -> bool {
+        (0..2).all(|i| {
+            let [a, b] = [&self.planes[i], &other.planes[i]]
+                .map(|plane| plane[0] * (x + 0.5) + plane[1] * y + plane[2] + plane[3] * iz);
+            (a - b).abs() < 0.01 * iz
+        })
+    }
 }
 
 /// What lights a frame.

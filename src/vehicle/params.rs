@@ -192,6 +192,11 @@ impl EgoParams {
         ))
     }
 
+    /// The hardest braking (m/s2): what the brakes or, if less, the tyres give.
+    pub fn hardest_braking(&self) -> f64 {
+        (self.max_brake_force / self.mass).min(self.tyre_grip * GRAVITY)
+    }
+
     /// How far the springs give in at rest (m).
     pub fn suspension_sag(&self) -> f64 {
         GRAVITY / (std::f64::consts::TAU * self.suspension_frequency).powi(2)

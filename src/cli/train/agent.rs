@@ -13,6 +13,7 @@ use wad_cosim::agent::policy::find_encoder;
 use wad_cosim::agent::sac::SacParams;
 use wad_cosim::agent::td3::Td3Params;
 use wad_cosim::env::{Assets, Env, EnvError, EnvOptions};
+use wad_cosim::latent::Encoder;
 use wad_cosim::tasks::Curriculum;
 use wad_cosim::train::agent::{Limits, Maker, Progress, TrainConfig, TrainError, Trained, train};
 
@@ -138,6 +139,10 @@ pub struct Args {
     /// Standard deviation that the latent's numbers are scaled to.
     #[arg(long, value_name = "X", default_value_t = 1.0)]
     latent_gain: f64,
+    /// Share of the images that are shown as on other days: other light, tints, haze, wet roads, rain;
+    /// never in validation.
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
+    other_days: f64,
     /// Environment steps between validations; 0: never.
     #[arg(long, value_name = "N", default_value_t = 50_000)]
     validate_every: u64,
@@ -212,11 +217,10 @@ pub fn default_collectors() -> usize {
 pub fn maker(name: &str, town: &str) -> anyhow::Result<Maker> {
     let assets = Assets::load(town).map_err(|e| with_exit(TrainError::Env(e)))?;
     let name = name.to_string();
-    let its = name.clone();
     Ok(Maker {
-        encoder: Box::new(move || Ok(find_encoder(&its)?)),
-        env: Box::new(move |options: EnvOptions| -> Result<Env, EnvError> {
-            Env::new(assets.clone(), options, find_encoder(&name)?)
+        encoder: Box::new(move || Ok(find_encoder(&name)?)),
+        env: Box::new(move |options: EnvOptions, encoder: Box<dyn Encoder>| -> Result<Env, EnvError> {
+            Env::new(assets.clone(), options, encoder)
         }),
     })
 }
@@ -269,6 +273,7 @@ fn config(args: &Args) -> anyhow::Result<TrainConfig> {
     let mut config = TrainConfig::new(algorithm, curriculum, &args.encoder, &hash);
     config.seed = args.seed;
     config.latent_gain = args.latent_gain;
+    config.other_days = args.other_days;
     config.env.detector.clone_from(&args.detector);
     config.update_ratio = args.update_ratio;
     config.batch_size = args.batch;

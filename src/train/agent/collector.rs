@@ -2,6 +2,7 @@
 
 use super::Maker;
 use super::config::TrainConfig;
+use super::other_days::OtherDays;
 use super::recording::{Header, Recording};
 use super::schedule::{ActorCopy, Job, Purpose, Report, Schedule};
 use crate::agent::action::{self, Action};
@@ -177,7 +178,12 @@ impl Collector<'_> {
                 if validating {
                     options.world = WorldMode::Fresh;
                 }
-                (self.maker.env)(options)?
+                let mut encoder = (self.maker.encoder)()?;
+                if !validating && self.config.other_days > 0.0 {
+                    let rng = crate::seeds::rng(job.seed, "other days");
+                    encoder = Box::new(OtherDays::new(encoder, self.config.other_days, rng));
+                }
+                (self.maker.env)(options, encoder)?
             }
         };
         let result = self.episode(&mut env, job);

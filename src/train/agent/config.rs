@@ -19,6 +19,10 @@ pub struct TrainConfig {
     /// Standard deviation that the latent's numbers are scaled to; less than 1 lets the raw states lead
     /// where little has been seen yet.
     pub latent_gain: f64,
+    /// Share of the images that are shown as on other days, so that other weathers than the training's
+    /// are less new; never in validation.
+    #[serde(default)]
+    pub other_days: f64,
     /// Everything random derives from it.
     pub seed: u64,
     pub curriculum: Curriculum,
@@ -81,6 +85,7 @@ impl TrainConfig {
             algorithm,
             inputs: Inputs::Both,
             latent_gain: 1.0,
+            other_days: 0.0,
             seed: 0,
             curriculum,
             env: EnvOptions::training(),
@@ -145,6 +150,8 @@ impl TrainConfig {
             Some("expected a batch size and a number of steps of 1 or more, found 0".to_string())
         } else if !(self.update_ratio > 0.0 && self.update_ratio <= 64.0) {
             Some(format!("expected an update ratio above 0 and up to 64, found {}", self.update_ratio))
+        } else if !(0.0..=1.0).contains(&self.other_days) {
+            Some(format!("expected a share of other days from 0 to 1, found {}", self.other_days))
         } else if self.recorded.is_empty()
             && self.learning_starts + self.demonstrations < self.batch_size as u64
         {

@@ -7,6 +7,7 @@ use super::checkpoint::{Best, Checkpoints, RngState, State};
 use super::collector::{Message, Shared, collect, lock};
 use super::config::TrainConfig;
 use super::log::RunLog;
+use super::other_days::OtherDays;
 use super::recording;
 use super::schedule::{ActorCopy, Purpose, Report, Schedule};
 use super::{Limits, Maker, Progress, TrainError, Trained};
@@ -230,6 +231,10 @@ impl<'a> Learning<'a> {
             return Ok(());
         }
         let mut encoder = (maker.encoder)()?;
+        if self.config.other_days > 0.0 {
+            let rng = seeds::rng(self.config.seed, "other days of what was recorded");
+            encoder = Box::new(OtherDays::new(encoder, self.config.other_days, rng));
+        }
         let camera = self.config.env.camera.hash();
         for folder in &self.config.recorded {
             let before = self.demonstrated;

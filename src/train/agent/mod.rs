@@ -15,6 +15,7 @@ mod collector;
 mod config;
 mod learning;
 mod log;
+mod other_days;
 mod recording;
 mod schedule;
 #[cfg(test)]
@@ -53,7 +54,7 @@ pub struct Limits {
 
 /// Makes environments, each on the thread that will use it.
 pub struct Maker {
-    pub env: Box<dyn Fn(EnvOptions) -> Result<Env, EnvError> + Send + Sync>,
+    pub env: Box<dyn Fn(EnvOptions, Box<dyn Encoder>) -> Result<Env, EnvError> + Send + Sync>,
     /// The encoder that they see through.
     pub encoder: Box<dyn Fn() -> Result<Box<dyn Encoder>, EnvError> + Send + Sync>,
 }
