@@ -11,6 +11,10 @@ pub const LATENT_SIZE: usize = 200;
 /// Numbers in the raw vector.
 pub const RAW_SIZE: usize = 15;
 
+/// Places in the raw vector of how near a vehicle in front, and a stop line that binds, are.
+pub const LEAD_NEARNESS: usize = 11;
+pub const LIGHT_NEARNESS: usize = 14;
+
 /// The paper's six raw states by name, in units; [`RawState::vector`] scales them.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RawState {
@@ -25,7 +29,8 @@ pub struct RawState {
     pub heading_error_far: f64,
     /// Gap to the detected vehicle in the ego's path (m) and closing speed (m/s, positive when nearing).
     pub lead: Option<LeadState>,
-    /// Red or yellow ahead: distance from the front bumper to its stop line (m).
+    /// Red ahead, or yellow that the ego can and so must stop for: distance from the front bumper to the
+    /// stop line (m).
     pub stop_light: Option<f64>,
 }
 
@@ -104,7 +109,7 @@ impl RawState {
     /// | 3-8 | road option, one-hot | LaneFollow, Left, Right, Straight, ChangeLaneLeft, ChangeLaneRight |
     /// | 9, 10 | heading errors | / 45 degrees |
     /// | 11, 12 | vehicle in front: nearness 1 - gap / 50 m (0: none); closing speed | / 10 m/s |
-    /// | 13, 14 | red or yellow ahead (0, 1); nearness 1 - distance / 50 m | |
+    /// | 13, 14 | light ahead that must be stopped for (0, 1); nearness 1 - distance / 50 m | |
     ///
     /// Everything is cut to -2 to 2.
     pub fn vector(&self) -> [f32; RAW_SIZE] {

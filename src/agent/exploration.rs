@@ -6,6 +6,7 @@
 //! normal, and it keeps going one way for about 1 / (1 - rho) ticks.
 
 use super::action::{ACTION_SIZE, Action, HIGH, LOW};
+use crate::observation::{LEAD_NEARNESS, LIGHT_NEARNESS, RawState};
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 
@@ -20,6 +21,11 @@ pub struct ExplorationParams {
     /// Each episode draws its own share of the noise, uniform from 0 to 1; this part of the episodes
     /// is driven without any.
     pub quiet_episodes: f64,
+    /// Chance, by tick, that a demonstrating foot slips onto the throttle for about a second while it comes
+    /// close to a stop line or a vehicle (standing there: less often). Else nobody is ever shown how to
+    /// stop in time there.
+    #[serde(default)]
+    pub lapses: f64,
     /// Actions before learning starts: means of steering, throttle and brake, and standard deviations.
     /// The foot is off the brake most of the time, and now and then on it for a second.
     pub start_mean: [f64; ACTION_SIZE],
@@ -32,11 +38,15 @@ impl Default for ExplorationParams {
             exploration_noise: [0.08, 0.15, 0.10],
             correlation: 0.8,
             quiet_episodes: 0.2,
+            lapses: 0.2,
             start_mean: [0.0, 0.45, -0.35],
             start_deviation: [0.08, 0.25, 0.4],
         }
     }
 }
+
+/// Nearness (1 - distance / 50 m) from which on lapses happen: 6 m.
+const NEAR: f32 = 0.88;
 
 /// One episode's noise.
 #[derive(Clone, Debug)]
@@ -46,13 +56,15 @@ pub struct Exploration {
     share: f64,
     /// Standard normal, correlated over time.
     state: [f64; ACTION_SIZE],
+    /// Ticks that the foot is on the throttle yet, and how far down.
+    lapse: (u32, f32),
 }
 
 impl Exploration {
     /// Draws the noise of an episode.
     pub fn new(params: ExplorationParams, rng: &mut impl Rng) -> Self {
         let share = if rng.random::<f64>() < params.quiet_episodes { 0.0 } else { rng.random::<f64>() };
-        Self { params, share, state: std::array::from_fn(|_| normal(rng)) }
+        Self { params, share, state: std::array::from_fn(|_| normal(rng)), lapse: (0, 0.0) }
     }
 
     /// Moves the noise on by a tick; standard normal numbers, for actors that draw from them.
@@ -70,6 +82,23 @@ impl Exploration {
             let noise = self.share * self.params.exploration_noise[i] * self.state[i];
             (action[i] + noise as f32).clamp(LOW[i], HIGH[i])
         })
+    }
+
+    /// A demonstrator's `action` with this tick's noise, and with lapses where `raw` (the observation's) says
+    /// that it has to stop.
+    pub fn slip(&mut self, action: Action, raw: &[f32], rng: &mut impl Rng) -> Action {
+        let [steer, throttle, brake] = self.disturb(action);
+        if self.lapse.0 > 0 {
+            self.lapse.0 -= 1;
+            return [steer, self.lapse.1, 0.0];
+        }
+        let near = |index: usize| raw.get(index).is_some_and(|nearness| *nearness > NEAR);
+        // Most of the time before a line is spent standing.
+        let chance = self.params.lapses * if RawState::speed_of(raw) < 0.3 { 0.15 } else { 1.0 };
+        if (near(LEAD_NEARNESS) || near(LIGHT_NEARNESS)) && rng.random::<f64>() < chance {
+            self.lapse = (rng.random_range(2..7), rng.random_range(0.2..0.9));
+        }
+        [steer, throttle, brake]
     }
 
     /// An action before learning starts: gently forward.
@@ -115,6 +144,21 @@ mod tests {
         let lag = series.windows(2).map(|w| w[0] * w[1]).sum::<f64>() / series.len() as f64;
         assert!(mean.abs() < 0.05 && (variance - 1.0).abs() < 0.05, "{mean} {variance}");
         assert!((lag / variance - 0.8).abs() < 0.02, "correlation {lag}");
+    }
+
+    #[test]
+    fn the_foot_slips_only_close_to_what_must_be_stopped_for() {
+        let mut rng = seeds::rng(4, "exploration");
+        let params = ExplorationParams { quiet_episodes: 1.0, ..ExplorationParams::default() };
+        let mut noise = Exploration::new(params, &mut rng);
+        let standing = [0.0, 0.0, 0.5];
+        let mut slips =
+            |raw: &[f32]| (0..5_000).filter(|_| noise.slip(standing, raw, &mut rng)[2] == 0.0).count();
+        let mut raw = [0.0; crate::observation::RAW_SIZE];
+        assert_eq!(slips(&raw), 0);
+        raw[LIGHT_NEARNESS] = 0.97;
+        let found = slips(&raw);
+        assert!((300..1500).contains(&found), "{found} of 5000 ticks");
     }
 
     #[test]

@@ -6,7 +6,7 @@ use crate::camera::{Camera, Frame, Preset, Town, Weather};
 use crate::latent::Encoder;
 use crate::network::Network;
 use crate::observation::{LATENT_SIZE, Observation, RAW_SIZE, RawState};
-use crate::perception::{self, EgoFacts, LightAhead, Perception, TransformedImage};
+use crate::perception::{self, EgoFacts, LightAhead, Perception, StopLight, TransformedImage};
 use std::time::Instant;
 
 /// Looks at the world after each tick.
@@ -17,6 +17,8 @@ pub struct Eyes {
     sight: Option<Sight>,
     weather: Weather,
     light: Option<LightAhead>,
+    /// Where nothing is looked at.
+    stop_light: StopLight,
     raw: RawState,
     latent: Vec<f32>,
 }
@@ -47,6 +49,7 @@ impl Eyes {
             sight,
             weather: Weather::from(Preset::ClearNoon),
             light: None,
+            stop_light: StopLight::default(),
             raw: RawState::STANDING,
             latent: vec![0.0; LATENT_SIZE],
         })
@@ -55,6 +58,7 @@ impl Eyes {
     /// Begins an episode.
     pub fn reset(&mut self, weather: Preset, seed: u64) {
         self.weather = Weather::from(weather);
+        self.stop_light.reset();
         if let Some(sight) = &mut self.sight {
             sight.perception.reset(seed);
             sight.town = sight.town.share();
@@ -77,7 +81,7 @@ impl Eyes {
         let facts = EgoFacts::of(network, ego, tick);
         let Some(sight) = &mut self.sight else {
             self.light = LightAhead::find(&facts);
-            let stop = self.light.filter(LightAhead::stops).map(|light| light.distance);
+            let stop = self.stop_light.update(self.light.as_ref(), facts.on_route.state.speed);
             self.raw = RawState::of(facts.route, &facts.on_route, None, stop);
             return Ok(self.observation());
         };

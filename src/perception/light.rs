@@ -39,6 +39,40 @@ impl LightAhead {
     }
 }
 
+/// Deceleration (m/s2) up to which a yellow light is obeyed, and how late what is decided acts (s).
+const YELLOW: f64 = 3.0;
+const DELAY: f64 = 0.2;
+
+/// Whether the ego has to stop for the light ahead, from tick to tick.
+///
+/// For red it has to; for yellow where it can (spec.md "Events"), and then to the end: who brakes for a
+/// yellow light does not change its mind.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct StopLight {
+    /// It has to stop for the light that was this far ahead (m).
+    decided: Option<f64>,
+}
+
+impl StopLight {
+    /// Forgets the light.
+    pub fn reset(&mut self) {
+        *self = Self::default();
+    }
+
+    /// The distance (m) to the line where an ego at `speed` (m/s) has to stop.
+    pub fn update(&mut self, light: Option<&LightAhead>, speed: f64) -> Option<f64> {
+        let light = light.filter(|light| light.stops());
+        self.decided = light.and_then(|light| {
+            // Further ahead than before: another light.
+            let same = self.decided.is_some_and(|before| light.distance < before + 1.0);
+            let room = (light.distance - speed * DELAY).max(0.01);
+            let can = speed * speed <= 2.0 * YELLOW * room;
+            (same || can || light.state.is_red()).then_some(light.distance)
+        });
+        self.decided
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -61,6 +95,24 @@ mod tests {
         assert!(yellow.stops() && !yellow.is_red_here());
         // Past the line it is no more the ego's.
         assert!(ahead("rGG", -0.5).is_none());
+    }
+
+    #[test]
+    fn yellow_binds_who_can_stop_and_goes_on_binding() {
+        let yellow = |distance| LightAhead { state: SignalState::Yellow, distance };
+        let mut light = StopLight::default();
+        // 10 m/s: 16.7 m at 3 m/s2, and 2 m before it begins.
+        assert_eq!(light.update(Some(&yellow(18.0)), 10.0), None);
+        assert_eq!(light.update(Some(&yellow(19.0)), 10.0), Some(19.0));
+        assert_eq!(light.update(Some(&yellow(17.0)), 10.0), Some(17.0), "it began to brake");
+        // The next light is another matter.
+        assert_eq!(light.update(Some(&yellow(18.5)), 10.0), None);
+        let red = LightAhead { state: SignalState::Red, distance: 5.0 };
+        assert_eq!(light.update(Some(&red), 14.0), Some(5.0));
+        assert_eq!(light.update(None, 14.0), None);
+        light.update(Some(&yellow(19.0)), 10.0);
+        light.reset();
+        assert_eq!(light.update(Some(&yellow(17.0)), 10.0), None);
     }
 
     #[test]

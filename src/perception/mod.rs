@@ -34,7 +34,7 @@ pub use choice::{DETECTORS, MIN_SCORE, detector};
 pub use ground::GroundPlane;
 pub use image::{TRANSFORMED_SIZE, TransformedImage};
 pub use lanes::{LaneBoundary, LaneDetector, LaneEstimate};
-pub use light::{AT_INTERSECTION, LightAhead};
+pub use light::{AT_INTERSECTION, LightAhead, StopLight};
 #[cfg(feature = "vision")]
 pub use onnx::OnnxDetector;
 pub use pipeline::{EgoFacts, Percept, Perception};

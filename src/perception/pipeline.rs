@@ -1,7 +1,7 @@
 //! All stages of a tick in order: detect, lanes, light, vehicle in front, transformed image, raw state.
 
 use super::lead::{self, LeadTracker};
-use super::light::LightAhead;
+use super::light::{LightAhead, StopLight};
 use super::paint::Painter;
 use super::{
     Detection, Detector, GroundPlane, LaneDetector, LaneEstimate, PerceptionError, TransformedImage,
@@ -61,6 +61,7 @@ pub struct Perception {
     ground: GroundPlane,
     lanes: LaneDetector,
     lead: LeadTracker,
+    stop_light: StopLight,
     painter: Painter,
     percept: Percept,
 }
@@ -77,6 +78,7 @@ impl Perception {
             ground: GroundPlane::new(&camera),
             lanes: LaneDetector::new()?,
             lead: LeadTracker::default(),
+            stop_light: StopLight::default(),
             painter: Painter::default(),
             percept: Percept {
                 detections: Vec::new(),
@@ -109,6 +111,7 @@ impl Perception {
         self.detector.reset(seed);
         self.lanes.reset();
         self.lead.reset();
+        self.stop_light.reset();
     }
 
     /// All stages. `frame` is what [`Perception::camera`] saw after the tick that `facts` are of.
@@ -153,7 +156,8 @@ impl Perception {
         self.percept.light_red = light.is_some_and(|light| light.is_red_here());
         let nearest = lead::nearest(&self.percept.detections, &self.ground, facts);
         let lead = self.lead.update(nearest.as_ref(), &self.ground, facts);
-        let stop_light = light.filter(|l| l.stops() && l.distance <= lead::SIGHT).map(|l| l.distance);
+        let speed = facts.on_route.state.speed;
+        let stop_light = self.stop_light.update(light.as_ref(), speed).filter(|d| *d <= lead::SIGHT);
         self.percept.raw = RawState::of(facts.route, &facts.on_route, lead, stop_light);
     }
 

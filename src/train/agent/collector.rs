@@ -11,7 +11,7 @@ use crate::agent::learner::{Actor, InputScale};
 use crate::agent::networks::Dims;
 use crate::agent::replay_buffer::{SEGMENT, Segment};
 use crate::env::{End, Env, EnvError, Stages, WorldMode};
-use crate::observation::Observation;
+use crate::observation::{LATENT_SIZE, Observation};
 use crate::reward::RewardTerms;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -266,7 +266,8 @@ impl Collector<'_> {
         let action = match purpose {
             Purpose::Demonstrate { noisy } => {
                 let action = shown.unwrap_or_default();
-                return Ok(if *noisy { noise.disturb(action) } else { action });
+                let raw = &observation[LATENT_SIZE.min(observation.len())..];
+                return Ok(if *noisy { noise.slip(action, raw, rng) } else { action });
             }
             Purpose::Start => return Ok(noise.start_action()),
             Purpose::Explore => {
