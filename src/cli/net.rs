@@ -209,9 +209,18 @@ fn enrich(args: &Enrich) -> anyhow::Result<Exit> {
         return Err(with_exit(NetError::Nothing { path: net }));
     }
     let done = nets::enrich(&net, &args.out, wanted).map_err(with_exit)?;
+    let dropped = if done.dropped_signals.is_empty() {
+        String::new()
+    } else {
+        format!(
+            "netconvert dropped {} signals: {}; look at them in netedit\n",
+            done.dropped_signals.len(),
+            done.dropped_signals.join(", ")
+        )
+    };
     let text = format!(
         "{}: signals {} -> {}, sidewalks {} -> {}, crossings {} -> {}\n\
-         lanes: {} compared, none off its line (worst {:.3} m); {} put back; {} end up to {:.1} m earlier to make room\n",
+         lanes: {} compared, none off its line (worst {:.3} m); {} put back; {} end up to {:.1} m earlier to make room\n{dropped}",
         args.out.display(),
         done.signals.0,
         done.signals.1,

@@ -24,6 +24,8 @@ pub struct Enriched {
     pub signals: (usize, usize),
     pub sidewalks: (usize, usize),
     pub crossings: (usize, usize),
+    /// Signals of the old net that netconvert did without, by id: most control nothing that drives.
+    pub dropped_signals: Vec<String>,
     /// Lanes that netconvert moved and that were put back.
     pub put_back: usize,
     /// Where the lanes lie now, measured against the old net: none is off its line.
@@ -103,9 +105,16 @@ pub fn enrich(from: &Path, to: &Path, wanted: Wanted) -> Result<Enriched, NetErr
         signals: (old.traffic_lights.len(), new.traffic_lights.len()),
         sidewalks: (sidewalks(&old), sidewalks(&new)),
         crossings: (old.crossings.len(), new.crossings.len()),
+        dropped_signals: dropped_signals(&old, &new),
         put_back,
         moved,
     })
+}
+
+fn dropped_signals(old: &Network, new: &Network) -> Vec<String> {
+    let kept: BTreeSet<&str> = new.traffic_lights.iter().map(|light| light.id.as_str()).collect();
+    let ids = old.traffic_lights.iter().map(|light| light.id.as_str());
+    ids.filter(|id| !kept.contains(id)).map(str::to_string).collect()
 }
 
 /// Junctions that a town would signal: four arms for cars, or three of which one is wide or fast.

@@ -105,7 +105,12 @@ fn enriched_nets_keep_their_lanes_on_their_lines() {
         let done = nets::enrich(&from, &to, wanted).unwrap_or_else(|error| panic!("{name}: {error}"));
         assert_eq!((done.moved.lanes, done.moved.missing), (0, 0), "{name}: {done:?}");
         // Measured again, from the files.
-        let again = nets::compare(&old, &Network::load(&to).unwrap());
+        let new = Network::load(&to).unwrap();
+        let again = nets::compare(&old, &new);
+        let kept = |id: &str| new.traffic_lights.iter().any(|light| light.id == id);
+        let dropped: Vec<_> =
+            old.traffic_lights.iter().map(|light| light.id.clone()).filter(|id| !kept(id)).collect();
+        assert_eq!(done.dropped_signals, dropped, "{name}");
         assert!(again.worst <= 0.02 && again.compared > 10, "{name}: {again:?}");
         if name.starts_with("grid6") {
             assert!(done.sidewalks.1 > 0 && done.crossings.1 > 0, "{done:?}");
