@@ -52,9 +52,12 @@ pub struct Limits {
     pub record: Option<PathBuf>,
 }
 
+/// Makes an environment that sees through an encoder.
+type MakeEnv = dyn Fn(EnvOptions, Box<dyn Encoder>) -> Result<Env, EnvError> + Send + Sync;
+
 /// Makes environments, each on the thread that will use it.
 pub struct Maker {
-    pub env: Box<dyn Fn(EnvOptions, Box<dyn Encoder>) -> Result<Env, EnvError> + Send + Sync>,
+    pub env: Box<MakeEnv>,
     /// The encoder that they see through.
     pub encoder: Box<dyn Fn() -> Result<Box<dyn Encoder>, EnvError> + Send + Sync>,
 }
