@@ -13,7 +13,7 @@ from pathlib import Path
 
 WINDOW = 40
 COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00"]
-WIDTH, HEIGHT, LEFT, TOP, GAP = 620, 190, 64, 34, 58
+WIDTH, HEIGHT, LEFT, TOP, GAP = 640, 190, 64, 34, 58
 
 
 def episodes(run):
@@ -49,12 +49,12 @@ def at(line, step):
 
 
 def panel(lines, top, title, low, high, last):
-    x = lambda step: LEFT + (WIDTH - LEFT - 16) * step / last
+    x = lambda step: LEFT + (WIDTH - LEFT - 30) * step / last
     y = lambda value: top + HEIGHT * (1 - (value - low) / (high - low))
     out = [f'<text x="{LEFT}" y="{top - 10}" font-size="14" font-weight="bold">{title}</text>']
     for i in range(5):
         value, step = low + (high - low) * i / 4, last * i / 4
-        out.append(f'<line x1="{LEFT}" x2="{WIDTH - 16}" y1="{y(value):.1f}" y2="{y(value):.1f}" stroke="#e4e4e4"/>')
+        out.append(f'<line x1="{LEFT}" x2="{WIDTH - 30}" y1="{y(value):.1f}" y2="{y(value):.1f}" stroke="#e4e4e4"/>')
         out.append(f'<text x="{LEFT - 6}" y="{y(value) + 4:.1f}" text-anchor="end">{value:.4g}</text>')
         out.append(f'<text x="{x(step):.1f}" y="{top + HEIGHT + 16}" text-anchor="middle">{step:,.0f}</text>')
     points = lambda line: " ".join(f"{x(s):.1f},{min(max(y(v), top), top + HEIGHT):.1f}" for s, v in line)
