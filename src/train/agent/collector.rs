@@ -178,11 +178,9 @@ impl Collector<'_> {
                 if validating {
                     options.world = WorldMode::Fresh;
                 }
-                let mut encoder = (self.maker.encoder)()?;
-                if !validating && self.config.other_days > 0.0 {
-                    let rng = crate::seeds::rng(job.seed, "other days");
-                    encoder = Box::new(OtherDays::new(encoder, self.config.other_days, rng));
-                }
+                let other_days = if validating { 0.0 } else { self.config.other_days };
+                let rng = crate::seeds::rng(job.seed, "other days");
+                let encoder = OtherDays::before((self.maker.encoder)()?, other_days, rng);
                 (self.maker.env)(options, encoder)?
             }
         };

@@ -1,5 +1,6 @@
 //! The learner's loop.
 
+mod recorded;
 mod report;
 mod validation;
 
@@ -7,8 +8,6 @@ use super::checkpoint::{Best, Checkpoints, RngState, State};
 use super::collector::{Message, Shared, collect, lock};
 use super::config::TrainConfig;
 use super::log::RunLog;
-use super::other_days::OtherDays;
-use super::recording;
 use super::schedule::{ActorCopy, Purpose, Report, Schedule};
 use super::{Limits, Maker, Progress, TrainError, Trained};
 use crate::agent::learner::{Batches, InputScale, Learner, Metrics, Scale};
@@ -218,57 +217,6 @@ impl<'a> Learning<'a> {
             learning.resumed = Some(state.schedule);
         }
         Ok(learning)
-    }
-
-    /// Fills the buffer with what was recorded, as this training's encoder sees it.
-    fn recall(
-        &mut self,
-        interrupt: &AtomicBool,
-        maker: &Maker,
-        progress: &mut impl FnMut(Progress<'_>),
-    ) -> Result<(), TrainError> {
-        if self.config.recorded.is_empty() {
-            return Ok(());
-        }
-        let mut encoder = (maker.encoder)()?;
-        if self.config.other_days > 0.0 {
-            let rng = seeds::rng(self.config.seed, "other days of what was recorded");
-            encoder = Box::new(OtherDays::new(encoder, self.config.other_days, rng));
-        }
-        let camera = self.config.env.camera.hash();
-        for folder in &self.config.recorded {
-            let before = self.demonstrated;
-            let files = recording::list(folder)?;
-            for file in &files {
-                if interrupt.load(Ordering::Relaxed) {
-                    return Ok(());
-                }
-                let (_, segments) = recording::load(file, &camera, &mut *encoder)?;
-                for segment in &segments {
-                    self.buffer.push(segment);
-                    self.demonstrated += segment.len() as u64;
-                }
-            }
-            let news = format!(
-                "{} recorded steps in {} episodes of `{}`",
-                self.demonstrated - before,
-                files.len(),
-                folder.display()
-            );
-            progress(Progress {
-                steps: self.steps,
-                demonstrated: self.demonstrated,
-                updates: 0,
-                task: "",
-                stage: 0,
-                stages: self.config.curriculum.stages.len(),
-                success_rate: 0.0,
-                mean_return: 0.0,
-                validating: false,
-                news: Some(news),
-            });
-        }
-        Ok(())
     }
 
     fn copy(&self) -> ActorCopy {

@@ -20,9 +20,12 @@ pub struct OtherDays {
 }
 
 impl OtherDays {
-    /// Before `inner`, with all that is random from `rng`.
-    pub fn new(inner: Box<dyn Encoder>, share: f64, rng: ChaCha8Rng) -> Self {
-        Self { inner, share, rng, day: None, left: 0, image: TransformedImage::default() }
+    /// Before `inner`, with all that is random from `rng`; `inner` itself where `share` is 0.
+    pub fn before(inner: Box<dyn Encoder>, share: f64, rng: ChaCha8Rng) -> Box<dyn Encoder> {
+        if share == 0.0 {
+            return inner;
+        }
+        Box::new(Self { inner, share, rng, day: None, left: 0, image: TransformedImage::default() })
     }
 }
 
@@ -171,7 +174,7 @@ mod tests {
         PooledEncoder.encode(&image, &mut plain).unwrap();
         for (share, expected) in [(0.0, 0..1), (0.5, 1500..4500), (1.0, 5500..6001)] {
             let rng = ChaCha8Rng::seed_from_u64(2);
-            let mut encoder = OtherDays::new(Box::new(PooledEncoder), share, rng);
+            let mut encoder = OtherDays::before(Box::new(PooledEncoder), share, rng);
             let mut changed = 0;
             for _ in 0..6000 {
                 encoder.encode(&image, &mut latent).unwrap();
