@@ -11,6 +11,10 @@ pub const LATENT_SIZE: usize = 200;
 /// Numbers in the raw vector.
 pub const RAW_SIZE: usize = 15;
 
+/// What the fifteen numbers mean: agents and recordings carry it, and other meanings are refused.
+/// 1 scaled distances in a straight line, 2 by [`nearness`].
+pub const RAW_MEANING: u32 = 2;
+
 /// Places in the raw vector of how near a vehicle in front, and a stop line that binds, are.
 pub const LEAD_NEARNESS: usize = 11;
 pub const LIGHT_NEARNESS: usize = 14;
@@ -55,6 +59,20 @@ pub const WAYPOINT_AHEAD: f64 = 5.0;
 pub const WAYPOINT_TIME: f64 = 0.5;
 /// The second waypoint is this much further (m).
 pub const WAYPOINT_FURTHER: f64 = 10.0;
+
+/// How near something is, 1 at 0 m and 0 at 50 m: 1 - ln(1 + distance) / ln 51. Half of it lies in the last
+/// 6 m: it is there that a metre decides.
+pub fn nearness(distance: f64) -> f64 {
+    (1.0 - distance.max(0.0).ln_1p() / SIGHT.ln_1p()).clamp(0.0, 1.0)
+}
+
+/// A raw vector of meaning 1 in today's.
+pub fn of_meaning_1(mut vector: [f32; RAW_SIZE]) -> [f32; RAW_SIZE] {
+    for index in [LEAD_NEARNESS, LIGHT_NEARNESS] {
+        vector[index] = nearness(SIGHT * (1.0 - f64::from(vector[index]))) as f32;
+    }
+    vector
+}
 
 impl RawState {
     /// Standing where nothing is.
@@ -108,8 +126,8 @@ impl RawState {
     /// | 2 | lateral distance, left positive | / 1.75 m |
     /// | 3-8 | road option, one-hot | LaneFollow, Left, Right, Straight, ChangeLaneLeft, ChangeLaneRight |
     /// | 9, 10 | heading errors | / 45 degrees |
-    /// | 11, 12 | vehicle in front: nearness 1 - gap / 50 m (0: none); closing speed | / 10 m/s |
-    /// | 13, 14 | light ahead that must be stopped for (0, 1); nearness 1 - distance / 50 m | |
+    /// | 11, 12 | vehicle in front: [`nearness`] of its rear (0: none); closing speed | / 10 m/s |
+    /// | 13, 14 | light ahead that must be stopped for (0, 1); [`nearness`] of the stop line | |
     ///
     /// Everything is cut to -2 to 2.
     pub fn vector(&self) -> [f32; RAW_SIZE] {
@@ -121,12 +139,12 @@ impl RawState {
         v[9] = self.heading_error / ANGLE;
         v[10] = self.heading_error_far / ANGLE;
         if let Some(lead) = self.lead {
-            v[11] = (1.0 - lead.gap / SIGHT).clamp(0.0, 1.0);
+            v[11] = nearness(lead.gap);
             v[12] = lead.closing_speed / CLOSING;
         }
         if let Some(distance) = self.stop_light {
             v[13] = 1.0;
-            v[14] = (1.0 - distance / SIGHT).clamp(0.0, 1.0);
+            v[14] = nearness(distance);
         }
         v.map(|x| x.clamp(-2.0, 2.0) as f32)
     }
@@ -174,7 +192,24 @@ mod tests {
         assert_eq!(raw.option, RoadOption::LaneFollow);
         let v = raw.vector();
         assert!((v[0] - 8.0 / 15.0).abs() < 1e-6 && (v[1] + 0.2).abs() < 1e-6 && v[3] == 1.0, "{v:?}");
-        assert_eq!((v[11], v[13], v[14]), (0.0, 1.0, 0.5));
+        assert_eq!((v[11], v[13]), (0.0, 1.0));
+        assert!((f64::from(v[14]) - (1.0 - 26.0_f64.ln() / 51.0_f64.ln())).abs() < 1e-6, "{v:?}");
+    }
+
+    #[test]
+    fn nearness_is_finest_where_a_metre_decides() {
+        assert_eq!((nearness(-0.5), nearness(0.0), nearness(50.0), nearness(90.0)), (1.0, 1.0, 0.0, 0.0));
+        assert!((nearness(6.0) - 0.5).abs() < 0.01);
+        assert!(nearness(0.5) - nearness(1.5) > 0.1 && nearness(30.0) - nearness(31.0) < 0.01);
+    }
+
+    #[test]
+    fn what_was_recorded_by_an_earlier_meaning_is_brought_to_this_one() {
+        let mut old = [0.25; RAW_SIZE];
+        (old[LEAD_NEARNESS], old[LIGHT_NEARNESS]) = (0.0, 0.9);
+        let new = of_meaning_1(old);
+        assert_eq!((new[0], new[LEAD_NEARNESS]), (0.25, 0.0), "no vehicle stays none");
+        assert!((f64::from(new[LIGHT_NEARNESS]) - nearness(5.0)).abs() < 1e-6);
     }
 
     #[test]

@@ -6,7 +6,7 @@
 //! normal, and it keeps going one way for about 1 / (1 - rho) ticks.
 
 use super::action::{ACTION_SIZE, Action, HIGH, LOW};
-use crate::observation::{LEAD_NEARNESS, LIGHT_NEARNESS, RawState};
+use crate::observation::{LEAD_NEARNESS, LIGHT_NEARNESS, RawState, nearness};
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 
@@ -45,8 +45,8 @@ impl Default for ExplorationParams {
     }
 }
 
-/// Nearness (1 - distance / 50 m) from which on lapses happen: 6 m.
-const NEAR: f32 = 0.88;
+/// From this distance on lapses happen (m).
+const NEAR: f64 = 6.0;
 
 /// One episode's noise.
 #[derive(Clone, Debug)]
@@ -92,7 +92,7 @@ impl Exploration {
             self.lapse.0 -= 1;
             return [steer, self.lapse.1, 0.0];
         }
-        let near = |index: usize| raw.get(index).is_some_and(|nearness| *nearness > NEAR);
+        let near = |index: usize| raw.get(index).is_some_and(|near| f64::from(*near) > nearness(NEAR));
         // Most of the time before a line is spent standing.
         let chance = self.params.lapses * if RawState::speed_of(raw) < 0.3 { 0.15 } else { 1.0 };
         if (near(LEAD_NEARNESS) || near(LIGHT_NEARNESS)) && rng.random::<f64>() < chance {

@@ -11,7 +11,7 @@ use super::{Agent, AgentError};
 use crate::bundled;
 use crate::camera::CameraConfig;
 use crate::latent::{Encoder, LatentError, PooledEncoder, TchEncoder};
-use crate::observation::Observation;
+use crate::observation::{self, Observation};
 use crate::vehicle::Control;
 use half::f16;
 use half::slice::HalfFloatSliceExt;
@@ -29,6 +29,9 @@ pub struct PolicyCard {
     /// Identify the encoder and the camera that the actor was trained behind.
     pub encoder_hash: String,
     pub camera_hash: String,
+    /// What its raw states mean, [`observation::RAW_MEANING`] of its time.
+    #[serde(default = "first_meaning")]
+    pub raw_meaning: u32,
     /// The detector that it was trained with.
     pub detector: String,
     /// Environment steps and updates that made it.
@@ -41,6 +44,11 @@ pub struct PolicyCard {
     pub scores: serde_json::Value,
     /// The whole training configuration.
     pub config: serde_json::Value,
+}
+
+/// Files that do not say what their raw states mean are of the first meaning.
+pub(crate) fn first_meaning() -> u32 {
+    1
 }
 
 /// A trained actor.
@@ -200,7 +208,7 @@ impl Policy {
         Ok(actor)
     }
 
-    /// Refuses another encoder or camera than the agent was trained behind.
+    /// Refuses another encoder or camera than the agent was trained behind, and raw states of another meaning.
     ///
     /// # Errors
     /// They differ.
@@ -217,6 +225,14 @@ impl Policy {
                     found: found.to_string(),
                 });
             }
+        }
+        if card.raw_meaning != observation::RAW_MEANING {
+            return Err(PolicyError::Other {
+                path: path.to_path_buf(),
+                what: "meaning of the raw states",
+                expected: card.raw_meaning.to_string(),
+                found: observation::RAW_MEANING.to_string(),
+            });
         }
         if card.dims != Dims::DRIVING {
             return Err(PolicyError::Format {
@@ -318,6 +334,7 @@ mod tests {
             inputs: Inputs::Both,
             encoder_hash: "e1".into(),
             camera_hash: "c1".into(),
+            raw_meaning: observation::RAW_MEANING,
             detector: "truth".into(),
             steps: 10,
             updates: 9,
@@ -352,6 +369,11 @@ mod tests {
         let error = policy.check(&path, "e2", "c1").unwrap_err().to_string();
         assert!(error.contains("encoder e1") && error.contains("e2"), "{error}");
         assert!(policy.check(&path, "e1", "c2").unwrap_err().to_string().contains("camera c1"));
+
+        let mut other = policy.clone();
+        other.card.raw_meaning = 1;
+        let error = other.check(&path, "e1", "c1").unwrap_err().to_string();
+        assert!(error.contains("meaning of the raw states 1"), "{error}");
 
         let mut other = policy.clone();
         other.values.pop();

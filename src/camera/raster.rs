@@ -79,10 +79,19 @@ multiversion! {
         for (row, tiles) in tiles.chunks_exact_mut(columns).enumerate() {
             let rows = row * TILE..((row + 1) * TILE).min(height);
             for (column, tile) in tiles.iter_mut().enumerate() {
+                // Covered before: what has come since is rarely in front of that, and never behind it.
+                if *tile > 0.0 {
+                    continue;
+                }
                 let x = column * TILE;
                 let mut least = [f32::MAX; TILE];
                 for y in rows.clone() {
                     let line = &iz[y * stride + x..y * stride + (x + TILE).min(width)];
+                    // One pixel that shows nothing yet is enough.
+                    if line[0] == 0.0 {
+                        least[0] = 0.0;
+                        break;
+                    }
                     if let Some(block) = line.first_chunk::<TILE>() {
                         for (least, &z) in least.iter_mut().zip(block) {
                             *least = if z < *least { z } else { *least };

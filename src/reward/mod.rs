@@ -144,12 +144,15 @@ pub fn collision(p: &RewardParams, impulse: Option<f64>) -> f64 {
 }
 
 /// r_lane: `p.lane (1 - (offset / t)^2)` within the threshold t = `p.lane_threshold` (m), `-p.lane_outside
-/// (offset - t)` beyond it, and `-p.lane_exit` more once when leaving the lane or the road ends the
-/// episode: hard termination pays at once what would have added up.
+/// (offset - t)` beyond it, down to `-p.lane_most`, and `-p.lane_exit` more once when leaving the lane or the
+/// road ends the episode: hard termination pays at once what would have added up.
 pub fn lane(p: &RewardParams, offset: f64, left_road: bool) -> f64 {
     let t = p.lane_threshold;
-    let dense =
-        if offset <= t { p.lane * (1.0 - (offset / t).powi(2)) } else { -p.lane_outside * (offset - t) };
+    let dense = if offset <= t {
+        p.lane * (1.0 - (offset / t).powi(2))
+    } else {
+        -(p.lane_outside * (offset - t)).min(p.lane_most)
+    };
     if left_road { dense - p.lane_exit } else { dense }
 }
 

@@ -17,8 +17,9 @@ pub struct RewardParams {
     pub lane: f64,
     /// Half the breadth that is rewarded (m). Default 0.9.
     pub lane_threshold: f64,
-    /// Cost per metre beyond. Default 1.
+    /// Cost per metre beyond, and the most of it. Default 1, 10.
     pub lane_outside: f64,
+    pub lane_most: f64,
     /// Once, for leaving lane or road for good. Default 25.
     pub lane_exit: f64,
     /// At the wanted speed. Default 0.7.
@@ -82,6 +83,7 @@ impl Default for RewardParams {
             lane: 0.2,
             lane_threshold: 0.9,
             lane_outside: 1.0,
+            lane_most: 10.0,
             lane_exit: 25.0,
             speed: 0.7,
             idle: 0.4,

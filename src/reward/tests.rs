@@ -43,6 +43,7 @@ fn lane_is_positive_inside_and_ever_worse_outside() {
     assert!(lane(&p(), 0.9, false).abs() < 1e-9);
     let outside: Vec<f64> = [1.0, 1.3, 1.6, 1.75].iter().map(|&d| lane(&p(), d, false)).collect();
     assert!(outside[0] < 0.0 && outside.windows(2).all(|w| w[1] < w[0]), "{outside:?}");
+    assert_eq!(lane(&p(), 4000.0, false), -10.0, "far off the road it has an end");
     assert!(lane(&p(), 1.8, true) < -25.0);
 }
 

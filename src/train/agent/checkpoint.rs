@@ -11,8 +11,10 @@
 use super::TrainError;
 use super::schedule::ScheduleState;
 use crate::agent::learner::{InputScale, Learner};
+use crate::agent::policy::first_meaning;
 use crate::agent::replay_buffer::ReplayBuffer;
 use crate::agent::replay_files::{ReplayManifest, remove_unused, write_whole};
+use crate::observation::RAW_MEANING;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
@@ -26,6 +28,9 @@ pub struct State {
     /// Environment steps of the agent.
     pub steps: u64,
     pub updates: u64,
+    /// What the raw states of its replay buffer mean, [`crate::observation::RAW_MEANING`] of its time.
+    #[serde(default = "first_meaning")]
+    pub raw_meaning: u32,
     /// Steps of each optimiser.
     pub adam_steps: Vec<i64>,
     pub rng: RngState,
@@ -116,6 +121,7 @@ impl Checkpoints {
         }
         let (updates, adam_steps) = learner.counters();
         (state.updates, state.adam_steps) = (updates, adam_steps);
+        state.raw_meaning = RAW_MEANING;
         let bytes = learner_bytes(learner).map_err(|why| failed(std::io::Error::other(why)))?;
         write_whole(&path.join("learner.safetensors"), &bytes).map_err(failed)?;
         (state.learner_bytes, state.learner_crc) = (bytes.len() as u64, crc32fast::hash(&bytes));
@@ -205,6 +211,13 @@ impl Checkpoints {
         mut buffer: ReplayBuffer,
     ) -> Result<(State, ReplayBuffer), String> {
         let state = read_state(path)?;
+        if state.raw_meaning != RAW_MEANING {
+            return Err(format!(
+                "the raw states in its replay buffer are of meaning {}, expected {RAW_MEANING}; \
+                 begin anew, with what was recorded (--recorded)",
+                state.raw_meaning
+            ));
+        }
         let bytes =
             std::fs::read(path.join("learner.safetensors")).map_err(|e| format!("its networks: {e}"))?;
         if bytes.len() as u64 != state.learner_bytes || crc32fast::hash(&bytes) != state.learner_crc {

@@ -302,6 +302,7 @@ impl Collector<'_> {
             seed: job.seed,
             driver: driver.to_string(),
             camera_hash: self.config.env.camera.hash(),
+            raw_meaning: crate::observation::RAW_MEANING,
             detector: self.config.env.detector.clone(),
             success: ending.is_some_and(|ending| ending.success),
             end: ending.map_or("", |ending| ending.end.name()).to_string(),

@@ -502,6 +502,7 @@ impl<'a> Learning<'a> {
             inputs: c.inputs,
             encoder_hash: c.encoder_hash.clone(),
             camera_hash: c.env.camera.hash(),
+            raw_meaning: crate::observation::RAW_MEANING,
             detector: c.env.detector.clone(),
             steps,
             updates: self.learner.updates(),
@@ -524,6 +525,7 @@ impl<'a> Learning<'a> {
         let state = State {
             steps: self.steps,
             updates: 0,
+            raw_meaning: 0,
             adam_steps: Vec::new(),
             rng: RngState::of(&self.rng),
             schedule: lock(&shared.schedule).state.clone(),

@@ -9,11 +9,12 @@
 
 use super::TrainError;
 use crate::agent::action::{self, ACTION_SIZE, Action};
+use crate::agent::policy::first_meaning;
 use crate::agent::replay_buffer::{SEGMENT, Segment};
 use crate::agent::replay_files::write_whole;
 use crate::dataset::image_codec::{decode_png, encode_png};
 use crate::latent::Encoder;
-use crate::observation::{LATENT_SIZE, RAW_SIZE, RawState};
+use crate::observation::{self, LATENT_SIZE, RAW_SIZE, RawState};
 use crate::perception::{TRANSFORMED_SIZE, TransformedImage};
 use crate::tasks::TaskKind;
 use serde::{Deserialize, Serialize};
@@ -28,6 +29,9 @@ pub struct Header {
     /// What drove: `autopilot`, or the agent that was trained.
     pub driver: String,
     pub camera_hash: String,
+    /// What its raw vectors mean, [`observation::RAW_MEANING`] of its time.
+    #[serde(default = "first_meaning")]
+    pub raw_meaning: u32,
     pub detector: String,
     pub success: bool,
     pub end: String,
@@ -137,6 +141,8 @@ pub fn load(
         decode_png(png, side, side, image.bytes_mut()).map_err(|e| failed(Error::other(e)))?;
         encoder.encode(&image, &mut latent).map_err(|e| TrainError::Env(e.into()))?;
         let raw = floats(&mut rest, RAW_SIZE).map_err(failed)?;
+        let raw = std::array::from_fn(|i| raw[i]);
+        let raw = if header.raw_meaning == 1 { observation::of_meaning_1(raw) } else { raw };
         observations.push([latent.as_slice(), &raw].concat());
     }
     let mut segments = Vec::new();
@@ -194,6 +200,7 @@ mod tests {
             seed: 77,
             driver: "autopilot".to_string(),
             camera_hash: "camera".to_string(),
+            raw_meaning: observation::RAW_MEANING,
             detector: "truth".to_string(),
             success: !terminated,
             end: "arrival".to_string(),

@@ -69,6 +69,7 @@ impl Learning {
         let state = State {
             steps,
             updates: 0,
+            raw_meaning: 0,
             adam_steps: Vec::new(),
             rng: RngState::of(&self.rng),
             schedule: Schedule::new(&config(), None, 0).state,
