@@ -243,6 +243,17 @@ mod tests {
     }
 
     #[test]
+    fn raw_states_of_the_first_meaning_are_brought_to_todays() {
+        let folder = tempfile::tempdir().unwrap();
+        recording(3).write(folder.path(), &Header { raw_meaning: 1, ..header(3, false) }).unwrap();
+        let files = list(folder.path()).unwrap();
+        let (_, segments) = load(&files[0], "camera", &mut PooledEncoder).unwrap();
+        // All fifteen were 2: a nearness can be 1 at most.
+        let raw = &segments[0].observations[2][LATENT_SIZE..];
+        assert_eq!((raw[0], raw[observation::LIGHT_NEARNESS]), (2.0, 1.0));
+    }
+
+    #[test]
     fn damage_and_another_camera_are_said() {
         let folder = tempfile::tempdir().unwrap();
         assert!(list(folder.path()).unwrap_err().to_string().contains("no recorded episode"));

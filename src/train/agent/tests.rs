@@ -179,6 +179,23 @@ fn nothing_to_resume_and_another_form_are_said() {
 }
 
 #[test]
+fn a_buffer_whose_raw_states_mean_something_else_is_not_gone_on_with() {
+    let out = tempfile::tempdir().unwrap();
+    let td3 = Algorithm::Td3(Td3Params::default());
+    let mut learning = Learning::new(&td3);
+    learning.experience(1);
+    learning.save(&mut Checkpoints::new(out.path()), 100);
+    // Written before there was a second meaning.
+    let path = out.path().join("checkpoints/000000100/state.json");
+    let text = std::fs::read_to_string(&path).unwrap();
+    let mut state: serde_json::Value = serde_json::from_str(&text).unwrap();
+    state.as_object_mut().unwrap().remove("raw_meaning").unwrap();
+    std::fs::write(&path, state.to_string()).unwrap();
+    let error = restore(&td3, out.path()).err().unwrap().to_string();
+    assert!(error.contains("of meaning 1, expected 2"), "{error}");
+}
+
+#[test]
 fn demonstrations_come_first_then_the_curriculum_and_validations_between() {
     let mut config = config();
     config.demonstrations = 1000;
