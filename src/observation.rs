@@ -11,9 +11,14 @@ pub const LATENT_SIZE: usize = 200;
 /// Numbers in the raw vector.
 pub const RAW_SIZE: usize = 15;
 
-/// What the fifteen numbers mean: agents and recordings carry it, and other meanings are refused.
-/// 1 scaled distances in a straight line, 2 by [`nearness`].
+/// What the fifteen numbers mean: 1 scaled distances in a straight line, 2 by [`nearness`]. Agents, checkpoints
+/// and recordings carry it; recordings are brought to today's, the others refused.
 pub const RAW_MEANING: u32 = 2;
+
+/// Files that do not say what their raw states mean are of the first meaning.
+pub(crate) fn first_meaning() -> u32 {
+    1
+}
 
 /// Places in the raw vector of how near a vehicle in front, and a stop line that binds, are.
 pub const LEAD_NEARNESS: usize = 11;

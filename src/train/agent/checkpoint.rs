@@ -11,10 +11,9 @@
 use super::TrainError;
 use super::schedule::ScheduleState;
 use crate::agent::learner::{InputScale, Learner};
-use crate::agent::policy::first_meaning;
 use crate::agent::replay_buffer::ReplayBuffer;
 use crate::agent::replay_files::{ReplayManifest, remove_unused, write_whole};
-use crate::observation::RAW_MEANING;
+use crate::observation::{RAW_MEANING, first_meaning};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
@@ -28,7 +27,7 @@ pub struct State {
     /// Environment steps of the agent.
     pub steps: u64,
     pub updates: u64,
-    /// What the raw states of its replay buffer mean, [`crate::observation::RAW_MEANING`] of its time.
+    /// What the raw states of its replay buffer mean, [`RAW_MEANING`] of its time.
     #[serde(default = "first_meaning")]
     pub raw_meaning: u32,
     /// Steps of each optimiser.

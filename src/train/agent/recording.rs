@@ -9,7 +9,6 @@
 
 use super::TrainError;
 use crate::agent::action::{self, ACTION_SIZE, Action};
-use crate::agent::policy::first_meaning;
 use crate::agent::replay_buffer::{SEGMENT, Segment};
 use crate::agent::replay_files::write_whole;
 use crate::dataset::image_codec::{decode_png, encode_png};
@@ -30,7 +29,7 @@ pub struct Header {
     pub driver: String,
     pub camera_hash: String,
     /// What its raw vectors mean, [`observation::RAW_MEANING`] of its time.
-    #[serde(default = "first_meaning")]
+    #[serde(default = "observation::first_meaning")]
     pub raw_meaning: u32,
     pub detector: String,
     pub success: bool,
