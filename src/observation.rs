@@ -16,6 +16,7 @@ pub const RAW_SIZE: usize = 15;
 pub const RAW_MEANING: u32 = 2;
 
 /// Files that do not say what their raw states mean are of the first meaning.
+#[cfg(feature = "learn")]
 pub(crate) fn first_meaning() -> u32 {
     1
 }
