@@ -1,7 +1,7 @@
 //! What an agent is given each tick: the latent and the six raw states (spec.md "Observation").
 
 use crate::criteria::EgoOnRoute;
-use crate::geometry::wrap_angle;
+use crate::geometry::{Pose, wrap_angle};
 use crate::network::{RoadOption, Route};
 use serde::{Deserialize, Serialize};
 
@@ -11,9 +11,9 @@ pub const LATENT_SIZE: usize = 200;
 /// Numbers in the raw vector.
 pub const RAW_SIZE: usize = 15;
 
-/// What the fifteen numbers mean: 1 scaled distances in a straight line, 2 by [`nearness`]. Agents, checkpoints
-/// and recordings carry it; recordings are brought to today's, the others refused.
-pub const RAW_MEANING: u32 = 2;
+/// What the fifteen numbers mean: 1 scaled distances in a straight line, 2 by [`nearness`], 3 gives rotation as
+/// bearings. Agents, checkpoints and recordings carry it; those of another meaning are refused.
+pub const RAW_MEANING: u32 = 3;
 
 /// Files that do not say what their raw states mean are of the first meaning.
 #[cfg(feature = "learn")]
@@ -37,6 +37,11 @@ pub struct RawState {
     /// Heading of the waypoint ahead less the ego's (rad, left positive), and of the one 10 m further.
     pub heading_error: f64,
     pub heading_error_far: f64,
+    /// Direction from the ego's centre to those two waypoints less the ego's heading (rad, left positive).
+    #[serde(default)]
+    pub bearing: f64,
+    #[serde(default)]
+    pub bearing_far: f64,
     /// Gap to the detected vehicle in the ego's path (m) and closing speed (m/s, positive when nearing).
     pub lead: Option<LeadState>,
     /// Red ahead, or yellow that the ego can and so must stop for: distance from the front bumper to the
@@ -72,14 +77,6 @@ pub fn nearness(distance: f64) -> f64 {
     (1.0 - distance.max(0.0).ln_1p() / SIGHT.ln_1p()).clamp(0.0, 1.0)
 }
 
-/// A raw vector of meaning 1 in today's.
-pub fn of_meaning_1(mut vector: [f32; RAW_SIZE]) -> [f32; RAW_SIZE] {
-    for index in [LEAD_NEARNESS, LIGHT_NEARNESS] {
-        vector[index] = nearness(SIGHT * (1.0 - f64::from(vector[index]))) as f32;
-    }
-    vector
-}
-
 impl RawState {
     /// Standing where nothing is.
     pub const STANDING: Self = Self {
@@ -89,6 +86,8 @@ impl RawState {
         option: RoadOption::LaneFollow,
         heading_error: 0.0,
         heading_error_far: 0.0,
+        bearing: 0.0,
+        bearing_far: 0.0,
         lead: None,
         stop_light: None,
     };
@@ -105,15 +104,23 @@ impl RawState {
     ) -> Self {
         let EgoOnRoute { state, s, d, .. } = *on_route;
         let ahead = s + WAYPOINT_AHEAD + WAYPOINT_TIME * state.speed.max(0.0);
-        let waypoint = route.at(ahead);
+        let (waypoint, further) = (route.at(ahead), route.at(ahead + WAYPOINT_FURTHER));
         let error = |heading: f64| wrap_angle(heading - state.pose.heading);
+        let bearing = |point: &Pose| {
+            let way = point.xy() - state.pose.xy();
+            // Beyond the route's end there is no direction left to point in.
+            let heading = if way.norm() > 1.0 { way.y.atan2(way.x) } else { point.heading };
+            error(heading)
+        };
         Self {
             speed: state.speed,
             speed_limit: route.at(s).speed_limit,
             lateral: d,
             option: waypoint.option,
             heading_error: error(waypoint.pose.heading),
-            heading_error_far: error(route.at(ahead + WAYPOINT_FURTHER).pose.heading),
+            heading_error_far: error(further.pose.heading),
+            bearing: bearing(&waypoint.pose),
+            bearing_far: bearing(&further.pose),
             lead,
             stop_light,
         }
@@ -131,7 +138,7 @@ impl RawState {
     /// | 0, 1 | speed; speed over limit | / 15 m/s; ratio - 1 |
     /// | 2 | lateral distance, left positive | / 1.75 m |
     /// | 3-8 | road option, one-hot | LaneFollow, Left, Right, Straight, ChangeLaneLeft, ChangeLaneRight |
-    /// | 9, 10 | heading errors | / 45 degrees |
+    /// | 9, 10 | rotation: bearings of the waypoint ahead and of the one 10 m further | / 45 degrees |
     /// | 11, 12 | vehicle in front: [`nearness`] of its rear (0: none); closing speed | / 10 m/s |
     /// | 13, 14 | light ahead that must be stopped for (0, 1); [`nearness`] of the stop line | |
     ///
@@ -142,8 +149,8 @@ impl RawState {
         v[1] = self.speed / self.speed_limit.max(1.0) - 1.0;
         v[2] = self.lateral / LATERAL;
         v[3 + option_index(self.option)] = 1.0;
-        v[9] = self.heading_error / ANGLE;
-        v[10] = self.heading_error_far / ANGLE;
+        v[9] = self.bearing / ANGLE;
+        v[10] = self.bearing_far / ANGLE;
         if let Some(lead) = self.lead {
             v[11] = nearness(lead.gap);
             v[12] = lead.closing_speed / CLOSING;
@@ -195,6 +202,9 @@ mod tests {
         assert_eq!((raw.lateral, raw.speed, raw.speed_limit), (0.5, 8.0, 10.0));
         // Turned left by 0.1: the way goes to the right.
         assert!((raw.heading_error + 0.1).abs() < 1e-6 && (raw.heading_error_far + 0.1).abs() < 1e-6);
+        // The waypoint is 9 m ahead and 0.5 m to the right, the other 19 m.
+        assert!((raw.bearing + 0.1 + (0.5_f64 / 9.0).atan()).abs() < 1e-6, "{raw:?}");
+        assert!((raw.bearing_far + 0.1 + (0.5_f64 / 19.0).atan()).abs() < 1e-6, "{raw:?}");
         assert_eq!(raw.option, RoadOption::LaneFollow);
         let v = raw.vector();
         assert!((v[0] - 8.0 / 15.0).abs() < 1e-6 && (v[1] + 0.2).abs() < 1e-6 && v[3] == 1.0, "{v:?}");
@@ -207,15 +217,6 @@ mod tests {
         assert_eq!((nearness(-0.5), nearness(0.0), nearness(50.0), nearness(90.0)), (1.0, 1.0, 0.0, 0.0));
         assert!((nearness(6.0) - 0.5).abs() < 0.01);
         assert!(nearness(0.5) - nearness(1.5) > 0.1 && nearness(30.0) - nearness(31.0) < 0.01);
-    }
-
-    #[test]
-    fn what_was_recorded_by_an_earlier_meaning_is_brought_to_this_one() {
-        let mut old = [0.25; RAW_SIZE];
-        (old[LEAD_NEARNESS], old[LIGHT_NEARNESS]) = (0.0, 0.9);
-        let new = of_meaning_1(old);
-        assert_eq!((new[0], new[LEAD_NEARNESS]), (0.25, 0.0), "no vehicle stays none");
-        assert!((f64::from(new[LIGHT_NEARNESS]) - nearness(5.0)).abs() < 1e-6);
     }
 
     #[test]
@@ -238,6 +239,7 @@ mod tests {
             speed_limit: 0.0,
             lateral: -90.0,
             heading_error: 9.0,
+            bearing: 9.0,
             lead: Some(LeadState { gap: 900.0, closing_speed: -300.0 }),
             stop_light: Some(1e9),
             ..RawState::STANDING

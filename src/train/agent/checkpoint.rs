@@ -213,7 +213,7 @@ impl Checkpoints {
         if state.raw_meaning != RAW_MEANING {
             return Err(format!(
                 "the raw states in its replay buffer are of meaning {}, expected {RAW_MEANING}; \
-                 begin anew, with what was recorded (--recorded)",
+                 begin anew",
                 state.raw_meaning
             ));
         }

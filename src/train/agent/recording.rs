@@ -129,6 +129,13 @@ pub fn load(
             header.camera_hash
         ))));
     }
+    if header.raw_meaning != observation::RAW_MEANING {
+        return Err(failed(invalid(format!(
+            "its raw states are of meaning {}, expected {}; record anew, or begin without --recorded",
+            header.raw_meaning,
+            observation::RAW_MEANING
+        ))));
+    }
     let mut image = TransformedImage::default();
     let mut observations = Vec::with_capacity(header.transitions + 1);
     let mut latent = Vec::new();
@@ -140,8 +147,6 @@ pub fn load(
         decode_png(png, side, side, image.bytes_mut()).map_err(|e| failed(Error::other(e)))?;
         encoder.encode(&image, &mut latent).map_err(|e| TrainError::Env(e.into()))?;
         let raw = floats(&mut rest, RAW_SIZE).map_err(failed)?;
-        let raw = std::array::from_fn(|i| raw[i]);
-        let raw = if header.raw_meaning == 1 { observation::of_meaning_1(raw) } else { raw };
         observations.push([latent.as_slice(), &raw].concat());
     }
     let mut segments = Vec::new();
@@ -242,17 +247,6 @@ mod tests {
     }
 
     #[test]
-    fn raw_states_of_the_first_meaning_are_brought_to_todays() {
-        let folder = tempfile::tempdir().unwrap();
-        recording(3).write(folder.path(), &Header { raw_meaning: 1, ..header(3, false) }).unwrap();
-        let files = list(folder.path()).unwrap();
-        let (_, segments) = load(&files[0], "camera", &mut PooledEncoder).unwrap();
-        // All fifteen were 2: a nearness can be 1 at most.
-        let raw = &segments[0].observations[2][LATENT_SIZE..];
-        assert_eq!((raw[0], raw[observation::LIGHT_NEARNESS]), (2.0, 1.0));
-    }
-
-    #[test]
     fn damage_and_another_camera_are_said() {
         let folder = tempfile::tempdir().unwrap();
         assert!(list(folder.path()).unwrap_err().to_string().contains("no recorded episode"));
@@ -260,6 +254,10 @@ mod tests {
         let file = list(folder.path()).unwrap().remove(0);
         let error = load(&file, "other", &mut PooledEncoder).unwrap_err().to_string();
         assert!(error.contains("this one is other"), "{error}");
+        recording(5).write(folder.path(), &Header { raw_meaning: 2, ..header(5, false) }).unwrap();
+        let error = load(&file, "camera", &mut PooledEncoder).unwrap_err().to_string();
+        assert!(error.contains("of meaning 2, expected 3"), "{error}");
+        recording(5).write(folder.path(), &header(5, false)).unwrap();
         let data = std::fs::read(&file).unwrap();
         std::fs::write(&file, &data[..data.len() - 7]).unwrap();
         let error = load(&file, "camera", &mut PooledEncoder).unwrap_err().to_string();
