@@ -44,6 +44,10 @@ pub struct Ego {
     lamps: Lamps,
     /// The route has changed since SUMO heard of it.
     route_is_news: bool,
+    /// It has been put down where SUMO's route of it does not lead.
+    is_elsewhere: bool,
+    /// Reports in a row in which SUMO refused the route.
+    refusals: u32,
     /// How many of the route's edges SUMO has been told of.
     told_edges: usize,
     /// Names of the stretches that SUMO has: it forgets none.
@@ -60,6 +64,9 @@ pub(super) struct Reported {
 /// Edges of the route that SUMO is told of at once, and how many ahead of the ego it always knows.
 const TOLD_EDGES: usize = 5;
 const KEPT_EDGES: usize = 3;
+
+/// So many refusals of a route in a row are more than a junction's border explains.
+const REFUSALS: u32 = 3;
 
 /// Added to the keys of barriers and cones, which physics takes for fixed bodies.
 const OBJECT_KEYS: u64 = 1 << 40;
@@ -86,6 +93,8 @@ impl Ego {
             front_s,
             lamps: Lamps::default(),
             route_is_news: true,
+            is_elsewhere: false,
+            refusals: 0,
             told_edges: 0,
             known_routes: HashSet::new(),
         };
@@ -104,6 +113,7 @@ impl Ego {
         let place = pose.to_world(Vector::new(0.0, left));
         self.vehicle.respawn(Pose::new(place.x, place.y, 0.0, pose.heading + turn), 0.0);
         self.set_route(route, start);
+        self.is_elsewhere = true;
     }
 
     /// Forgets all but what it is made of: for another SUMO. To be followed by a respawn.
@@ -235,18 +245,26 @@ impl Ego {
         batch.set(vehicle::SET_SPEED_MODE, &self.id, 0);
         batch.set(vehicle::SET_LANE_CHANGE_MODE, &self.id, 0);
         self.route_is_news = false;
+        self.is_elsewhere = false;
     }
 
     /// Appends its pose and lamps, and its route where that changed, to the next step's message.
     pub(super) fn report(&mut self, network: &Network, batch: &mut Batch) -> Reported {
+        // On a route that does not lead where it is SUMO keeps it off the road, where nobody sees it, and
+        // refuses every route that does. So first it is put on its edge, which becomes all of its route.
+        let elsewhere = std::mem::take(&mut self.is_elsewhere);
         let mut route = None;
-        if self.route_is_news || self.needs_more_edges() {
+        if !elsewhere && (self.route_is_news || self.needs_more_edges()) {
             let name = self.define_route(network, batch);
             // Not SET_ROUTE: that puts the edges passed so far in front, and the cost of each tick's
             // move_to_xy grows with them.
             route = Some(batch.set(vehicle::SET_ROUTE_ID, &self.id, &name));
             self.route_is_news = false;
         }
+        let lane = network.lane(self.route.at(self.front_s).lane);
+        let edge = &network.edge(lane.edge).id;
+        let (edge, lane_index, keep_route) =
+            if elsewhere { (edge.as_str(), lane.index as i32, 2) } else { ("", -1, 3) };
         // SUMO keeps them for one step only.
         batch.set(vehicle::SET_SIGNALS, &self.id, self.lamps.to_sumo());
         let (front, angle) = self.vehicle.state().pose.to_sumo(self.params().length);
@@ -254,10 +272,12 @@ impl Ego {
             batch,
             &self.id,
             &vehicle::MoveToXy {
+                edge,
+                lane_index,
                 x: front.x,
                 y: front.y,
                 angle_deg: angle,
-                keep_route: 3,
+                keep_route,
                 ..Default::default()
             },
         );
@@ -269,10 +289,16 @@ impl Ego {
     /// # Errors
     /// It does not know the ego any more.
     pub(super) fn confirm(&mut self, reported: Reported, replies: &Replies) -> Result<(), CommandError> {
-        if let Some(Err(refusal)) = reported.route.map(|route| replies.get(route)) {
-            // SUMO sees it on another edge for a tick, at a junction's border: said again.
-            tracing::debug!("{refusal}");
-            self.route_is_news = true;
+        match reported.route.map(|route| replies.get(route)) {
+            Some(Err(refusal)) => {
+                // SUMO sees it on another edge for a tick, at a junction's border: said again.
+                tracing::debug!("{refusal}");
+                self.route_is_news = true;
+                self.refusals += 1;
+                self.is_elsewhere = self.refusals % REFUSALS == 0;
+            }
+            Some(Ok(())) => self.refusals = 0,
+            None => {}
         }
         replies.get(reported.pose)
     }

@@ -263,6 +263,53 @@ async fn an_ego_off_the_road_is_ignored_and_seen_again_after_its_return() {
     bridge.close().await.expect("closed");
 }
 
+/// SUMO keeps a vehicle off the road whose route does not lead where it stands: nobody sees it there.
+#[tokio::test]
+async fn an_ego_put_down_on_another_road_is_seen_there() {
+    let scene =
+        Scene::junction(r#"<trip id="second" type="car" depart="5" departSpeed="max" from="SC" to="CN"/>"#);
+    let mut bridge = scene.bridge().await;
+    let mut ego = Ego::new("ego", EgoParams::default(), route(bridge.network(), "WC", "CE"), 150.0);
+    bridge.spawn(&mut ego).await.expect("the ego is in");
+    tick(&mut bridge, &mut ego, STAND).await;
+    ego.respawn(route(bridge.network(), "SC", "CN"), 150.0);
+    for _ in 0..240 {
+        tick(&mut bridge, &mut ego, STAND).await;
+    }
+    assert_eq!(sumo_lane(&mut bridge).await, bridge.network().lane(ego.lane()).id);
+    let second = find(&ego, "second").expect("it waits behind the ego");
+    let gap = gap_behind(&ego, second);
+    assert!(second.speed < 0.05 && (1.5..4.0).contains(&gap), "{gap:.2} m, {second:?}");
+    bridge.close().await.expect("closed");
+}
+
+#[tokio::test]
+async fn wherever_an_ego_is_put_down_sumo_has_it_on_its_lane() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let net = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/town3/town3.net.xml");
+    let options = BridgeOptions {
+        traffic: TrafficSpec::Counts(Counts::new(0, 0)),
+        ..BridgeOptions::new(net, folder.path())
+    };
+    let mut bridge = Bridge::start(&options).await.expect("SUMO starts");
+    let network = bridge.network().clone();
+    let mut places = Destinations::new(&network, wad_cosim::seeds::rng(7, "route")).expect("places");
+    let from = places.place(&network);
+    let mut ego =
+        Ego::new("ego", EgoParams::default(), places.route_from(&network, from).expect("a route"), 0.0);
+    bridge.spawn(&mut ego).await.expect("the ego is in");
+    for again in 0..40 {
+        let from = places.place(&network);
+        ego.respawn(places.route_from(&network, from).expect("a route"), 0.0);
+        for _ in 0..6 {
+            tick(&mut bridge, &mut ego, STAND).await;
+        }
+        let lane = ego.route().at(ego.on_route().front_s).lane;
+        assert_eq!(sumo_lane(&mut bridge).await, network.lane(lane).id, "place {again}");
+    }
+    bridge.close().await.expect("closed");
+}
+
 /// The lane that SUMO has the ego on; empty off the road.
 async fn sumo_lane(bridge: &mut Bridge) -> String {
     bridge.client_mut().get(vehicle::LANE_ID, "ego").await.expect("the ego is there")

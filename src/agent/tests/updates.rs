@@ -3,7 +3,7 @@
 //! After Adam's first step its running mean is a tenth of the gradient, which is how the gradients are
 //! looked at here.
 
-use super::super::imitation::{Imitation, STEERING};
+use super::super::imitation::{HARD_BRAKE, HARD_BRAKING, Imitation, STEERING};
 use super::super::learner::{Batch, Metrics};
 use super::super::networks::{CriticEnd, Dims, Params};
 use super::super::sac::{Sac, SacParams};
@@ -203,7 +203,8 @@ fn pulled_as_computed_by_hand(filter: bool) {
         let actions: Vec<Vec<f64>> = (0..B).map(|b| actor_t(params, DIMS, &data.now[b])).collect();
         let apart = |b: usize| {
             let d = |i: usize| (actions[b][i] - data.shown[b][i]) / if i == 0 { 1.0 } else { 0.5 };
-            (STEERING * d(0).powi(2) + d(1).powi(2) + d(2).powi(2)) / 3.0
+            let hard = if data.shown[b][2] >= HARD_BRAKE { HARD_BRAKING } else { 1.0 };
+            hard * (STEERING * d(0).powi(2) + d(1).powi(2) + d(2).powi(2)) / 3.0
         };
         let imitation = (0..B).map(|b| mask[b] * apart(b)).sum::<f64>() / (mask.iter().sum::<f64>() + 1.0);
         weight * imitation - scale * mean((0..B).map(|b| q(b, &actions[b])))
