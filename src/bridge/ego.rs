@@ -295,7 +295,7 @@ impl Ego {
                 tracing::debug!("{refusal}");
                 self.route_is_news = true;
                 self.refusals += 1;
-                self.is_elsewhere = self.refusals % REFUSALS == 0;
+                self.is_elsewhere = self.refusals.is_multiple_of(REFUSALS);
             }
             Some(Ok(())) => self.refusals = 0,
             None => {}
