@@ -192,7 +192,7 @@ fn a_buffer_whose_raw_states_mean_something_else_is_not_gone_on_with() {
     state.as_object_mut().unwrap().remove("raw_meaning").unwrap();
     std::fs::write(&path, state.to_string()).unwrap();
     let error = restore(&td3, out.path()).err().unwrap().to_string();
-    assert!(error.contains("of meaning 1, expected 2"), "{error}");
+    assert!(error.contains("of meaning 1, expected 3"), "{error}");
 }
 
 #[test]
