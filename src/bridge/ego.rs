@@ -261,10 +261,12 @@ impl Ego {
             route = Some(batch.set(vehicle::SET_ROUTE_ID, &self.id, &name));
             self.route_is_news = false;
         }
-        let lane = network.lane(self.route.at(self.front_s).lane);
-        let edge = &network.edge(lane.edge).id;
-        let (edge, lane_index, keep_route) =
-            if elsewhere { (edge.as_str(), lane.index as i32, 2) } else { ("", -1, 3) };
+        let (edge, lane_index, keep_route) = if elsewhere {
+            let lane = network.lane(self.route.at(self.front_s).lane);
+            (network.edge(lane.edge).id.as_str(), lane.index as i32, 2)
+        } else {
+            ("", -1, 3)
+        };
         // SUMO keeps them for one step only.
         batch.set(vehicle::SET_SIGNALS, &self.id, self.lamps.to_sumo());
         let (front, angle) = self.vehicle.state().pose.to_sumo(self.params().length);

@@ -286,18 +286,8 @@ async fn an_ego_put_down_on_another_road_is_seen_there() {
 #[tokio::test]
 async fn wherever_an_ego_is_put_down_sumo_has_it_on_its_lane() {
     let folder = tempfile::tempdir().expect("a folder");
-    let net = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/town3/town3.net.xml");
-    let options = BridgeOptions {
-        traffic: TrafficSpec::Counts(Counts::new(0, 0)),
-        ..BridgeOptions::new(net, folder.path())
-    };
-    let mut bridge = Bridge::start(&options).await.expect("SUMO starts");
+    let (mut bridge, mut places, mut ego) = in_town("town3", Counts::new(0, 0), 7, folder.path()).await;
     let network = bridge.network().clone();
-    let mut places = Destinations::new(&network, wad_cosim::seeds::rng(7, "route")).expect("places");
-    let from = places.place(&network);
-    let mut ego =
-        Ego::new("ego", EgoParams::default(), places.route_from(&network, from).expect("a route"), 0.0);
-    bridge.spawn(&mut ego).await.expect("the ego is in");
     for again in 0..40 {
         let from = places.place(&network);
         ego.respawn(places.route_from(&network, from).expect("a route"), 0.0);
@@ -308,6 +298,20 @@ async fn wherever_an_ego_is_put_down_sumo_has_it_on_its_lane() {
         assert_eq!(sumo_lane(&mut bridge).await, network.lane(lane).id, "place {again}");
     }
     bridge.close().await.expect("closed");
+}
+
+/// A bundled town with `counts`, and an ego at the first of the places that are drawn from `seed`.
+async fn in_town(town: &str, counts: Counts, seed: u64, folder: &Path) -> (Bridge, Destinations, Ego) {
+    let net = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("sumo_nets/{town}/{town}.net.xml"));
+    let options = BridgeOptions { traffic: TrafficSpec::Counts(counts), ..BridgeOptions::new(net, folder) };
+    let mut bridge = Bridge::start(&options).await.expect("SUMO starts");
+    let network = bridge.network();
+    let mut places = Destinations::new(network, wad_cosim::seeds::rng(seed, "route")).expect("places");
+    let from = places.place(network);
+    let first = places.route_from(network, from).expect("a route");
+    let mut ego = Ego::new("ego", EgoParams::default(), first, 0.0);
+    bridge.spawn(&mut ego).await.expect("the ego is in");
+    (bridge, places, ego)
 }
 
 /// The lane that SUMO has the ego on; empty off the road.
@@ -360,18 +364,8 @@ async fn two_egos_see_each_other_and_each_others_lamps() {
 #[tokio::test]
 async fn sumo_knows_the_egos_way_beyond_the_next_junction_all_along() {
     let folder = tempfile::tempdir().expect("a folder");
-    let net = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/town5/town5.net.xml");
-    let options = BridgeOptions {
-        traffic: TrafficSpec::Counts(Counts::new(10, 0)),
-        ..BridgeOptions::new(net, folder.path())
-    };
-    let mut bridge = Bridge::start(&options).await.expect("SUMO starts");
+    let (mut bridge, mut places, mut ego) = in_town("town5", Counts::new(10, 0), 3, folder.path()).await;
     let network = bridge.network().clone();
-    let mut places = Destinations::new(&network, wad_cosim::seeds::rng(3, "route")).expect("places");
-    let from = places.place(&network);
-    let mut ego =
-        Ego::new("ego", EgoParams::default(), places.route_from(&network, from).expect("a route"), 0.0);
-    bridge.spawn(&mut ego).await.expect("the ego is in");
     let mut pilot = Autopilot::new(AutopilotParams::default(), EgoModel::from(ego.params()));
     let (mut edges_seen, mut arrivals) = (std::collections::BTreeSet::new(), 0);
     for _ in 0..1500 {
@@ -411,18 +405,8 @@ async fn sumo_knows_the_egos_way_beyond_the_next_junction_all_along() {
 #[tokio::test]
 async fn it_sees_each_person_within_sight_and_nobody_else() {
     let folder = tempfile::tempdir().expect("a folder");
-    let net = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/town5/town5.net.xml");
-    let options = BridgeOptions {
-        traffic: TrafficSpec::Counts(Counts::new(0, 300)),
-        ..BridgeOptions::new(net, folder.path())
-    };
-    let mut bridge = Bridge::start(&options).await.expect("SUMO starts");
+    let (mut bridge, mut places, mut ego) = in_town("town5", Counts::new(0, 300), 5, folder.path()).await;
     let network = bridge.network().clone();
-    let mut places = Destinations::new(&network, wad_cosim::seeds::rng(5, "route")).expect("places");
-    let from = places.place(&network);
-    let first = places.route_from(&network, from).expect("a route");
-    let mut ego = Ego::new("ego", EgoParams::default(), first, 0.0);
-    bridge.spawn(&mut ego).await.expect("the ego is in");
     let mut pilot = Autopilot::new(AutopilotParams::default(), EgoModel::from(ego.params()));
     let (mut came, mut before) = (0, std::collections::BTreeSet::new());
     for tick in 0..900 {
