@@ -191,16 +191,7 @@ impl Track {
 mod tests {
     use super::*;
     use crate::camera::CameraConfig;
-    use crate::perception::testing::{LENGTH, Road};
-
-    /// The box of something `near` m ahead of the ego's centre, `y` m to the left, on level ground.
-    fn seen(class: ObjectClass, near: f32, y: f32, breadth: f32, height: f32) -> Detection {
-        let ground = GroundPlane::new(&CameraConfig::default());
-        let [l, b] = ground.pixel([near, y + 0.5 * breadth]).unwrap();
-        let [r, _] = ground.pixel([near, y - 0.5 * breadth]).unwrap();
-        let t = b - 256.0 * height / (near - 0.7);
-        Detection { class, bounds: [l, t, r, b], score: 1.0 }
-    }
+    use crate::perception::testing::{LENGTH, Road, seen};
 
     fn gap(found: &[Detection], s: f64, d: f64, turn: f64) -> Option<f64> {
         let road = Road::new("GGG");

@@ -10,6 +10,7 @@
 pub mod centernet;
 mod choice;
 pub mod coco;
+mod crossing;
 mod ground;
 pub mod heads;
 mod image;

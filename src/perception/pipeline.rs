@@ -1,5 +1,6 @@
 //! All stages of a tick in order: detect, lanes, light, vehicle in front, transformed image, raw state.
 
+use super::crossing::CrossingTracker;
 use super::lead::{self, LeadTracker};
 use super::light::{LightAhead, StopLight};
 use super::paint::Painter;
@@ -10,7 +11,7 @@ use crate::bridge::Ego;
 use crate::camera::{CameraConfig, Frame, Outputs};
 use crate::criteria::EgoOnRoute;
 use crate::network::{Network, Route};
-use crate::observation::RawState;
+use crate::observation::{LeadState, RawState};
 use std::sync::Arc;
 
 /// What the ego knows beside its camera: its own motion, its waypoints, and the signals' states.
@@ -50,6 +51,10 @@ pub struct Percept {
     pub light: Option<LightAhead>,
     /// The ego is at the intersection and the light is red: painted.
     pub light_red: bool,
+    /// The road user in the ego's path, and the one that will be where the ego has to let it pass. The nearer
+    /// of them is the raw state's vehicle in front.
+    pub lead: Option<LeadState>,
+    pub crossing: Option<LeadState>,
     pub transformed: TransformedImage,
     pub raw: RawState,
 }
@@ -61,6 +66,7 @@ pub struct Perception {
     ground: GroundPlane,
     lanes: LaneDetector,
     lead: LeadTracker,
+    crossing: CrossingTracker,
     stop_light: StopLight,
     painter: Painter,
     percept: Percept,
@@ -78,6 +84,7 @@ impl Perception {
             ground: GroundPlane::new(&camera),
             lanes: LaneDetector::new()?,
             lead: LeadTracker::default(),
+            crossing: CrossingTracker::default(),
             stop_light: StopLight::default(),
             painter: Painter::default(),
             percept: Percept {
@@ -85,6 +92,8 @@ impl Perception {
                 lanes: LaneEstimate::default(),
                 light: None,
                 light_red: false,
+                lead: None,
+                crossing: None,
                 transformed: TransformedImage::default(),
                 raw: RawState::STANDING,
             },
@@ -111,6 +120,7 @@ impl Perception {
         self.detector.reset(seed);
         self.lanes.reset();
         self.lead.reset();
+        self.crossing.reset();
         self.stop_light.reset();
     }
 
@@ -156,6 +166,10 @@ impl Perception {
         self.percept.light_red = light.is_some_and(|light| light.is_red_here());
         let nearest = lead::nearest(&self.percept.detections, &self.ground, facts);
         let lead = self.lead.update(nearest.as_ref(), &self.ground, facts);
+        let picture = [self.camera.width as f32, self.camera.height as f32];
+        let crossing = self.crossing.update(&self.percept.detections, picture, &self.ground, facts);
+        (self.percept.lead, self.percept.crossing) = (lead, crossing);
+        let lead = lead.into_iter().chain(crossing).min_by(|a, b| a.gap.total_cmp(&b.gap));
         let speed = facts.on_route.state.speed;
         let stop_light = self.stop_light.update(light.as_ref(), speed).filter(|d| *d <= lead::SIGHT);
         self.percept.raw = RawState::of(facts.route, &facts.on_route, lead, stop_light);

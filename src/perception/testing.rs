@@ -1,10 +1,12 @@
 //! A road, an ego on it, and pictures of it, for the unit tests.
 
-use super::EgoFacts;
 #[cfg(feature = "vision")]
-use super::{GroundPlane, LaneBoundary};
+use super::LaneBoundary;
+use super::{Detection, EgoFacts, GroundPlane};
+use crate::camera::CameraConfig;
 #[cfg(feature = "vision")]
-use crate::camera::{CameraConfig, Frame};
+use crate::camera::Frame;
+use crate::camera::model::ObjectClass;
 use crate::criteria::EgoOnRoute;
 use crate::geometry::Vector;
 use crate::network::testing::{net, place};
@@ -25,8 +27,17 @@ pub struct Road {
 impl Road {
     /// With the light's state string: the first head is the ego's.
     pub fn new(state: &str) -> Self {
+        Self::between("ab_0", "bc_0", state)
+    }
+
+    /// Left at the junction, on green, where others have right of way.
+    pub fn turning_left() -> Self {
+        Self::between("ab_1", "bl_0", "GGG")
+    }
+
+    fn between(from: &str, to: &str, state: &str) -> Self {
         let network = net();
-        let (from, to) = (place(&network, "ab_0", 20.0), place(&network, "bc_0", 200.0));
+        let (from, to) = (place(&network, from, 20.0), place(&network, to, 200.0));
         let route = network.route(from, to, VehicleClass::Passenger).unwrap();
         Self { network, route, signals: vec![Some(Arc::from(state))] }
     }
@@ -57,6 +68,15 @@ impl Road {
             tick: 0.167,
         }
     }
+}
+
+/// The box of something `near` m ahead of the ego's centre, `y` m to the left, on level ground.
+pub fn seen(class: ObjectClass, near: f32, y: f32, breadth: f32, height: f32) -> Detection {
+    let ground = GroundPlane::new(&CameraConfig::default());
+    let [l, b] = ground.pixel([near, y + 0.5 * breadth]).unwrap();
+    let [r, _] = ground.pixel([near, y - 0.5 * breadth]).unwrap();
+    let t = b - 256.0 * height / (near - 0.7);
+    Detection { class, bounds: [l, t, r, b], score: 1.0 }
 }
 
 /// A picture of a grey road with white lines, a line 0.12 m broad.

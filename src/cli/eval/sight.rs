@@ -188,7 +188,7 @@ pub async fn lead(args: Args) -> anyhow::Result<Exit> {
         let facts = EgoFacts::of(drive.bridge().network(), ego, drive.bridge().tick());
         if facts.on_route.state.speed > STANDS {
             let truth = LeadTruth::find(&facts, ego.world(), eye.camera.frame());
-            score.add(truth, eye.perception.percept().raw.lead);
+            score.add(truth, eye.perception.percept().lead);
         }
         Ok(())
     })
