@@ -66,7 +66,11 @@ impl Case {
             self.episode
         );
         let plain = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '-' };
-        let name: String = text.chars().map(plain).collect();
+        let mut name: String = text.chars().map(plain).collect();
+        // `../agent.safetensors` must not become a hidden folder.
+        if name.starts_with('.') {
+            name.replace_range(..1, "_");
+        }
         if name.len() <= 100 {
             return name;
         }
@@ -313,6 +317,19 @@ mod tests {
         names.dedup();
         assert_eq!(names.len(), 12, "each has a name of its own");
         assert!(plan.iter().all(|case| case.spec.kind == TaskKind::Navigation && case.town == "town5"));
+    }
+
+    #[test]
+    fn names_of_episodes_are_plain_short_and_not_hidden() {
+        let plan = plan(&Selection { episodes: Some(1), ..Selection::default() }, "nocrash");
+        let named = |agent: &str| Case { agent: agent.into(), ..plan[0].clone() }.name();
+        let here = named("wad-t");
+        assert!(here.starts_with("wad-t_") && here.ends_with("_000"), "{here}");
+        let file = named("../runs/my agent.safetensors");
+        assert!(file.starts_with("_.-runs-my-agent.safetensors_") && file.ends_with("_000"), "{file}");
+        let long = named(&"deep/".repeat(40));
+        assert!(long.len() <= 100 && long.ends_with("_000"), "{long}");
+        assert_ne!(long, named(&"deeper/".repeat(40)));
     }
 
     #[test]
