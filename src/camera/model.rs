@@ -335,13 +335,16 @@ pub struct Box3 {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Object {
     pub class: ObjectClass,
-    /// Instance id, not 0, unique in the frame. Static objects count from [`STATIC_IDS`].
+    /// Instance id, not 0, unique in the frame. A road user's is its place in the world + 1, vehicles before
+    /// pedestrians; who rides it has [`RIDER_IDS`] more. Static objects count from [`STATIC_IDS`].
     pub id: u32,
     pub bounds: Box3,
 }
 
 /// The first instance id of static objects; actors stay below.
 pub const STATIC_IDS: u32 = 1 << 24;
+/// What a rider's id is above its vehicle's.
+pub const RIDER_IDS: u32 = 1 << 23;
 
 /// A model put somewhere for one frame, or for good.
 #[derive(Clone, Debug, PartialEq)]

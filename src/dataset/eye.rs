@@ -83,9 +83,12 @@ impl Eye {
         let world = ego.world();
         // The frame numbers road users by their place in the world; a shard by what they are.
         let keys: Vec<u64> = world.vehicles.iter().chain(&world.pedestrians).map(|a| a.key).collect();
-        let key = |id: u32| match keys.get((id as usize).wrapping_sub(1)) {
-            Some(key) if id < model::STATIC_IDS => *key as u32 + 1,
-            _ => id,
+        let key = |id: u32| {
+            let riders = id & model::RIDER_IDS;
+            match keys.get(((id - riders) as usize).wrapping_sub(1)) {
+                Some(key) if id < model::STATIC_IDS => riders + *key as u32 + 1,
+                _ => id,
+            }
         };
         let boxes = frame.objects.iter().map(|o| BoxRecord { id: key(o.id), ..o.into() }).collect();
         let pixels = |place: usize| {

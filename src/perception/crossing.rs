@@ -1,10 +1,10 @@
-//! Who will be in the ego's path: detections followed over the ground, and where they will be in some seconds.
+//! Vehicles that will be in the ego's path: detections followed over the ground, and where they will be in some seconds.
 //!
-//! One picture does not tell a vehicle that comes from one that waits. So each detected road user is followed by
-//! a Kalman filter of its place and velocity on the ground, and is carried on in a straight line. Where that meets
-//! the ego's route at a time at which the ego can be there too, it is the vehicle in front already: who turns left
-//! stops for those who come the other way. Vehicles count only where the ego has to let others pass. Nothing here
-//! comes from SUMO but the ego's route and its right of way.
+//! One picture does not tell a vehicle that comes from one that waits. So each detected vehicle is followed by a
+//! Kalman filter of its place and velocity on the ground, and is carried on in a straight line. Where that meets the
+//! ego's route at a time at which the ego can be there too, and the ego has to let others pass, it is the vehicle in
+//! front already: who turns left stops for those who come the other way. Nothing here comes from SUMO but the ego's
+//! route and its right of way.
 
 use super::{Detection, EgoFacts, GroundPlane};
 use crate::camera::model::ObjectClass;
@@ -13,23 +13,24 @@ use crate::observation::LeadState;
 use crate::perception::lead::{HALF_WAY, SIGHT};
 use nalgebra::{Matrix2, Matrix4, Matrix4x2};
 
-/// How far ahead (s) vehicles and persons are carried on, and in which steps.
-const HORIZON: [f64; 2] = [4.5, 3.0];
+/// How far ahead (s) vehicles are carried on, and in which steps.
+const HORIZON: f64 = 4.5;
 const STEP: f64 = 0.25;
 /// Between one leaving a place and the other coming there (s).
 const MARGIN: f64 = 1.0;
 /// What the ego may accelerate by on its way there (m/s2).
 const EGO_ACCELERATION: f64 = 1.5;
-/// Detections before a velocity is believed, and ticks without one until a road user is given up.
+/// Slower ones are taken to stand (m/s).
+const SLOWEST: f64 = 1.5;
+/// Detections before a velocity is believed, and ticks without one until a vehicle is given up.
 const BELIEVED: u32 = 4;
 const COAST: u32 = 3;
 
-/// A kind of road users that are told apart.
+/// A kind of vehicles that are told apart.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     Vehicle,
     TwoWheeler,
-    Person,
 }
 
 impl Kind {
@@ -37,8 +38,7 @@ impl Kind {
         match class {
             ObjectClass::Car | ObjectClass::Truck | ObjectClass::Bus => Some(Self::Vehicle),
             ObjectClass::Motorcycle | ObjectClass::Bicycle => Some(Self::TwoWheeler),
-            ObjectClass::Person => Some(Self::Person),
-            ObjectClass::TrafficLight | ObjectClass::Bench => None,
+            ObjectClass::Person | ObjectClass::TrafficLight | ObjectClass::Bench => None,
         }
     }
     /// What it may accelerate by (m/s2) and how fast something new may be (m/s), one standard deviation.
@@ -46,14 +46,6 @@ impl Kind {
         match self {
             Self::Vehicle => (2.0, 8.0),
             Self::TwoWheeler => (1.5, 5.0),
-            Self::Person => (0.7, 1.2),
-        }
-    }
-    /// Below this it is taken to stand (m/s).
-    fn slowest(self) -> f64 {
-        match self {
-            Self::Vehicle | Self::TwoWheeler => 1.5,
-            Self::Person => 0.5,
         }
     }
     /// Half its length and half its breadth (m).
@@ -61,7 +53,6 @@ impl Kind {
         match self {
             Self::Vehicle => [2.2, 0.9],
             Self::TwoWheeler => [0.9, 0.3],
-            Self::Person => [0.25, 0.25],
         }
     }
     /// How far (m) a detection may be from where one was expected.
@@ -69,12 +60,11 @@ impl Kind {
         match self {
             Self::Vehicle => 3.0,
             Self::TwoWheeler => 2.0,
-            Self::Person => 0.8,
         }
     }
 }
 
-/// A road user on the ground, in the world's frame.
+/// A vehicle on the ground, in the world's frame.
 #[derive(Clone, Copy, Debug)]
 struct Mover {
     kind: Kind,
@@ -94,7 +84,7 @@ struct Sighting {
     noise: Matrix2<f64>,
 }
 
-/// Follows road users over the ticks.
+/// Follows vehicles over the ticks.
 #[derive(Clone, Debug, Default)]
 pub struct CrossingTracker {
     movers: Vec<Mover>,
@@ -204,12 +194,11 @@ impl Mover {
     fn meets(&self, facts: &EgoFacts<'_>) -> Option<LeadState> {
         let speed = self.velocity.norm();
         let doubt = (0.5 * (self.p[(2, 2)] + self.p[(3, 3)])).sqrt();
-        if self.seen < BELIEVED || speed < self.kind.slowest() || speed < 2.0 * doubt {
+        if self.seen < BELIEVED || speed < SLOWEST || speed < 2.0 * doubt {
             return None;
         }
-        let person = self.kind == Kind::Person;
         let on_route = &facts.on_route;
-        let steps = (HORIZON[usize::from(person)] / STEP) as usize;
+        let steps = (HORIZON / STEP) as usize;
         // When it is in the path, and where that begins.
         let mut times: Option<(f64, f64)> = None;
         let (mut begin, mut course) = (f64::INFINITY, Vector::zeros());
@@ -229,7 +218,7 @@ impl Mover {
                 continue;
             }
             // What is there now and goes the ego's way is in front already.
-            if k == 0 && !person && self.velocity.dot(&way) > 0.7 * speed {
+            if k == 0 && self.velocity.dot(&way) > 0.7 * speed {
                 return None;
             }
             let first = times.map_or(t, |(first, _)| first);
@@ -246,17 +235,12 @@ impl Mover {
         }
         // To the ego it stands where it will cross, unless it goes the ego's way.
         let closing_speed = on_route.state.speed - self.velocity.dot(&course).max(0.0);
-        if !person {
-            // Only where the ego has to let others pass: elsewhere those who come the other way would seem
-            // to cross in each bend.
-            let link = facts
-                .route
-                .links
-                .iter()
-                .find(|link| begin > link.stop_s - 3.0 && begin < link.end_s + 3.0)?;
-            if facts.network.link(link.link).must_yield_to.is_empty() {
-                return None;
-            }
+        // Only where the ego has to let others pass: elsewhere those who come the other way would seem to cross in
+        // each bend.
+        let link =
+            facts.route.links.iter().find(|link| begin > link.stop_s - 3.0 && begin < link.end_s + 3.0)?;
+        if facts.network.link(link.link).must_yield_to.is_empty() {
+            return None;
         }
         // The ego there: as early as it can, and at its present pace.
         let v = on_route.state.speed.max(0.0);
@@ -290,8 +274,7 @@ mod tests {
             let facts = road.facts(s + speed * t, 0.0, 0.0, speed);
             let place = Point::new(place[0] + velocity[0] * t, place[1] + velocity[1] * t);
             let at = facts.on_route.state.pose.to_local(place);
-            let breadth = if class == ObjectClass::Person { 0.5 } else { 1.8 };
-            let detection = seen(class, at.x as f32, at.y as f32, breadth, 1.6);
+            let detection = seen(class, at.x as f32, at.y as f32, 1.8, 1.6);
             tracker.update(&[detection], picture, &ground, &facts)
         };
         (0..12).map(tick).collect()
@@ -320,7 +303,7 @@ mod tests {
     }
 
     #[test]
-    fn who_stands_is_past_or_has_to_wait_itself_is_not_in_the_way() {
+    fn who_stands_is_past_or_gives_way_is_not_in_the_way() {
         let nobody = |road: &Road, before: f64, speed: f64, place: [f64; 2], velocity: [f64; 2]| {
             let ego = (road.route.links[0].stop_s - before, speed);
             foretold(road, ego, ObjectClass::Car, (place, velocity)).iter().all(Option::is_none)
@@ -328,21 +311,10 @@ mod tests {
         let left = Road::turning_left();
         assert!(nobody(&left, 20.0, 6.0, [318.0, 1.6], [0.0, 0.0]), "it stands");
         assert!(nobody(&left, 35.0, 3.0, [305.0, 1.6], [-14.0, 0.0]), "it has passed before the ego comes");
+        let ego = (left.route.links[0].stop_s - 20.0, 6.0);
+        let person = foretold(&left, ego, ObjectClass::Person, ([326.0, 1.6], [-10.0, 0.0]));
+        assert!(person.iter().all(Option::is_none), "no vehicle");
         assert!(nobody(&Road::new("GGG"), 25.0, 6.0, [302.0, 14.0], [0.0, -3.0]), "the ego goes first");
-    }
-
-    #[test]
-    fn persons_who_step_out_count_everywhere() {
-        let road = Road::new("GGG");
-        let ahead = road.route.at(85.0).pose.xy();
-        let walks = |velocity: [f64; 2]| {
-            foretold(&road, (60.0, 7.0), ObjectClass::Person, ([ahead.x, ahead.y - 4.0], velocity))
-        };
-        let (tick, lead) = first(&walks([0.0, 1.5]));
-        let gap = 25.0 - 7.0 * tick * TICK - 0.5 * LENGTH;
-        assert!((lead.gap - gap).abs() < 1.5, "{lead:?}, expected {gap}");
-        assert!(tick * TICK * 1.5 < 2.5, "before the foot is on the ego's way: tick {tick}");
-        assert!(walks([1.5, 0.0]).iter().all(Option::is_none), "along the road");
     }
 
     #[test]

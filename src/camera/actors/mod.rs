@@ -13,7 +13,7 @@ mod wheel;
 
 use super::model::{
     ActorFrame, Bone, Box3, Channel, Instance, Lamps, Level, Library, Mesh, Model, ModelId, Object,
-    ObjectClass, Rgb, SemanticTag, srgb,
+    ObjectClass, RIDER_IDS, Rgb, SemanticTag, srgb,
 };
 use super::scene::shape::{Shaper, bounds_of};
 use crate::geometry::Pose;
@@ -400,13 +400,10 @@ impl Animation {
         frame.time = world.time;
         frame.instances.clear();
         frame.traffic_lights.clone_from(&world.traffic_lights);
-        let mut id = 0;
-        for actor in world.vehicles.iter().chain(&world.pedestrians) {
-            id += 1;
+        for (id, actor) in (1..).zip(world.vehicles.iter().chain(&world.pedestrians)) {
             let gone = self.distance(actor);
             if let Some(figure) = cast.rider(actor) {
-                frame.instances.push(rider(cast, figure, actor, gone, id));
-                id += 1;
+                frame.instances.push(rider(cast, figure, actor, gone, RIDER_IDS + id));
             }
             let instance = if actor.actor_type.kind == ActorKind::Pedestrian {
                 pedestrian(cast, actor, gone, id)
