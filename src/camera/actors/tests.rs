@@ -202,6 +202,15 @@ fn a_cyclists_feet_stay_on_the_pedals() {
 }
 
 #[test]
+fn an_id_is_the_place_in_the_world_whoever_rides() {
+    let kinds = [ActorKind::Bicycle, ActorKind::Car, ActorKind::Motorcycle, ActorKind::Car];
+    let actors: Vec<Actor> = (0..4).map(|i| actor(kinds[i], "car", [2.0, 0.7, 1.5])).collect();
+    let (_, frame) = frame_of(&actors);
+    let ids: Vec<u32> = frame.instances.iter().filter_map(|i| i.object.map(|o| o.id)).collect();
+    assert_eq!(ids, [RIDER_IDS + 1, 1, 2, RIDER_IDS + 3, 3, 4]);
+}
+
+#[test]
 fn ids_are_unique_and_colours_stay_with_the_actor() {
     let actors: Vec<Actor> =
         (0..40).map(|key| Actor { key, ..actor(ActorKind::Car, "car", [4.5, 1.8, 1.5]) }).collect();
