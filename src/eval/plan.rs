@@ -322,7 +322,7 @@ mod tests {
     #[test]
     fn names_of_episodes_are_plain_short_and_not_hidden() {
         let plan = plan(&Selection { episodes: Some(1), ..Selection::default() }, "nocrash");
-        let named = |agent: &str| Case { agent: agent.into(), ..plan[0].clone() }.name();
+        let named = |agent: &str| Case { agent: agent.parse().unwrap(), ..plan[0].clone() }.name();
         let here = named("wad-t");
         assert!(here.starts_with("wad-t_") && here.ends_with("_000"), "{here}");
         let file = named("../runs/my agent.safetensors");
