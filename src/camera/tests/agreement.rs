@@ -125,7 +125,8 @@ fn check_boxes(frame: &crate::camera::Frame, alone: bool) -> usize {
             let outside = (full - found as f32) * if side < 2 { -1.0 } else { 1.0 };
             assert!(outside > -1.0, "{object:?}");
             // A cycle's rider hides some of it.
-            let whole = alone && frame.objects.iter().filter(|o| o.id < 100).count() == 1;
+            let users = frame.objects.iter().filter(|o| o.id < crate::camera::model::STATIC_IDS);
+            let whole = alone && users.count() == 1;
             assert!(!whole || outside <= 1.0, "side {side}: {object:?}");
         }
     }
