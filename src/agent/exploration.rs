@@ -47,6 +47,9 @@ impl Default for ExplorationParams {
 
 /// From this distance on lapses happen (m).
 const NEAR: f64 = 6.0;
+/// Behind a vehicle lapses happen from here on, this much less often: who follows is near all the time.
+const NEAR_VEHICLE: f64 = 15.0;
+const FOLLOWING: f64 = 0.3;
 
 /// One episode's noise.
 #[derive(Clone, Debug)]
@@ -92,10 +95,19 @@ impl Exploration {
             self.lapse.0 -= 1;
             return [steer, self.lapse.1, 0.0];
         }
-        let near = |index: usize| raw.get(index).is_some_and(|near| f64::from(*near) > nearness(NEAR));
+        let near = |index: usize, distance: f64| {
+            raw.get(index).is_some_and(|near| f64::from(*near) > nearness(distance))
+        };
         // Most of the time before a line is spent standing.
-        let chance = self.params.lapses * if RawState::speed_of(raw) < 0.3 { 0.15 } else { 1.0 };
-        if (near(LEAD_NEARNESS) || near(LIGHT_NEARNESS)) && rng.random::<f64>() < chance {
+        let often = if RawState::speed_of(raw) < 0.3 { 0.15 } else { 1.0 };
+        let place = if near(LEAD_NEARNESS, NEAR) || near(LIGHT_NEARNESS, NEAR) {
+            1.0
+        } else if near(LEAD_NEARNESS, NEAR_VEHICLE) {
+            FOLLOWING
+        } else {
+            0.0
+        };
+        if rng.random::<f64>() < self.params.lapses * often * place {
             self.lapse = (rng.random_range(2..7), rng.random_range(0.2..0.9));
         }
         [steer, throttle, brake]

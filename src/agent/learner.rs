@@ -6,6 +6,7 @@ use super::networks::{ActorT, Dims, Params, PolicyS};
 use super::replay_buffer::Sampled;
 use super::sac::{Sac, SacParams};
 use super::td3::{Td3, Td3Params};
+use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use tch::{Device, Kind, Tensor, no_grad};
@@ -83,6 +84,20 @@ impl Batches {
         let observations = scale.apply(&Tensor::cat(&[latents, raw], 3));
         let rest = Tensor::from_slice(&sampled.rest).view([k, b, 3 * dims.actions + 3]).to_device(device);
         Self { observations, rest, actions: dims.actions }
+    }
+
+    /// Adds to each latent, now and next alike, a share of the difference between two others of its batch, drawn
+    /// with `rng` evenly from 0 to `most` per transition: what is learned then rests less on how a day looks.
+    pub fn mix_latents(&self, dims: Dims, most: f64, rng: &mut impl Rng) {
+        no_grad(|| {
+            let latents = self.observations.narrow(3, 0, dims.latent);
+            let others = latents.select(1, 0);
+            let (k, b) = (others.size()[0], others.size()[1]);
+            let share: Vec<f32> = (0..k * b).map(|_| rng.random::<f32>() * most as f32).collect();
+            let share = Tensor::from_slice(&share).view([k, b, 1]).to_device(latents.device());
+            let difference = (others.roll(1, 1) - others.roll(2, 1)) * share;
+            self.observations.narrow(3, 0, dims.latent).copy_(&(&latents + difference.unsqueeze(1)));
+        });
     }
 
     /// Batch `i`.
@@ -266,6 +281,26 @@ impl Learner {
             Self::Td3(td3) => &td3.actor.params,
             Self::Sac(sac) => &sac.policy.params,
         }
+    }
+
+    /// Begins with an actor's parameters; whatever follows it follows from there.
+    ///
+    /// # Errors
+    /// They are of another number.
+    pub fn set_actor(&mut self, values: &[f32]) -> Result<(), Misfit> {
+        let expected = self.actor_params().size();
+        if expected != values.len() as i64 {
+            return Err(Misfit { name: "actor".to_string(), expected, found: values.len().to_string() });
+        }
+        let values = Tensor::from_slice(values);
+        match self {
+            Self::Td3(td3) => {
+                td3.actor.params.set(&values);
+                td3.actor_target.params.set(&values);
+            }
+            Self::Sac(sac) => sac.policy.params.set(&values),
+        }
+        Ok(())
     }
 
     /// The actor's parameters, on the CPU.

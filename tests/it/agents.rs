@@ -198,6 +198,40 @@ fn wad_s_learns_from_demonstrations_and_is_validated() {
 }
 
 #[test]
+fn a_training_begins_with_a_trained_actor_of_its_own_kind() {
+    let dir = tempfile::tempdir().unwrap();
+    let begin = |out: &str, args: &[&str]| {
+        let args =
+            [&["--steps", "1", "--validate-every", "0", "--collectors", "1", "--buffer", "4000"], args];
+        train(&dir.path().join(out), &args.concat()).output().unwrap()
+    };
+    let shipped = concat!(env!("CARGO_MANIFEST_DIR"), "/models/wad_t/agent.safetensors");
+    let output = begin("t", &["--algo", "td3", "--init", shipped]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    // A file is its header's length, its header, the actor and the scale of its inputs.
+    let numbers = |path: &Path| {
+        let bytes = std::fs::read(path).unwrap();
+        let header = u64::from_le_bytes(bytes[..8].try_into().unwrap()) as usize;
+        bytes[8 + header..].to_vec()
+    };
+    let begun = numbers(&dir.path().join("t/last.safetensors"));
+    assert!(begun == numbers(Path::new(shipped)), "nothing was learned, so nothing differs");
+    let config = std::fs::read_to_string(dir.path().join("t/config.json")).unwrap();
+    assert!(config.contains("agent.safetensors"), "the run says what it began with");
+
+    for (args, expected) in [
+        (["--algo", "sac", "--init", shipped, "--inputs", "both"], "expected a wad-s to begin with"),
+        (["--algo", "td3", "--init", shipped, "--inputs", "raw"], "with the inputs Raw"),
+        (["--algo", "td3", "--init", "nobody", "--inputs", "both"], "no agent is called `nobody`"),
+    ] {
+        let output = begin("other", &args);
+        assert_eq!(output.status.code(), Some(2), "{args:?}: {}", stderr(&output));
+        assert!(stderr(&output).contains(expected), "{args:?}: {}", stderr(&output));
+        assert!(!dir.path().join("other/config.json").exists(), "a refused training leaves its folder free");
+    }
+}
+
+#[test]
 fn a_replay_buffer_beyond_memory_is_refused_with_its_size() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("run");

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use wad_cosim::agent::imitation::Imitation;
 use wad_cosim::agent::learner::{Algorithm, Inputs};
 use wad_cosim::agent::networks::CriticEnd;
-use wad_cosim::agent::policy::find_encoder;
+use wad_cosim::agent::policy::{PolicyError, find_encoder};
 use wad_cosim::agent::sac::SacParams;
 use wad_cosim::agent::td3::Td3Params;
 use wad_cosim::env::{Assets, Env, EnvError, EnvOptions};
@@ -85,6 +85,13 @@ pub struct Args {
     /// Steps of behaviour cloning on the demonstrations, the actor alone, before anything else.
     #[arg(long, value_name = "N", default_value_t = 0)]
     clone: u64,
+    /// Begin with this trained agent's actor (wad-t, wad-s or a file) instead of a new one; the scale of its
+    /// inputs comes with it.
+    #[arg(long, value_name = "NAME|FILE", conflicts_with = "resume")]
+    init: Option<String>,
+    /// Adam's step where --clone begins; it falls in a straight line to a tenth.
+    #[arg(long, value_name = "X", default_value_t = 1e-3)]
+    clone_rate: f64,
     /// Updates on the demonstrations before the agent drives.
     #[arg(long, value_name = "N", default_value_t = 0)]
     pretrain: u64,
@@ -143,6 +150,10 @@ pub struct Args {
     /// never in validation.
     #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
     other_days: f64,
+    /// Add to each latent that is learned from up to this share of the difference between two others, so that
+    /// less rests on how a day looks.
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
+    latent_mixing: f64,
     /// Environment steps between validations; 0: never.
     #[arg(long, value_name = "N", default_value_t = 50_000)]
     validate_every: u64,
@@ -274,6 +285,7 @@ fn config(args: &Args) -> anyhow::Result<TrainConfig> {
     config.seed = args.seed;
     config.latent_gain = args.latent_gain;
     config.other_days = args.other_days;
+    config.latent_mixing = args.latent_mixing;
     config.env.detector.clone_from(&args.detector);
     config.update_ratio = args.update_ratio;
     config.batch_size = args.batch;
@@ -281,7 +293,9 @@ fn config(args: &Args) -> anyhow::Result<TrainConfig> {
     config.n_step = args.n_step;
     config.learning_starts = args.learning_starts;
     config.demonstrations = args.demonstrations;
+    config.init.clone_from(&args.init);
     config.cloning = args.clone;
+    config.cloning_rate = args.clone_rate;
     config.pretrain = args.pretrain;
     config.recorded.clone_from(&args.recorded);
     config.validation.every = args.validate_every;
@@ -357,7 +371,9 @@ pub fn with_exit(error: TrainError) -> anyhow::Error {
     let exit = match &error {
         TrainError::Env(env) if env.is_input() => Exit::Input,
         TrainError::Env(env) if env.is_sumo() => Exit::Sumo,
+        TrainError::Policy(PolicyError::File { what: "write", .. }) => Exit::Other,
         TrainError::Buffer(_)
+        | TrainError::Policy(_)
         | TrainError::Config(_)
         | TrainError::ConfigFile { .. }
         | TrainError::Taken { .. }

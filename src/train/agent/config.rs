@@ -23,6 +23,10 @@ pub struct TrainConfig {
     /// are less new; never in validation.
     #[serde(default)]
     pub other_days: f64,
+    /// Most of the difference between two other observations' latents that is added to a latent that is
+    /// learned from.
+    #[serde(default)]
+    pub latent_mixing: f64,
     /// Everything random derives from it.
     pub seed: u64,
     pub curriculum: Curriculum,
@@ -50,14 +54,24 @@ pub struct TrainConfig {
     pub noisy_demonstrations: f64,
     /// Folders of recorded episodes that are put into the replay buffer first.
     pub recorded: Vec<PathBuf>,
+    /// The trained agent, a name or file, whose actor and scale of inputs this training begins with.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub init: Option<String>,
     /// Steps of behaviour cloning, the actor alone, before anything else is learned.
     #[serde(default)]
     pub cloning: u64,
+    /// Adam's step where cloning begins; it falls in a straight line to a tenth.
+    #[serde(default = "cloning_rate")]
+    pub cloning_rate: f64,
     /// Updates on the demonstrations before the agent drives.
     pub pretrain: u64,
     pub validation: ValidationParams,
     /// Environment steps between checkpoints.
     pub checkpoint_every: u64,
+}
+
+fn cloning_rate() -> f64 {
+    1e-3
 }
 
 /// How the best actor is picked.
@@ -86,6 +100,7 @@ impl TrainConfig {
             inputs: Inputs::Both,
             latent_gain: 1.0,
             other_days: 0.0,
+            latent_mixing: 0.0,
             seed: 0,
             curriculum,
             env: EnvOptions::training(),
@@ -101,7 +116,9 @@ impl TrainConfig {
             demonstrations: 0,
             noisy_demonstrations: 0.7,
             recorded: Vec::new(),
+            init: None,
             cloning: 0,
+            cloning_rate: cloning_rate(),
             pretrain: 0,
             validation: ValidationParams::default(),
             checkpoint_every: 25_000,
@@ -152,6 +169,10 @@ impl TrainConfig {
             Some(format!("expected an update ratio above 0 and up to 64, found {}", self.update_ratio))
         } else if !(0.0..=1.0).contains(&self.other_days) {
             Some(format!("expected a share of other days from 0 to 1, found {}", self.other_days))
+        } else if !(0.0..=1.0).contains(&self.latent_mixing) {
+            Some(format!("expected a share of other latents from 0 to 1, found {}", self.latent_mixing))
+        } else if !(self.cloning_rate > 0.0 && self.cloning_rate <= 0.1) {
+            Some(format!("expected a cloning rate above 0 and up to 0.1, found {}", self.cloning_rate))
         } else if self.recorded.is_empty()
             && self.learning_starts + self.demonstrations < self.batch_size as u64
         {

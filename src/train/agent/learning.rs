@@ -31,8 +31,6 @@ const TOGETHER: usize = 8;
 const SLACK: u64 = 64;
 /// Updates between two copies of the actor for the collectors.
 const PUBLISH: u64 = 64;
-/// Adam's step where behaviour cloning begins.
-const CLONING_RATE: f64 = 1e-3;
 /// Between two lines of figures.
 const FIGURES: Duration = Duration::from_secs(5);
 /// Observations that the inputs' scale is measured on.
@@ -100,6 +98,28 @@ pub fn train(
     learning.finish(&shared, result)
 }
 
+/// The trained agent that a training is to begin with.
+fn begin_with(config: &TrainConfig, name: &str) -> Result<Policy, TrainError> {
+    let (policy, path) = Policy::find(name)?;
+    policy.check(&path, &config.encoder_hash, &config.env.camera.hash())?;
+    let (agent, asked) = (policy.card.algorithm.agent_name(), config.algorithm.agent_name());
+    if agent != asked {
+        return Err(TrainError::Config(format!(
+            "expected a {asked} to begin with, found a {agent} in `{}`; name one of the same algorithm",
+            path.display()
+        )));
+    }
+    if policy.card.inputs != config.inputs {
+        return Err(TrainError::Config(format!(
+            "expected an agent with the inputs {:?} to begin with, found {:?} in `{}`; train with the same",
+            config.inputs,
+            policy.card.inputs,
+            path.display()
+        )));
+    }
+    Ok(policy)
+}
+
 struct Learning<'a> {
     config: &'a TrainConfig,
     limits: &'a Limits,
@@ -152,6 +172,8 @@ impl<'a> Learning<'a> {
     fn begin(config: &'a TrainConfig, limits: &'a Limits, resume: bool) -> Result<Self, TrainError> {
         tch::set_num_threads(1);
         let out = &limits.out;
+        let init = config.init.as_deref().filter(|_| !resume);
+        let init = init.map(|name| begin_with(config, name)).transpose()?;
         std::fs::create_dir_all(out).map_err(|source| TrainError::Write { path: out.clone(), source })?;
         let file = out.join("config.json");
         if file.exists() && !resume {
@@ -215,6 +237,10 @@ impl<'a> Learning<'a> {
             learning.before_seconds = state.wall_seconds;
             learning.published_at = learning.learner.updates();
             learning.resumed = Some(state.schedule);
+        } else if let Some(policy) = init {
+            learning.learner.set_actor(&policy.values)?;
+            let tensors = policy.scale.tensors(limits.device);
+            learning.scale = Some((policy.scale, tensors));
         }
         Ok(learning)
     }
@@ -301,7 +327,8 @@ impl<'a> Learning<'a> {
         let batches = self.sample(TOGETHER);
         for i in 0..TOGETHER {
             let done = self.cloned as f64 / self.config.cloning as f64;
-            self.learner.clone_expert(&batches.get(i), CLONING_RATE * (1.0 - 0.9 * done.min(1.0)));
+            let rate = self.config.cloning_rate * (1.0 - 0.9 * done.min(1.0));
+            self.learner.clone_expert(&batches.get(i), rate);
             self.cloned += 1;
         }
         if self.cloned.is_multiple_of(PUBLISH) || self.cloned >= self.config.cloning {
@@ -330,7 +357,11 @@ impl<'a> Learning<'a> {
             (scale, tensors)
         });
         self.buffer.sample(&mut self.rng, config.sampling(), updates, &mut self.sampled);
-        Batches::upload(&self.sampled, Dims::DRIVING, scale, self.limits.device)
+        let batches = Batches::upload(&self.sampled, Dims::DRIVING, scale, self.limits.device);
+        if config.latent_mixing > 0.0 {
+            batches.mix_latents(Dims::DRIVING, config.latent_mixing, &mut self.rng);
+        }
+        batches
     }
 
     /// Gives collectors the newest actor.

@@ -101,7 +101,8 @@ impl Schedule {
             return Job { purpose: Purpose::Demonstrate { noisy }, task, seed };
         }
         let task = self.state.progress.draw(&config.curriculum, &mut rng);
-        let start = self.steps < config.learning_starts && !config.is_warm();
+        let knows_nothing = !config.is_warm() && config.init.is_none();
+        let start = self.steps < config.learning_starts && knows_nothing;
         Job { purpose: if start { Purpose::Start } else { Purpose::Explore }, task, seed }
     }
 

@@ -232,10 +232,46 @@ fn demonstrations_come_first_then_the_curriculum_and_validations_between() {
 }
 
 #[test]
+fn mixed_latents_leave_the_raw_states_alone() {
+    let mut learning = Learning::new(&Algorithm::Td3(Td3Params::default()));
+    learning.experience(1);
+    let mut sampled = Sampled::default();
+    learning.buffer.sample(&mut learning.rng, SAMPLING, 2, &mut sampled);
+    let scale = InputScale::identity(DIMS).tensors(Device::Cpu);
+    let numbers = |mixing: Option<(f64, u64)>| {
+        let batches = Batches::upload(&sampled, DIMS, &scale, Device::Cpu);
+        if let Some((most, seed)) = mixing {
+            batches.mix_latents(DIMS, most, &mut seeds::rng(seed, "learner"));
+        }
+        let batch = batches.get(1);
+        let vector = |t: tch::Tensor| Vec::<f32>::try_from(t.reshape(-1)).unwrap();
+        (vector(batch.observation), vector(batch.next_observation))
+    };
+    let (plain, mixed) = (numbers(None), numbers(Some((0.5, 1))));
+    assert_eq!(mixed, numbers(Some((0.5, 1))), "the generator alone decides");
+    assert_ne!(mixed, numbers(Some((0.5, 2))));
+    let (mut most, mut moved) = (0.0_f32, 0);
+    for (i, before) in plain.0.iter().enumerate() {
+        let (now, next) = (mixed.0[i] - before, mixed.1[i] - plain.1[i]);
+        let is_latent = i % 10 < 6;
+        assert!(is_latent || now == 0.0 && next == 0.0, "raw number {i} moved by {now}");
+        // A transition is looked at through one pair of eyes.
+        assert!((now - next).abs() < 1e-6);
+        most = most.max(now.abs());
+        moved += usize::from(now != 0.0);
+    }
+    // All numbers here are from 0 to 1.
+    assert!(most <= 0.5 && most > 0.1 && moved > 150, "{moved} moved, {most} at most");
+}
+
+#[test]
 fn without_demonstrations_gentle_driving_comes_first() {
-    let config = config();
+    let mut config = config();
     let mut schedule = Schedule::new(&config, None, 0);
     assert!(matches!(schedule.next(&config).purpose, Purpose::Start));
     schedule.steps = config.learning_starts;
     assert!(matches!(schedule.next(&config).purpose, Purpose::Explore));
+    schedule.steps = 0;
+    config.init = Some("wad-t".to_string());
+    assert!(matches!(schedule.next(&config).purpose, Purpose::Explore), "a trained actor drives at once");
 }
