@@ -59,7 +59,7 @@ const TOWN: f64 = 19.5;
 /// Writes the net of `from` with what is `wanted` to `to`.
 ///
 /// # Errors
-/// netconvert fails, or a lane would leave its line; nothing is written then.
+/// netconvert fails, a lane would leave its line, or SUMO does not read what came of it; nothing is written then.
 pub fn enrich(from: &Path, to: &Path, wanted: Wanted) -> Result<Enriched, NetError> {
     let install = SumoInstall::find()?;
     let old = Network::load(from)?;
@@ -100,6 +100,12 @@ pub fn enrich(from: &Path, to: &Path, wanted: Wanted) -> Result<Enriched, NetErr
     if moved.lanes > 0 || moved.missing > 0 {
         return Err(NetError::Moved(moved));
     }
+    // Before anything is left behind: SUMO reads it.
+    let made = scratch.path().join("made.net.xml");
+    std::fs::write(&made, &text).map_err(|source| NetError::Write { path: made.clone(), source })?;
+    let mut given: Vec<OsString> = vec!["--net-file".into(), made.into()];
+    given.extend(arguments(&[("end", "1"), ("no-step-log", "true")]));
+    run(&install, "sumo", from, given)?;
     std::fs::write(to, text).map_err(|source| NetError::Write { path: to.to_path_buf(), source })?;
     Ok(Enriched {
         signals: (old.traffic_lights.len(), new.traffic_lights.len()),

@@ -120,6 +120,10 @@ fn join(
 ) {
     let Some(at) = at else { return };
     let shape = shapes.entry(lane).or_insert_with(|| network.lane(lane).shape.points().to_vec());
+    if let &mut [only] = shape.as_mut_slice() {
+        // A turn on the spot has no length: its two ends were one point, and must not be moved together.
+        shape.push(only);
+    }
     let end = if first { shape.first_mut() } else { shape.last_mut() };
     if let Some(end) = end {
         *end = at;
@@ -193,7 +197,9 @@ fn lane(tag: &BytesStart<'_>, shapes: &HashMap<String, Vec<Point3<f64>>>, flat: 
 
 fn written(shape: &[Point3<f64>], flat: bool) -> String {
     let mut text = String::new();
-    for p in shape {
+    // SUMO reads no lane of one point.
+    let again = if shape.len() == 1 { shape } else { &[] };
+    for p in shape.iter().chain(again) {
         let space = if text.is_empty() { "" } else { " " };
         let _ = if flat {
             write!(text, "{space}{:.2},{:.2}", p.x, p.y)
