@@ -90,13 +90,13 @@ impl Batches {
     /// with `rng` evenly from 0 to `most` per transition: what is learned then rests less on how a day looks.
     pub fn mix_latents(&self, dims: Dims, most: f64, rng: &mut impl Rng) {
         no_grad(|| {
-            let latents = self.observations.narrow(3, 0, dims.latent);
+            let mut latents = self.observations.narrow(3, 0, dims.latent);
             let others = latents.select(1, 0);
             let (k, b) = (others.size()[0], others.size()[1]);
             let share: Vec<f32> = (0..k * b).map(|_| rng.random::<f32>() * most as f32).collect();
             let share = Tensor::from_slice(&share).view([k, b, 1]).to_device(latents.device());
             let difference = (others.roll(1, 1) - others.roll(2, 1)) * share;
-            self.observations.narrow(3, 0, dims.latent).copy_(&(&latents + difference.unsqueeze(1)));
+            let _ = latents.g_add_(&difference.unsqueeze(1));
         });
     }
 
@@ -288,19 +288,13 @@ impl Learner {
     /// # Errors
     /// They are of another number.
     pub fn set_actor(&mut self, values: &[f32]) -> Result<(), Misfit> {
-        let expected = self.actor_params().size();
-        if expected != values.len() as i64 {
-            return Err(Misfit { name: "actor".to_string(), expected, found: values.len().to_string() });
-        }
-        let values = Tensor::from_slice(values);
         match self {
             Self::Td3(td3) => {
-                td3.actor.params.set(&values);
-                td3.actor_target.params.set(&values);
+                fill(&mut td3.actor.params, values)?;
+                fill(&mut td3.actor_target.params, values)
             }
-            Self::Sac(sac) => sac.policy.params.set(&values),
+            Self::Sac(sac) => fill(&mut sac.policy.params, values),
         }
-        Ok(())
     }
 
     /// The actor's parameters, on the CPU.
@@ -396,6 +390,16 @@ impl Learner {
     }
 }
 
+/// Gives an actor's network its parameters.
+fn fill(params: &mut Params, values: &[f32]) -> Result<(), Misfit> {
+    let (expected, found) = (params.size(), values.len());
+    if expected != found as i64 {
+        return Err(Misfit { name: "actor".to_string(), expected, found: found.to_string() });
+    }
+    params.set(&Tensor::from_slice(values));
+    Ok(())
+}
+
 /// An actor on the CPU, for one thread: what collectors and trained agents act with.
 #[derive(Debug)]
 pub struct Actor {
@@ -426,19 +430,10 @@ impl Actor {
     /// # Errors
     /// They are of another number.
     pub fn set(&mut self, values: &[f32]) -> Result<(), Misfit> {
-        let params = match &mut self.net {
-            Net::T(actor) => &mut actor.params,
-            Net::S(policy) => &mut policy.params,
-        };
-        if params.size() != values.len() as i64 {
-            return Err(Misfit {
-                name: "actor".to_string(),
-                expected: params.size(),
-                found: values.len().to_string(),
-            });
+        match &mut self.net {
+            Net::T(actor) => fill(&mut actor.params, values),
+            Net::S(policy) => fill(&mut policy.params, values),
         }
-        params.set(&Tensor::from_slice(values));
-        Ok(())
     }
 
     /// Takes over another scale of the inputs.

@@ -87,7 +87,7 @@ fn shapes(old: &Network, new: &Network) -> HashMap<String, Vec<Point3<f64>>> {
                 continue;
             }
             let (a, b) = (line.project(shape.at(0.0).xy()).s, line.project(shape.at(shape.length()).xy()).s);
-            let piece = if b - a > SHORTEST { cut(line, a, b) } else { line.points().to_vec() };
+            let piece = if b - a > SHORTEST { cut(line, a, b) } else { points(line) };
             shapes.insert(other, piece);
         }
     }
@@ -119,15 +119,21 @@ fn join(
     first: bool,
 ) {
     let Some(at) = at else { return };
-    let shape = shapes.entry(lane).or_insert_with(|| network.lane(lane).shape.points().to_vec());
-    if let &mut [only] = shape.as_mut_slice() {
-        // A turn on the spot has no length: its two ends were one point, and must not be moved together.
-        shape.push(only);
-    }
+    let shape = shapes.entry(lane).or_insert_with(|| points(&network.lane(lane).shape));
     let end = if first { shape.first_mut() } else { shape.last_mut() };
     if let Some(end) = end {
         *end = at;
     }
+}
+
+/// The points of a line, two or more: one of no length (a turn on the spot) has both its ends in one point, and
+/// SUMO reads no lane of one point.
+fn points(line: &Polyline) -> Vec<Point3<f64>> {
+    let mut points = line.points().to_vec();
+    if let [only] = points[..] {
+        points.push(only);
+    }
+    points
 }
 
 /// The piece of a line from `a` to `b` (m).
@@ -197,9 +203,7 @@ fn lane(tag: &BytesStart<'_>, shapes: &HashMap<String, Vec<Point3<f64>>>, flat: 
 
 fn written(shape: &[Point3<f64>], flat: bool) -> String {
     let mut text = String::new();
-    // SUMO reads no lane of one point.
-    let again = if shape.len() == 1 { shape } else { &[] };
-    for p in shape.iter().chain(again) {
+    for p in shape {
         let space = if text.is_empty() { "" } else { " " };
         let _ = if flat {
             write!(text, "{space}{:.2},{:.2}", p.x, p.y)
