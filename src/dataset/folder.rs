@@ -3,6 +3,7 @@
 use super::collect::CollectOptions;
 use super::error::DatasetError;
 use super::plan::Segment;
+use super::record::FrameRecord;
 use super::shard::ShardReader;
 use crate::camera::model::ObjectClass;
 use crate::camera::{CameraConfig, Preset};
@@ -258,22 +259,46 @@ impl Dataset {
     /// # Errors
     /// The shard cannot be opened.
     pub fn images(&self, shard: usize, bytes: &mut Vec<u8>) -> Result<usize, DatasetError> {
+        self.read(shard, bytes, |reader, image| reader.next_image(image))
+    }
+
+    /// The same, and each image's record to `take`.
+    ///
+    /// # Errors
+    /// The shard cannot be opened.
+    pub fn images_with_records(
+        &self,
+        shard: usize,
+        bytes: &mut Vec<u8>,
+        mut take: impl FnMut(FrameRecord),
+    ) -> Result<usize, DatasetError> {
+        self.read(shard, bytes, |reader, image| {
+            let Some(frame) = reader.next_frame()? else { return Ok(false) };
+            image.copy_from_slice(frame.transformed.bytes());
+            take(frame.record);
+            Ok(true)
+        })
+    }
+
+    /// Fills `bytes` image by image with what `next` reads, until it says false or fails.
+    fn read(
+        &self,
+        shard: usize,
+        bytes: &mut Vec<u8>,
+        mut next: impl FnMut(&mut ShardReader, &mut [u8]) -> Result<bool, DatasetError>,
+    ) -> Result<usize, DatasetError> {
         let mut reader = self.reader(shard)?;
         bytes.clear();
         for frame in 0..reader.frames() {
             let at = frame * TransformedImage::BYTES;
             bytes.resize(at + TransformedImage::BYTES, 0);
-            match reader.next_image(&mut bytes[at..]) {
-                Ok(true) => {}
-                Ok(false) => {
-                    bytes.truncate(at);
-                    break;
-                }
-                Err(error) => {
-                    tracing::warn!("{error}; the rest of the shard is left out");
-                    bytes.truncate(at);
-                    break;
-                }
+            let read = next(&mut reader, &mut bytes[at..]).unwrap_or_else(|error| {
+                tracing::warn!("{error}; the rest of the shard is left out");
+                false
+            });
+            if !read {
+                bytes.truncate(at);
+                break;
             }
         }
         Ok(bytes.len() / TransformedImage::BYTES)

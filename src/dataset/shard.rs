@@ -308,6 +308,18 @@ impl ShardReader {
         Ok(Some((record, CameraPlace { path, codec, offset, length, crc })))
     }
 
+    /// The next frame's record alone; None at the end.
+    ///
+    /// # Errors
+    /// The frame is damaged.
+    pub fn next_record(&mut self) -> Result<Option<FrameRecord>, DatasetError> {
+        let (path, read) = (self.path.clone(), self.read);
+        let Some([text, ..]) = self.next_parts()? else { return Ok(None) };
+        serde_json::from_slice(text)
+            .map(Some)
+            .map_err(|e| DatasetError::Torn { path: path.to_path_buf(), why: format!("frame {read}: {e}") })
+    }
+
     /// The next frame's transformed image alone into `bytes` ([`TransformedImage::BYTES`] of them);
     /// false at the end.
     ///

@@ -279,7 +279,8 @@ pub fn images_tensor(bytes: &[u8], count: usize) -> Result<Tensor, TchError> {
 /// # Errors
 /// torch fails.
 pub fn to_pictures(images: &Tensor) -> Result<Tensor, TchError> {
-    images.f_permute([0, 3, 1, 2])?.f_to_kind(Kind::Float)?.f_div_scalar(255.0)?.f_contiguous()
+    // The bytes are put in order before they are made four times as large.
+    images.f_permute([0, 3, 1, 2])?.f_contiguous()?.f_to_kind(Kind::Float)?.f_div_scalar(255.0)
 }
 
 /// The file of a trained network: half precision, with `metadata`, the hash added. `mean` and `deviation`

@@ -5,10 +5,11 @@ use super::encoder::TchEncoder;
 use super::packed::Scratch;
 use super::probe::{Probe, Regression, auc, explained};
 use super::score::{ObjectScore, psnr, ssim};
+use super::told::Told;
 use crate::bench::median;
 use crate::camera::{CameraConfig, Preset};
 use crate::cpu_time;
-use crate::dataset::{Dataset, DatasetError, FrameRecord, Labels};
+use crate::dataset::{Dataset, DatasetError, FrameRecord};
 use crate::observation::LATENT_SIZE;
 use crate::perception::{TRANSFORMED_SIZE, TransformedImage};
 use serde::Serialize;
@@ -68,7 +69,7 @@ pub struct Judgement {
     pub lateral: LinearScore,
     /// Heading of the waypoint ahead less the ego's (rad), of the same frames.
     pub heading: LinearScore,
-    /// Gap to the vehicle in the lane within [`LEAD`] (m).
+    /// Gap to the vehicle in the lane within 20 m (m).
     pub gap: LinearScore,
     /// The same probe of the vehicle, measured where the route goes straight on: where it turns, the picture
     /// does not tell which of the roads ahead is the ego's.
@@ -94,40 +95,8 @@ pub struct LinearScore {
     pub measured: usize,
 }
 
-/// How near counts (m).
-const LEAD: f64 = 20.0;
-const PEDESTRIAN: f64 = 15.0;
-/// An ego further from its lane's centre has left it (m).
-const NEAR_LANE: f64 = 1.75;
-/// A route that turns less is straight (rad).
-const STRAIGHT: f64 = 0.15;
 /// Frames encoded at once.
 const BATCH: usize = 64;
-
-/// What probes are fitted to and measured by.
-#[derive(Clone, Copy, Debug)]
-struct Told {
-    labels: Labels,
-    /// Offset from the lane's centre (m) and heading error (rad), where a boundary is in sight.
-    on_lane: Option<[f64; 2]>,
-    /// The route goes straight on for the next waypoints.
-    straight: bool,
-    /// Middle (m) and slope of the painted boundaries.
-    painted: Option<[f64; 2]>,
-}
-
-impl Told {
-    fn of(record: &FrameRecord) -> Self {
-        let sees = record.lanes.left.is_some() || record.lanes.right.is_some();
-        let near = record.raw.lateral.abs() < NEAR_LANE;
-        let on_lane = (sees && near).then_some([record.raw.lateral, record.raw.heading_error]);
-        let turns = [record.raw.heading_error, record.raw.heading_error_far];
-        let straight = turns.iter().all(|turn| turn.abs() < STRAIGHT);
-        let painted = record.lanes.left.as_ref().zip(record.lanes.right.as_ref());
-        let painted = painted.map(|(l, r)| [0.5 * f64::from(l.offset + r.offset), f64::from(l.slope)]);
-        Self { labels: record.labels, on_lane, straight, painted }
-    }
-}
 
 /// A batch of frames with latents and reconstructions.
 struct Batch {
@@ -187,12 +156,11 @@ fn standardise(known: &mut [Vec<f32>], unseen: &mut [Vec<f32>]) {
 fn probe(
     (known, unseen): (&[Vec<f32>], &[Vec<f32>]),
     (told, wanted): (&[Told], &[Told]),
-    what: fn(&Labels) -> bool,
+    what: fn(&Told) -> bool,
     counts: fn(&Told) -> bool,
 ) -> ProbeScore {
-    let fitted: Vec<bool> = told.iter().map(|told| what(&told.labels)).collect();
-    let measured: Vec<bool> =
-        wanted.iter().filter(|told| counts(told)).map(|told| what(&told.labels)).collect();
+    let fitted: Vec<bool> = told.iter().map(what).collect();
+    let measured: Vec<bool> = wanted.iter().filter(|told| counts(told)).map(what).collect();
     let ranked = Probe::fit(known, &fitted).and_then(|probe| {
         let counted = unseen.iter().zip(wanted).filter(|(_, told)| counts(told));
         let scores: Vec<f64> = counted.map(|(row, _)| probe.score(row)).collect();
@@ -261,10 +229,6 @@ pub fn judge(
     let latents = (known.latents.as_slice(), unseen.latents.as_slice());
     let blue = (known.blue.as_slice(), unseen.blue.as_slice());
     let green = (known.green.as_slice(), unseen.green.as_slice());
-    let lead = |l: &Labels| l.lead.is_some_and(|gap| gap <= LEAD);
-    let pedestrian = |l: &Labels| l.pedestrian.is_some_and(|gap| gap <= PEDESTRIAN);
-    let middle = |told: &Told| told.painted.map(|[middle, _]| middle);
-    let slope = |told: &Told| told.painted.map(|[_, slope]| slope);
     let count = unseen.told.len().max(1) as f64;
     Ok(Judgement {
         encoder: super::Encoder::hash(encoder).to_string(),
@@ -281,19 +245,19 @@ pub fn judge(
         encode_ms: encode_ms(encoder)?,
         probe_frames: known.told.len(),
         probe_town: fitted.manifest.town.clone(),
-        lead: probe(latents, told, lead, |_| true),
-        pedestrian: probe(latents, told, pedestrian, |_| true),
-        red: probe(latents, told, |l| l.red, |_| true),
+        lead: probe(latents, told, Told::has_lead, |_| true),
+        pedestrian: probe(latents, told, Told::has_pedestrian, |_| true),
+        red: probe(latents, told, |told| told.labels.red, |_| true),
         lateral: regress(latents, told, |told| told.on_lane.map(|[lateral, _]| lateral)),
         heading: regress(latents, told, |told| told.on_lane.map(|[_, heading]| heading)),
-        gap: regress(latents, told, |told| told.labels.lead.filter(|gap| *gap <= LEAD)),
-        lead_straight: probe(latents, told, lead, |told| told.straight),
-        lead_of_picture: probe(blue, told, lead, |_| true),
-        pedestrian_of_picture: probe(blue, told, pedestrian, |_| true),
-        middle: regress(latents, told, middle),
-        slope: regress(latents, told, slope),
-        middle_of_picture: regress(green, told, middle),
-        slope_of_picture: regress(green, told, slope),
+        gap: regress(latents, told, Told::gap),
+        lead_straight: probe(latents, told, Told::has_lead, |told| told.straight),
+        lead_of_picture: probe(blue, told, Told::has_lead, |_| true),
+        pedestrian_of_picture: probe(blue, told, Told::has_pedestrian, |_| true),
+        middle: regress(latents, told, Told::middle),
+        slope: regress(latents, told, Told::slope),
+        middle_of_picture: regress(green, told, Told::middle),
+        slope_of_picture: regress(green, told, Told::slope),
     })
 }
 

@@ -13,6 +13,7 @@ pub mod packed;
 mod pooled;
 pub mod probe;
 pub mod score;
+pub mod told;
 #[cfg(feature = "learn")]
 pub mod weights;
 

@@ -1,6 +1,10 @@
 //! Detectors by name: what `--detector` takes.
 
 use super::{Detector, Faults, PerceptionError, TruthDetector};
+#[cfg(feature = "learn")]
+use crate::latent::weights::Weights;
+#[cfg(feature = "learn")]
+use std::path::Path;
 
 /// The forms that [`detector`] knows, for help texts.
 pub const DETECTORS: &str = "truth (the renderer's boxes), truth:faulty (with a real detector's faults), \
@@ -15,10 +19,7 @@ pub const MIN_SCORE: f32 = 0.3;
 /// # Errors
 /// No such name, its file or weights cannot be used, or this program was built without what it needs.
 pub fn detector(name: &str, min_score: f32) -> Result<Box<dyn Detector>, PerceptionError> {
-    let unknown = || PerceptionError::Detector {
-        name: name.to_string(),
-        why: format!("no detector has this name. Known: {DETECTORS}"),
-    };
+    let unknown = || failed(name, format!("no detector has this name. Known: {DETECTORS}"));
     let (kind, file) = name.split_once(':').map_or((name, None), |(kind, file)| (kind, Some(file)));
     match kind {
         "truth" if file.is_none() => Ok(Box::new(TruthDetector::new())),
@@ -35,31 +36,47 @@ const BUNDLED: &str = "light";
 
 #[cfg(feature = "learn")]
 fn centernet(name: &str, file: Option<&str>, min_score: f32) -> Result<Box<dyn Detector>, PerceptionError> {
-    use super::centernet::CenterNetDetector;
-    use crate::latent::weights::Weights;
-    use std::path::Path;
-    if let Some(file) = file.filter(|f| !f.is_empty()) {
-        return Ok(Box::new(CenterNetDetector::load(Path::new(file), min_score)?));
+    let weights = weights(name, file)?;
+    let found = super::centernet::CenterNetDetector::from_weights(name.to_string(), &weights, min_score);
+    Ok(Box::new(found.map_err(|e| failed(name, e.to_string()))?))
+}
+
+/// The weights that `name`, centernet or centernet:FILE, stands for.
+///
+/// # Errors
+/// Another name, no such file, or none travel with this build.
+#[cfg(feature = "learn")]
+pub fn centernet_weights(name: &str) -> Result<Weights, PerceptionError> {
+    match name.split_once(':').map_or((name, None), |(kind, file)| (kind, Some(file))) {
+        ("centernet", file) => weights(name, file),
+        _ => Err(failed(name, "expected centernet or centernet:FILE".to_string())),
     }
-    let failed = |why: String| PerceptionError::Detector { name: name.to_string(), why };
-    let bytes = crate::bundled::detector(BUNDLED).ok_or_else(|| {
-        failed(
-            "no weights travel with this build: train some with `wad-cosim train detector` and name them, \
-             centernet:FILE"
-                .to_string(),
-        )
-    })?;
-    let found = Weights::parse(Path::new(BUNDLED), bytes)
-        .and_then(|weights| CenterNetDetector::from_weights(name.to_string(), &weights, min_score));
-    Ok(Box::new(found.map_err(|e| failed(e.to_string()))?))
+}
+
+#[cfg(feature = "learn")]
+fn weights(name: &str, file: Option<&str>) -> Result<Weights, PerceptionError> {
+    let loaded = match file.filter(|file| !file.is_empty()) {
+        Some(file) => Weights::load(Path::new(file)),
+        None => {
+            let none = || {
+                let why = "no weights travel with this build: train some with `wad-cosim train detector` and \
+                           name them, centernet:FILE";
+                failed(name, why.to_string())
+            };
+            Weights::parse(Path::new(BUNDLED), crate::bundled::detector(BUNDLED).ok_or_else(none)?)
+        }
+    };
+    loaded.map_err(|e| failed(name, e.to_string()))
+}
+
+fn failed(name: &str, why: String) -> PerceptionError {
+    PerceptionError::Detector { name: name.to_string(), why }
 }
 
 #[cfg(not(feature = "learn"))]
 fn centernet(name: &str, _: Option<&str>, _: f32) -> Result<Box<dyn Detector>, PerceptionError> {
-    Err(PerceptionError::Detector {
-        name: name.to_string(),
-        why: "this program was built without libtorch: build it with the cargo feature `learn`".to_string(),
-    })
+    let why = "this program was built without libtorch: build it with the cargo feature `learn`";
+    Err(failed(name, why.to_string()))
 }
 
 #[cfg(feature = "vision")]
@@ -67,9 +84,9 @@ fn onnx(name: &str, file: Option<&str>, min_score: f32) -> Result<Box<dyn Detect
     use super::OnnxDetector;
     let path =
         file.filter(|f| !f.is_empty()).map(Into::into).or_else(OnnxDetector::default_path).ok_or_else(
-            || PerceptionError::Detector {
-                name: name.to_string(),
-                why: "HOME is not set, so there is no cache to look in: name a file, onnx:FILE".to_string(),
+            || {
+                let why = "HOME is not set, so there is no cache to look in: name a file, onnx:FILE";
+                failed(name, why.to_string())
             },
         )?;
     Ok(Box::new(OnnxDetector::load(&path, min_score)?))
@@ -77,8 +94,6 @@ fn onnx(name: &str, file: Option<&str>, min_score: f32) -> Result<Box<dyn Detect
 
 #[cfg(not(feature = "vision"))]
 fn onnx(name: &str, _: Option<&str>, _: f32) -> Result<Box<dyn Detector>, PerceptionError> {
-    Err(PerceptionError::Detector {
-        name: name.to_string(),
-        why: "this program was built without OpenCV: build it with the cargo feature `vision`".to_string(),
-    })
+    let why = "this program was built without OpenCV: build it with the cargo feature `vision`";
+    Err(failed(name, why.to_string()))
 }

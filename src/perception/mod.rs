@@ -31,6 +31,8 @@ pub(crate) mod testing;
 mod tour;
 mod truth;
 
+#[cfg(feature = "learn")]
+pub use choice::centernet_weights;
 pub use choice::{DETECTORS, MIN_SCORE, detector};
 pub use ground::GroundPlane;
 pub use image::{TRANSFORMED_SIZE, TransformedImage};

@@ -13,6 +13,7 @@ use crate::dataset::Dataset;
 use crate::latent::weights::{Weights, WeightsError};
 use crate::perception::centernet::loss::loss;
 use crate::perception::centernet::{Backbone, CenterNet, CenterNetDetector};
+use crate::perception::centernet_weights;
 use crate::perception::coco::{class_index, class_name};
 use crate::perception::metrics::{Found, Scored, average_precision, mean};
 use crate::perception::score::{SMALL, TALL};
@@ -33,6 +34,9 @@ pub struct TrainOptions {
     #[serde(default)]
     pub more: Vec<PathBuf>,
     pub out: PathBuf,
+    /// Begin with these weights, named as a detector is (centernet, centernet:FILE); None: new ones.
+    #[serde(default)]
+    pub init: Option<String>,
     pub epochs: u64,
     pub batch: usize,
     /// Most batches to an epoch.
@@ -65,6 +69,7 @@ impl TrainOptions {
             data: data.to_path_buf(),
             more: Vec::new(),
             out: out.to_path_buf(),
+            init: None,
             epochs: 12,
             batch: 16,
             epoch_steps: 400,
@@ -192,24 +197,27 @@ impl<'a> Trainer<'a> {
             validation.extend(samples(dataset, &validate, share)?);
         }
         tch::manual_seed(seeds::derive(options.seed, "weights") as i64);
-        let (network, mut adam);
+        let begin = match &options.init {
+            _ if resume => Some(Weights::load(&checkpoint)?),
+            Some(name) => Some(centernet_weights(name)?),
+            None => None,
+        };
+        let network = match &begin {
+            Some(weights) => CenterNet::from_weights(weights, device)?,
+            None => CenterNet::new(options.backbone, device)?,
+        };
+        if network.backbone != options.backbone {
+            return Err(TrainError::Weights(WeightsError::Mismatch {
+                path: begin.map(|weights| weights.path).unwrap_or_default(),
+                found: format!("backbone {}", network.backbone.name()),
+                expected: format!("backbone {}", options.backbone.name()),
+            }));
+        }
+        let mut adam = AdamW::new(&network.store, options.weight_decay)?;
         let mut reached = Reached::default();
-        if resume {
-            let weights = Weights::load(&checkpoint)?;
+        if let Some(weights) = begin.filter(|_| resume) {
             reached = run::reached(&weights)?;
-            network = CenterNet::from_weights(&weights, device)?;
-            if network.backbone != options.backbone {
-                return Err(TrainError::Weights(WeightsError::Mismatch {
-                    path: checkpoint,
-                    found: format!("backbone {}", network.backbone.name()),
-                    expected: format!("backbone {}", options.backbone.name()),
-                }));
-            }
-            adam = AdamW::new(&network.store, options.weight_decay)?;
             adam.restore(reached.optimiser_steps, |name, shape| weights.get(name, shape))?;
-        } else {
-            network = CenterNet::new(options.backbone, device)?;
-            adam = AdamW::new(&network.store, options.weight_decay)?;
         }
         if reached.validation_frames != validation.len() {
             (reached.validation_frames, reached.best) = (validation.len(), None);

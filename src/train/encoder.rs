@@ -5,14 +5,16 @@
 //! goes on from its last checkpoint; on the processor with one thread it then ends with the very bits of
 //! one that was not (cuDNN's sums differ from run to run).
 
+pub mod heads;
 mod terms;
 
 pub use super::run::TrainError;
 pub use terms::{EpochRecord, Progress, TrainOptions, Trained, Validation};
 
-use super::images;
+use super::images::{self, Choice, Images};
 use super::loss;
 use super::run::{self, Training};
+use crate::agent::adam::Adam;
 use crate::dataset::Dataset;
 use crate::latent::chance;
 use crate::latent::encoder::{keys, to_pictures, weights_of};
@@ -20,6 +22,7 @@ use crate::latent::network::{Architecture, Autoencoder, Slot};
 use crate::latent::weights::{Weights, WeightsError};
 use crate::perception::TransformedImage;
 use crate::seeds;
+use heads::Heads;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
@@ -32,12 +35,10 @@ use tch::{Device, Kind, TchError, Tensor};
 /// Images that validation looks at, at most, and that the latent is standardised by.
 const VALIDATION_IMAGES: usize = 2000;
 const STANDARD_IMAGES: i64 = 4096;
+/// The heads learn so many times as fast as the network.
+const HEADS_RATE: f64 = 10.0;
 /// Steps between looks at the loss: each look waits for the device.
 const LOOK_EVERY: u64 = 20;
-/// Adam's.
-const BETA1: f64 = 0.9;
-const BETA2: f64 = 0.999;
-const ADAM_EPSILON: f64 = 1e-8;
 
 /// What a checkpoint knows beside its tensors.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
@@ -55,13 +56,13 @@ struct Trainer<'a> {
     device: Device,
     dataset: Dataset,
     network: Autoencoder,
-    /// Adam's first and second moments, in theta's layout.
-    first: Tensor,
-    second: Tensor,
+    adam: Adam,
+    /// With `--label-weight`; made when the first images are there.
+    heads: Option<Heads>,
     reached: Reached,
     /// Shards that are resident, and their images.
-    resident: (Vec<usize>, Tensor),
-    validation: Tensor,
+    resident: (Vec<usize>, Images),
+    validation: Images,
     began: Instant,
 }
 
@@ -96,39 +97,48 @@ impl<'a> Trainer<'a> {
             dropout: options.dropout,
             ..Architecture::default()
         };
-        let (network, moments, reached) = if resume {
-            let weights = Weights::load(&checkpoint)?;
+        let saved = if resume { Some(Weights::load(&checkpoint)?) } else { None };
+        let (mut network, reached) = if let Some(weights) = &saved {
             let find = |slot: &Slot| weights.get(&slot.name, &slot.shape);
             let network = Autoencoder::from_named(architecture, device, find)?;
-            let size = [network.parameters()];
-            let moment = |name: &str| -> Result<Tensor, WeightsError> {
-                Ok(weights.get(name, &size)?.f_to_device(device)?)
-            };
-            let moments = (moment("adam.first")?, moment("adam.second")?);
-            let reached: Reached = run::reached(&weights)?;
             check_same(options, &config)?;
-            (network, moments, reached)
+            (network, run::reached(weights)?)
         } else {
             let mut rng = seeds::rng(options.seed, "weights");
-            let network = Autoencoder::new(architecture, &mut rng, device)?;
-            let zeros = || Tensor::f_zeros([network.parameters()], (Kind::Float, device));
-            let moments = (zeros()?, zeros()?);
-            (network, moments, Reached::default())
+            (Autoencoder::new(architecture, &mut rng, device)?, Reached::default())
         };
-        let (_, validation) = dataset.split();
+        let mut adam = Adam::new(&network.theta, options.learning_rate);
+        if let Some(weights) = &saved {
+            restore(&mut adam, weights, "adam", &reached)?;
+        }
+        if options.bfloat16 {
+            network.precision = Kind::BFloat16;
+        }
+        let (shards, validation) = dataset.split();
+        let labelled = options.label_weight > 0.0;
         let frames: usize = validation.iter().map(|&s| dataset.shards[s].2).sum();
         let every = frames.div_ceil(VALIDATION_IMAGES);
-        let validation = images::load(&dataset, &validation, every, device)?;
-        let none = Tensor::f_empty([0], (Kind::Uint8, device))?;
+        let validation = images::load(&dataset, Choice { shards: &validation, every, labelled }, device)?;
+        let heads = if labelled {
+            let labels = images::labels(&dataset, &shards, device)?;
+            let mut heads = Heads::new(network.architecture.latent, &labels, device)?;
+            if let Some(weights) = &saved {
+                heads.theta = weights.get("labels.theta", &heads.theta.size())?.f_to_device(device)?;
+                restore(&mut heads.adam, weights, "labels.adam", &reached)?;
+            }
+            Some(heads)
+        } else {
+            None
+        };
         Ok(Self {
             options,
             device,
             dataset,
             network,
-            first: moments.0,
-            second: moments.1,
+            adam,
+            heads,
             reached,
-            resident: (Vec::new(), none),
+            resident: (Vec::new(), Images::none(device)?),
             validation,
             began: Instant::now(),
         })
@@ -156,15 +166,17 @@ impl<'a> Trainer<'a> {
         }
         if self.resident.0 != shards {
             // The old ones go first: both together may be too many.
-            self.resident = (Vec::new(), Tensor::f_empty([0], (Kind::Uint8, self.device))?);
-            self.resident = (shards.clone(), images::load(&self.dataset, &shards, 1, self.device)?);
+            self.resident = (Vec::new(), Images::none(self.device)?);
+            let choice = Choice { shards: &shards, every: 1, labelled: self.heads.is_some() };
+            let images = images::load(&self.dataset, choice, self.device)?;
+            self.resident = (shards, images);
         }
         Ok(())
     }
 
     /// Batches to an epoch.
     fn steps(&self) -> u64 {
-        let images = self.resident.1.size()[0] as usize;
+        let images = self.resident.1.count() as usize;
         images.div_ceil(self.options.batch.max(1)).clamp(1, self.options.epoch_steps.max(1)) as u64
     }
 
@@ -187,51 +199,58 @@ impl<'a> Trainer<'a> {
         run::require_finite(loss, self.reached.step, &self.options.out)
     }
 
-    /// One Adam step on a batch of bytes; the loss, still on the device.
-    fn step(&mut self, bytes: &Tensor, rate: f64, rng: &mut ChaCha8Rng) -> Result<Tensor, TrainError> {
-        let pictures = to_pictures(bytes)?;
+    /// One Adam step on a batch; the loss, still on the device.
+    fn step(&mut self, batch: &Images, rate: f64, rng: &mut ChaCha8Rng) -> Result<Tensor, TrainError> {
+        let pictures = to_pictures(&batch.pixels)?;
         let painted = loss::painted(&pictures)?;
         let pictures = if self.options.augment { loss::relight(rng, &pictures, &painted)? } else { pictures };
-        let theta = self.network.theta.f_detach()?.f_set_requires_grad(true)?;
-        let (loss, _, _) = self.loss(&theta, &pictures, &painted, Some(rng))?;
-        let gradient = Tensor::f_run_backward(&[&loss], &[&theta], false, false)?;
-        let Some(gradient) = gradient.into_iter().next() else {
+        let trained = |theta: &Tensor| theta.f_detach()?.f_set_requires_grad(true);
+        let theta = trained(&self.network.theta)?;
+        let told = self.heads.as_ref().zip(batch.labels.as_ref());
+        let told = told.map(|(heads, labels)| Ok((trained(&heads.theta)?, labels))).transpose();
+        let told: Option<(Tensor, &Tensor)> = told.map_err(|e: TchError| e)?;
+        let asked = told.as_ref().map(|(theta, labels)| (theta, *labels));
+        let made = self.loss(&theta, &pictures, &painted, asked, Some(rng))?;
+        let loss = made.loss;
+        let mut learners = vec![&theta];
+        learners.extend(told.as_ref().map(|(theta, _)| theta));
+        let mut gradients = Tensor::f_run_backward(&[&loss], &learners, false, false)?.into_iter();
+        let Some(mut gradient) = gradients.next() else {
             return Err(TchError::Convert("no gradient".to_string()).into());
         };
-        tch::no_grad(|| self.adam(&gradient, rate))?;
+        tch::no_grad(|| self.regularize(&mut gradient))?;
+        self.adam.learning_rate = rate;
+        self.adam.step(&mut self.network.theta, &gradient);
+        if let Some((heads, gradient)) = self.heads.as_mut().zip(gradients.next()) {
+            heads.adam.learning_rate = HEADS_RATE * rate;
+            heads.adam.step(&mut heads.theta, &gradient);
+        }
         self.reached.step += 1;
         Ok(loss.f_detach()?)
     }
 
-    /// Adam with L2 regularization of the weights (not of biases and norms).
-    fn adam(&mut self, gradient: &Tensor, rate: f64) -> Result<(), TchError> {
+    /// L2 regularization of the weights (not of biases and norms).
+    fn regularize(&self, gradient: &mut Tensor) -> Result<(), TchError> {
         let decayed = self.network.decayed();
         let weights = self.network.theta.f_narrow(0, 0, decayed)?;
         let mut part = gradient.f_narrow(0, 0, decayed)?;
         let _ = part.f_add_(&weights.f_mul_scalar(self.options.weight_decay)?)?;
-        let _ = self.first.f_mul_scalar_(BETA1)?.f_add_(&gradient.f_mul_scalar(1.0 - BETA1)?)?;
-        let squared = gradient.f_square()?.f_mul_scalar_(1.0 - BETA2)?;
-        let _ = self.second.f_mul_scalar_(BETA2)?.f_add_(&squared)?;
-        let t = self.reached.step as i32 + 1;
-        let (unbias1, unbias2) = (1.0 - BETA1.powi(t), 1.0 - BETA2.powi(t));
-        let root = self.second.f_sqrt()?.f_mul_scalar_(1.0 / unbias2.sqrt())?.f_add_scalar_(ADAM_EPSILON)?;
-        let change = self.first.f_div(&root)?.f_mul_scalar_(-rate / unbias1)?;
-        let _ = self.network.theta.f_add_(&change)?;
         Ok(())
     }
 
-    /// The loss, its divergence, and the pictures made.
+    /// What the parameters `theta` make of some pictures. `asked`: the heads' parameters and the labels.
     fn loss(
         &self,
         theta: &Tensor,
         pictures: &Tensor,
         painted: &Tensor,
+        asked: Option<(&Tensor, &Tensor)>,
         mut rng: Option<&mut ChaCha8Rng>,
-    ) -> Result<(Tensor, Option<Tensor>, Tensor), TchError> {
+    ) -> Result<Made, TchError> {
         let views = self.network.views(theta)?;
         let code = self.network.encode(&views, pictures, rng.as_deref_mut())?;
         let size = self.network.architecture.latent;
-        let (latent, divergence) = if self.network.architecture.variational {
+        let (mean, latent, divergence) = if self.network.architecture.variational {
             let (mean, log_variance) = (code.f_narrow(1, 0, size)?, code.f_narrow(1, size, size)?);
             let log_variance = log_variance.f_clamp(-12.0, 6.0)?;
             let divergence = loss::divergence(&mean, &log_variance)?;
@@ -239,43 +258,49 @@ impl<'a> Trainer<'a> {
                 let noise = chance::normal(rng, &mean.size(), self.device)?;
                 mean.f_add(&log_variance.f_mul_scalar(0.5)?.f_exp()?.f_mul(&noise)?)?
             } else {
-                mean
+                mean.shallow_clone()
             };
-            (latent, Some(divergence))
+            (mean, latent, Some(divergence))
         } else {
-            (code, None)
+            (code.shallow_clone(), code, None)
         };
-        let made = self.network.decode_logits(&views, &latent, rng.is_some())?.f_sigmoid()?;
+        let pictures_made = self.network.decode_logits(&views, &latent, rng.is_some())?.f_sigmoid()?;
         let weights = loss::pixel_weights(painted, self.options.paint_weight, self.options.small_weight)?;
-        let mut loss = loss::reconstruction(&made, pictures, &weights)?;
+        let mut loss = loss::reconstruction(&pictures_made, pictures, &weights)?;
         if let Some(divergence) = &divergence {
             let per_pixel = self.options.beta / (3 * 128 * 128) as f64;
             loss = loss.f_add(&divergence.f_mul_scalar(per_pixel)?)?;
         }
-        Ok((loss, divergence, made))
+        // What is exported is the mean: the heads see it too.
+        let told = self.heads.as_ref().zip(asked);
+        let labels = told.map(|(heads, (theta, labels))| heads.loss(theta, &mean, labels)).transpose()?;
+        if let Some(labels) = &labels {
+            loss = loss.f_add(&labels.f_mul_scalar(self.options.label_weight)?)?;
+        }
+        Ok(Made { loss, divergence, labels, pictures: pictures_made })
     }
 
     fn validate(&self) -> Result<Validation, TrainError> {
         let mut total = Validation::default();
         let (mut count, mut both, mut any) = (0.0, 0.0, 0.0);
         tch::no_grad(|| -> Result<(), TchError> {
-            for bytes in self.validation.f_split(self.options.batch.max(1) as i64, 0)? {
-                let n = bytes.size()[0] as f64;
-                if n == 0.0 {
-                    continue;
-                }
-                let pictures = to_pictures(&bytes)?;
+            for batch in self.validation.split(self.options.batch)? {
+                let n = batch.count() as f64;
+                let pictures = to_pictures(&batch.pixels)?;
                 let painted = loss::painted(&pictures)?;
-                let (loss, divergence, made) = self.loss(&self.network.theta, &pictures, &painted, None)?;
-                let error = made.f_sub(&pictures)?.f_square()?;
+                let asked = self.heads.as_ref().map(|heads| &heads.theta).zip(batch.labels.as_ref());
+                let made = self.loss(&self.network.theta, &pictures, &painted, asked, None)?;
+                let error = made.pictures.f_sub(&pictures)?.f_square()?;
                 let error = error.f_mean_dim([1, 2, 3].as_slice(), false, Kind::Float)?;
                 let psnr = error.f_clamp_min(1e-10)?.f_log10()?.f_mul_scalar(-10.0)?;
-                let again = loss::painted(&made)?;
+                let again = loss::painted(&made.pictures)?;
                 both += again.f_mul(&painted)?.f_sum(Kind::Double)?.f_double_value(&[])?;
                 any += again.f_maximum(&painted)?.f_sum(Kind::Double)?.f_double_value(&[])?;
-                total.loss += n * loss.f_double_value(&[])?;
+                let value = |one: Option<Tensor>| one.map_or(Ok(0.0), |one| one.f_double_value(&[]));
+                total.loss += n * made.loss.f_double_value(&[])?;
                 total.psnr += psnr.f_sum(Kind::Double)?.f_double_value(&[])?;
-                total.divergence += n * divergence.map_or(Ok(0.0), |d| d.f_double_value(&[]))?;
+                total.divergence += n * value(made.divergence)?;
+                total.labels += n * value(made.labels)?;
                 count += n;
             }
             Ok(())
@@ -286,6 +311,7 @@ impl<'a> Trainer<'a> {
             psnr: total.psnr / count,
             painted_iou: both / f64::max(any, 1.0),
             divergence: total.divergence / count,
+            labels: total.labels / count,
         })
     }
 
@@ -304,7 +330,7 @@ impl<'a> Trainer<'a> {
 
     /// Mean and deviation of the latent over training images.
     fn latent_statistics(&self) -> Result<(Tensor, Tensor), TchError> {
-        let images = &self.resident.1;
+        let images = &self.resident.1.pixels;
         let every = (images.size()[0] / STANDARD_IMAGES).max(1);
         let views = self.network.views(&self.network.theta)?;
         let mut codes = Vec::new();
@@ -324,8 +350,14 @@ impl<'a> Trainer<'a> {
     /// Writes `checkpoint.safetensors`, in full precision.
     fn save(&self) -> Result<(), TrainError> {
         let mut tensors = self.network.named()?;
-        tensors.push(("adam.first".to_string(), self.first.shallow_clone()));
-        tensors.push(("adam.second".to_string(), self.second.shallow_clone()));
+        let mut keep = |name: &str, tensor: &Tensor| tensors.push((name.to_string(), tensor.shallow_clone()));
+        keep("adam.first", &self.adam.m);
+        keep("adam.second", &self.adam.v);
+        if let Some(heads) = &self.heads {
+            keep("labels.theta", &heads.theta);
+            keep("labels.adam.first", &heads.adam.m);
+            keep("labels.adam.second", &heads.adam.v);
+        }
         let reached = serde_json::to_string(&self.reached).unwrap_or_default();
         let metadata = HashMap::from([(run::REACHED.to_string(), reached)]);
         let path = run::checkpoint(&self.options.out);
@@ -352,7 +384,7 @@ impl Training for Trainer<'_> {
         let epoch = self.reached.epoch;
         // Dropout and augmentation of an epoch depend on its number alone.
         let mut rng = seeds::rng(self.options.seed, &format!("epoch {epoch}"));
-        let images = self.resident.1.size()[0];
+        let images = self.resident.1.count();
         let mut order: Vec<i64> = (0..images).collect();
         order.shuffle(&mut seeds::rng(self.options.seed, &format!("order {epoch}")));
         let order = Tensor::f_from_slice(&order)?.f_to_device(self.device)?;
@@ -369,7 +401,7 @@ impl Training for Trainer<'_> {
                 break;
             }
             let from = (step as i64 * batch).min(images - batch);
-            let picked = self.resident.1.f_index_select(0, &order.f_narrow(0, from, batch)?)?;
+            let picked = self.resident.1.select(&order.f_narrow(0, from, batch)?)?;
             rate = self.learning_rate(self.done(step, steps));
             let loss = self.step(&picked, rate, &mut rng)?;
             sum = sum.f_add(&loss.f_to_kind(Kind::Double)?)?;
@@ -429,6 +461,7 @@ impl Training for Trainer<'_> {
             ("losses/train", record.train_loss),
             ("losses/validation", v.loss),
             ("losses/divergence", v.divergence),
+            ("losses/labels", v.labels),
             ("charts/psnr", v.psnr),
             ("charts/painted_iou", v.painted_iou),
             ("charts/learning_rate", record.learning_rate),
@@ -447,12 +480,32 @@ impl Training for Trainer<'_> {
             best_epoch: self.reached.best_epoch,
             best: self.reached.best.unwrap_or_default(),
             images: train.iter().map(|&s| self.dataset.shards[s].2).sum(),
-            validation_images: self.validation.size()[0] as usize,
+            validation_images: self.validation.count() as usize,
             wall_seconds: self.reached.seconds,
             images_per_second: self.reached.images as f64 / self.reached.seconds.max(1e-9),
             interrupted,
         }
     }
+}
+
+/// What some parameters make of a batch.
+struct Made {
+    /// All terms, weighted.
+    loss: Tensor,
+    divergence: Option<Tensor>,
+    /// The heads' loss.
+    labels: Option<Tensor>,
+    pictures: Tensor,
+}
+
+/// Takes an optimiser's state from a checkpoint.
+fn restore(adam: &mut Adam, weights: &Weights, name: &str, reached: &Reached) -> Result<(), WeightsError> {
+    for (moment, which) in [(&mut adam.m, "first"), (&mut adam.v, "second")] {
+        let saved = weights.get(&format!("{name}.{which}"), &moment.size())?;
+        moment.f_copy_(&saved)?;
+    }
+    adam.t = reached.step as i64;
+    Ok(())
 }
 
 /// Refuses to go on with another seed, batch or loss than the training began with.
@@ -471,6 +524,7 @@ fn check_same(options: &TrainOptions, config: &Path) -> Result<(), TrainError> {
             ("--beta", o.beta.to_string()),
             ("--paint-weight", o.paint_weight.to_string()),
             ("--small-weight", o.small_weight.to_string()),
+            ("--label-weight", o.label_weight.to_string()),
         ]
     };
     for ((what, found), (_, asked)) in fields(&before).into_iter().zip(fields(options)) {

@@ -24,8 +24,11 @@ pub fn painted(pictures: &Tensor) -> Result<Tensor, TchError> {
 /// # Errors
 /// torch fails.
 pub fn pixel_weights(painted: &Tensor, paint: f64, small: f64) -> Result<Tensor, TchError> {
-    let around =
-        |side: i64| painted.f_avg_pool2d([side, side], [1, 1], [side / 2, side / 2], false, true, None);
+    // One way, then the other: libtorch sums every window anew.
+    let around = |side: i64| {
+        let rows = painted.f_avg_pool2d([side, 1], [1, 1], [side / 2, 0], false, true, None)?;
+        rows.f_avg_pool2d([1, side], [1, 1], [0, side / 2], false, true, None)
+    };
     // 1 where a pixel is alone, 0 in the middle of a large object.
     let alone = around(15)?.f_neg()?.f_add_scalar(1.0)?.f_square()?;
     let rim = around(5)?.f_gt(0.0)?.f_to_kind(Kind::Float)?;

@@ -59,6 +59,7 @@ impl TrainError {
     pub fn is_input(&self) -> bool {
         match self {
             Self::Dataset(_)
+            | Self::Perception(PerceptionError::Detector { .. })
             | Self::Images(ImagesError::Dataset(_))
             | Self::Taken { .. }
             | Self::NothingToResume { .. }

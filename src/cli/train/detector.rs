@@ -19,6 +19,7 @@ Examples:
   wad-cosim dataset collect --frames 3000 --showing bus,truck,bicycle,motorcycle,bench --camera --out data/rare
   wad-cosim train detector --data data/detector --data data/rare --out runs/detector --epochs 12
   wad-cosim train detector --data data/detector --out runs/detector --epochs 20 --resume
+  wad-cosim train detector --data data/detector --init centernet --out runs/better --learning-rate 5e-4
   wad-cosim train detector --data data/detector --out runs/paper --backbone resnet50_v2 --device cuda
   wad-cosim eval detector --detector centernet:runs/detector/detector.safetensors
 
@@ -40,6 +41,10 @@ pub struct Args {
     /// Folder for weights, checkpoint and losses.
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     out: PathBuf,
+    /// Begin with these weights instead of new ones: centernet (those that travel with the program) or
+    /// centernet:FILE.
+    #[arg(long, value_name = "NAME", conflicts_with = "resume")]
+    init: Option<String>,
     /// Walks through the data.
     #[arg(long, value_name = "N", default_value_t = 12)]
     epochs: u64,
@@ -152,6 +157,7 @@ fn options(args: &Args, data: &std::path::Path) -> anyhow::Result<TrainOptions> 
         Backbone::Resnet50V2 => centernet::Backbone::Resnet50V2,
     };
     Ok(TrainOptions {
+        init: args.init.clone(),
         epochs: args.epochs,
         batch: args.batch,
         epoch_steps: args.epoch_steps.max(1),

@@ -73,6 +73,42 @@ fn a_broken_off_training_goes_on_and_is_not_overwritten() {
 }
 
 #[test]
+fn one_begins_with_the_weights_it_is_told_to() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    data(&path("data"), "town3", Some(CameraCodec::Png));
+    let first = go(&options(&path("data"), &path("first"), 2), false).unwrap();
+    let name = format!("centernet:{}", first.detector.display());
+    // Steps too small to be seen in half precision.
+    let still = TrainOptions {
+        init: Some(name.clone()),
+        learning_rate: 1e-12,
+        ..options(&path("data"), &path("second"), 1)
+    };
+    let second = go(&still, false).unwrap();
+    let weights = |trained: &Trained| Weights::load(&trained.detector).unwrap();
+    let (first, second) = (weights(&first), weights(&second));
+    // Batch norm's statistics move with what they see, whatever the rate.
+    let trained = |name: &str| name.ends_with("weight") || name.ends_with("bias");
+    let mut compared = 0;
+    for (name, tensor) in first.tensors.iter().filter(|(name, _)| trained(name)) {
+        assert_eq!(tensor, &second.get(name, &tensor.size()).unwrap().to_kind(Kind::Half), "{name}");
+        compared += 1;
+    }
+    assert!(compared > 20, "{compared}");
+    let other = TrainOptions {
+        backbone: Backbone::Resnet50V2,
+        init: Some(name),
+        ..options(&path("data"), &path("third"), 1)
+    };
+    let error = go(&other, false).unwrap_err().to_string();
+    assert!(error.contains("resnet50_v2") && error.contains("light"), "{error}");
+    let nobody = TrainOptions { init: Some("nobody".into()), ..options(&path("data"), &path("fourth"), 1) };
+    let error = go(&nobody, false).unwrap_err();
+    assert!(error.is_input() && error.to_string().contains("centernet:FILE"), "{error}");
+}
+
+#[test]
 fn bfloat16_learns_as_well() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);

@@ -25,6 +25,12 @@ pub struct TrainOptions {
     /// How much more painted pixels count, and how much more of that small objects.
     pub paint_weight: f64,
     pub small_weight: f64,
+    /// Weight of heads on the latent that tell what the linear probes ask; 0: none.
+    #[serde(default)]
+    pub label_weight: f64,
+    /// Convolutions in bfloat16; parameters and optimiser stay in single precision.
+    #[serde(default)]
+    pub bfloat16: bool,
     /// Vary the light of the training images.
     pub augment: bool,
     pub seed: u64,
@@ -52,6 +58,8 @@ impl TrainOptions {
             beta: 0.0,
             paint_weight: 4.0,
             small_weight: 4.0,
+            label_weight: 0.0,
+            bfloat16: false,
             augment: true,
             seed: 0,
             partial: false,
@@ -71,6 +79,9 @@ pub struct Validation {
     /// Of painted pixels: intersection over union of wanted and made, over all images.
     pub painted_iou: f64,
     pub divergence: f64,
+    /// How badly the heads tell the labels; 0 without heads.
+    #[serde(default)]
+    pub labels: f64,
 }
 
 /// A line of `metrics.jsonl`.

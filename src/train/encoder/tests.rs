@@ -23,9 +23,12 @@ fn a_broken_off_training_ends_with_the_same_bits() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
     data(&path("data"), "town3");
-    go(&options(&path("data"), &path("whole"), 4), false).unwrap();
-    go(&options(&path("data"), &path("parts"), 2), false).unwrap();
-    let resumed = go(&options(&path("data"), &path("parts"), 4), true).unwrap();
+    // With heads, which are part of a checkpoint too.
+    let options =
+        |out: &str, epochs| TrainOptions { label_weight: 0.1, ..options(&path("data"), &path(out), epochs) };
+    go(&options("whole", 4), false).unwrap();
+    go(&options("parts", 2), false).unwrap();
+    let resumed = go(&options("parts", 4), true).unwrap();
     assert_eq!((resumed.epochs, resumed.steps), (4, 12));
     let tensors = |name: &str| {
         let weights = Weights::load(&path(name).join("checkpoint.safetensors")).unwrap();
@@ -154,6 +157,31 @@ fn test_data_other_seeds_and_taken_folders_are_refused() {
     let other = TrainOptions { seed: 5, ..options(&path("data"), &path("out"), 2) };
     let error = go(&other, true).unwrap_err().to_string();
     assert!(error.contains("--seed") && error.contains('5'), "{error}");
+}
+
+#[test]
+fn bfloat16_learns_as_well_and_the_labels_are_learnt() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    data(&path("data"), "town3");
+    let options = TrainOptions {
+        learning_rate: 1e-3,
+        label_weight: 0.1,
+        bfloat16: true,
+        ..options(&path("data"), &path("out"), 12)
+    };
+    let trained = go(&options, false).unwrap();
+    let lines = std::fs::read_to_string(path("out").join("metrics.jsonl")).unwrap();
+    let records: Vec<EpochRecord> = lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let first = records[0].validation;
+    assert!(trained.best.loss < 0.5 * first.loss, "{lines}");
+    assert!(trained.best.labels < 0.5 * first.labels, "{lines}");
+    // The file is in half precision whatever computed it, and the heads stay behind.
+    let weights = Weights::load(&path("out").join("encoder.safetensors")).unwrap();
+    let kinds: Vec<Kind> = weights.tensors.iter().map(|(_, tensor)| tensor.kind()).collect();
+    assert!(kinds.iter().all(|kind| *kind == Kind::Half), "{kinds:?}");
+    assert!(weights.tensors.iter().all(|(name, _)| !name.contains("labels")));
+    crate::latent::TchEncoder::find(&path("out").to_string_lossy()).unwrap();
 }
 
 #[test]
