@@ -203,6 +203,13 @@ impl Policy {
         Ok(actor)
     }
 
+    /// The name of the encoder that it was trained behind: the bundled one with those weights, or what its
+    /// training called it.
+    pub fn encoder(&self) -> String {
+        let called = || self.card.config.get("encoder")?.as_str().map(str::to_string);
+        TchEncoder::bundled_with(&self.card.encoder_hash).or_else(called).unwrap_or_else(|| "default".into())
+    }
+
     /// Refuses another encoder or camera than the agent was trained behind, and raw states of another meaning.
     ///
     /// # Errors
@@ -285,6 +292,11 @@ pub fn find_encoder(name: &str) -> Result<Box<dyn Encoder>, LatentError> {
     })
 }
 
+/// What the agent `name` sees through: the name of its encoder. None where it is none of ours.
+pub fn encoder_of(name: &str) -> Option<String> {
+    Policy::find(name).ok().map(|(policy, _)| policy.encoder())
+}
+
 /// A trained agent, and the encoder that it sees through.
 pub type Opened = (Box<dyn Agent>, Box<dyn Encoder>);
 
@@ -296,12 +308,10 @@ pub type Opened = (Box<dyn Agent>, Box<dyn Encoder>);
 pub fn open(name: &str, encoder: Option<&str>, camera: &CameraConfig) -> Result<Opened, PolicyError> {
     tch::set_num_threads(1);
     let (policy, path) = Policy::find(name)?;
-    let trained_with = policy.card.config.get("encoder").and_then(|name| name.as_str());
-    let encoder = match (encoder, trained_with) {
-        (Some(encoder), _) => find_encoder(encoder)?,
+    let encoder = match encoder {
+        Some(encoder) => find_encoder(encoder)?,
         // The file that it was trained with may be elsewhere by now: what counts is the hash.
-        (None, Some(encoder)) => find_encoder(encoder).or_else(|_| find_encoder("default"))?,
-        (None, None) => find_encoder("default")?,
+        None => find_encoder(&policy.encoder()).or_else(|_| find_encoder("default"))?,
     };
     policy.check(&path, encoder.hash(), &camera.hash())?;
     let misfit = |e: super::learner::Misfit| PolicyError::Format { path: path.clone(), why: e.to_string() };

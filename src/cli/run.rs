@@ -433,11 +433,12 @@ impl Sight {
     }
 }
 
-/// The reconstruction among the stages, where there is an encoder.
+/// The reconstruction among the stages, where there is an encoder: the one that the agent sees through.
 #[cfg(feature = "learn")]
 fn with_decoder(args: &Args, watch: Watch) -> Watch {
     tch::set_num_threads(1);
-    match wad_cosim::latent::TchEncoder::find(args.encoder.as_deref().unwrap_or("default")) {
+    let encoder = agents::sees_through(args.encoder.as_deref(), &args.agent);
+    match wad_cosim::latent::TchEncoder::find(&encoder) {
         Ok(encoder) => watch.with_decoder(Box::new(encoder)),
         Err(error) => {
             tracing::warn!("no reconstruction: {error}");

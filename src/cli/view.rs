@@ -1,7 +1,7 @@
 //! `--view`: the live view of a run.
 
-use super::Exit;
 use super::run::Sight;
+use super::{Exit, agents};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use wad_cosim::camera::{CameraConfig, Preset, Town};
@@ -97,7 +97,8 @@ impl View {
         let bridge = drive.bridge();
         let town = sight::town(bridge, LOOK);
         let (network, length) = (bridge.network(), drive.ego().params().length);
-        let artist = artist(town, network, length, about.detector, about.encoder, about.seed)?;
+        let encoder = agents::sees_through(about.encoder, about.agent);
+        let artist = artist(town, network, length, about.detector, Some(&encoder), about.seed)?;
         let make_driver = Some(maker(about));
         let mut agents: Vec<String> = bundled_agents();
         if about.agent != "autopilot" && !agents.iter().any(|name| name == about.agent) {

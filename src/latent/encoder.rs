@@ -78,6 +78,15 @@ impl TchEncoder {
         Ok(Self::of(Weights::parse(&path, bytes)?, Device::Cpu)?)
     }
 
+    /// The name of the bundled encoder with these weights ([`Encoder::hash`]).
+    pub fn bundled_with(hash: &str) -> Option<String> {
+        bundled::encoders().into_iter().find(|name| {
+            let weights = bundled::encoder(name).map(|bytes| Weights::parse(Path::new(name), bytes));
+            let said = weights.and_then(Result::ok).and_then(|w| w.metadata.get(keys::HASH).cloned());
+            said.as_deref() == Some(hash)
+        })
+    }
+
     /// From a file.
     ///
     /// # Errors

@@ -28,7 +28,7 @@ const WIDTH: f64 = 560.0;
 const PLOT_HEIGHT: f64 = 260.0;
 const LEFT: f64 = 62.0;
 const TOP: f64 = 34.0;
-const RIGHT: f64 = 16.0;
+const RIGHT: f64 = 24.0;
 const BOTTOM: f64 = 46.0;
 const LEGEND_ROW: f64 = 17.0;
 /// Colours that are told apart by those who see red and green alike (Okabe and Ito).
@@ -55,7 +55,7 @@ impl Chart {
             let _ =
                 writeln!(s, "<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\" {more}>{words}</text>");
         };
-        text(LEFT, 20.0, "start", "font-size=\"14\" font-weight=\"bold\"", &self.title);
+        text(14.0, 20.0, "start", "font-size=\"14\" font-weight=\"bold\"", &self.title);
         let foot = TOP + PLOT_HEIGHT;
         text(LEFT + 0.5 * plot_width, foot + 36.0, "middle", "", &self.x);
         let middle = TOP + 0.5 * PLOT_HEIGHT;

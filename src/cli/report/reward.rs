@@ -87,7 +87,7 @@ fn charts(p: &RewardParams) -> Vec<(&'static str, Chart)> {
         (
             "lane",
             chart(
-                "r_lane (and -25 once, beyond 1.75 m, when that ends the episode)",
+                "r_lane (-25 once beyond 1.75 m, where that ends the episode)",
                 "distance from the lane's centre (m)",
                 vec![Line::of("lane", (0.0, 2.5), 251, |d| reward::lane(p, d, false))],
             ),

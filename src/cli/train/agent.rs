@@ -9,11 +9,11 @@ use std::path::{Path, PathBuf};
 use wad_cosim::agent::imitation::Imitation;
 use wad_cosim::agent::learner::{Algorithm, Inputs};
 use wad_cosim::agent::networks::CriticEnd;
-use wad_cosim::agent::policy::{PolicyError, find_encoder};
+use wad_cosim::agent::policy::{PolicyError, encoder_of, find_encoder};
 use wad_cosim::agent::sac::SacParams;
 use wad_cosim::agent::td3::Td3Params;
 use wad_cosim::env::{Assets, Env, EnvError, EnvOptions};
-use wad_cosim::latent::Encoder;
+use wad_cosim::latent::{Encoder, TchEncoder};
 use wad_cosim::tasks::Curriculum;
 use wad_cosim::train::agent::{Limits, Maker, Progress, TrainConfig, TrainError, Trained, train};
 
@@ -61,9 +61,10 @@ pub struct Args {
     /// Everything random derives from it.
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
-    /// The encoder: a file, a folder, a bundled one's name, or `pooled` (coarse averages, untrained).
-    #[arg(long, value_name = "NAME", default_value = "default")]
-    encoder: String,
+    /// The encoder: a file, a folder, a bundled one's name, or `pooled` (coarse averages, untrained)
+    /// [default: --init's, or `default`].
+    #[arg(long, value_name = "NAME")]
+    encoder: Option<String>,
     /// The detector.
     #[arg(long, value_name = "NAME", default_value = "truth")]
     detector: String,
@@ -280,8 +281,10 @@ fn config(args: &Args) -> anyhow::Result<TrainConfig> {
         }),
     };
     let curriculum = curriculum(args.curriculum.as_deref())?;
-    let hash = find_encoder(&args.encoder).map_err(|e| Exit::Input.because(e))?.hash().to_string();
-    let mut config = TrainConfig::new(algorithm, curriculum, &args.encoder, &hash);
+    let of_init = || args.init.as_deref().and_then(encoder_of);
+    let encoder = args.encoder.clone().or_else(of_init).unwrap_or_else(|| "default".to_string());
+    let hash = find_encoder(&encoder).map_err(|e| Exit::Input.because(e))?.hash().to_string();
+    let mut config = TrainConfig::new(algorithm, curriculum, &encoder, &hash);
     config.seed = args.seed;
     config.latent_gain = args.latent_gain;
     config.other_days = args.other_days;
@@ -318,7 +321,7 @@ fn saved_config(args: &Args) -> anyhow::Result<TrainConfig> {
     let text = std::fs::read_to_string(&path).map_err(|source| {
         Exit::Input.because(anyhow!("nothing to resume: cannot read `{}`: {source}", path.display()))
     })?;
-    let config: TrainConfig = serde_json::from_str(&text).map_err(|e| {
+    let mut config: TrainConfig = serde_json::from_str(&text).map_err(|e| {
         Exit::Input.because(TrainError::ConfigFile { path: path.clone(), why: e.to_string() })
     })?;
     let name = |algo: Algo| if algo == Algo::Td3 { "wad-t" } else { "wad-s" };
@@ -331,6 +334,10 @@ fn saved_config(args: &Args) -> anyhow::Result<TrainConfig> {
             config.algorithm.agent_name(),
             name(algo)
         )));
+    }
+    // A bundled encoder may have got another name since.
+    if let Some(name) = TchEncoder::bundled_with(&config.encoder_hash) {
+        config.encoder = name;
     }
     let found = find_encoder(&config.encoder).map_err(|e| Exit::Input.because(e))?.hash().to_string();
     if found != config.encoder_hash {
