@@ -325,6 +325,20 @@ mod tests {
     use super::super::td3::Td3Params;
     use super::*;
 
+    #[test]
+    fn shipped_agents_find_the_encoder_that_they_were_trained_with() {
+        let camera = CameraConfig::default();
+        for name in ["wad-t", "wad-s"] {
+            let (policy, _) = Policy::find(name).unwrap();
+            let (_, encoder) = open(name, None, &camera).unwrap();
+            assert_eq!(encoder.hash(), policy.card.encoder_hash);
+            assert_eq!(find_encoder(&encoder_of(name).unwrap()).unwrap().hash(), encoder.hash());
+            let error = open(name, Some("pooled"), &camera).err().unwrap().to_string();
+            assert!(error.contains(encoder.hash()) && error.contains("pooled"), "{error}");
+        }
+        assert_eq!((encoder_of("autopilot"), TchEncoder::bundled_with("nobody's")), (None, None));
+    }
+
     fn policy() -> Policy {
         tch::set_num_threads(1);
         let algorithm = Algorithm::Td3(Td3Params::default());

@@ -206,14 +206,10 @@ impl<'a> Trainer<'a> {
         let pictures = if self.options.augment { loss::relight(rng, &pictures, &painted)? } else { pictures };
         let trained = |theta: &Tensor| theta.f_detach()?.f_set_requires_grad(true);
         let theta = trained(&self.network.theta)?;
-        let told = self.heads.as_ref().zip(batch.labels.as_ref());
-        let told = told.map(|(heads, labels)| Ok((trained(&heads.theta)?, labels))).transpose();
-        let told: Option<(Tensor, &Tensor)> = told.map_err(|e: TchError| e)?;
-        let asked = told.as_ref().map(|(theta, labels)| (theta, *labels));
-        let made = self.loss(&theta, &pictures, &painted, asked, Some(rng))?;
-        let loss = made.loss;
-        let mut learners = vec![&theta];
-        learners.extend(told.as_ref().map(|(theta, _)| theta));
+        let heads = self.heads.as_ref().map(|heads| trained(&heads.theta)).transpose()?;
+        let asked = heads.as_ref().zip(batch.labels.as_ref());
+        let loss = self.loss(&theta, &pictures, &painted, asked, Some(rng))?.loss;
+        let learners: Vec<&Tensor> = std::iter::once(&theta).chain(&heads).collect();
         let mut gradients = Tensor::f_run_backward(&[&loss], &learners, false, false)?.into_iter();
         let Some(mut gradient) = gradients.next() else {
             return Err(TchError::Convert("no gradient".to_string()).into());

@@ -206,14 +206,28 @@ fn an_encoder_is_trained_judged_and_shown() {
         &measuring,
     ]);
     let trained = last_line(&good(&[
-        "train", "encoder", "--data", &training, "--out", &out, "--epochs", "1", "--batch", "8", "--json",
+        "train",
+        "encoder",
+        "--data",
+        &training,
+        "--out",
+        &out,
+        "--epochs",
+        "1",
+        "--batch",
+        "8",
+        "--bfloat16",
+        "--label-weight",
+        "0.03",
+        "--json",
     ]));
     assert_eq!(trained["epochs"].as_u64(), Some(1), "{trained}");
+    assert!(trained["best"]["labels"].as_f64() > Some(0.0), "{trained}");
     assert!(
         std::fs::metadata(dir.path().join("encoder/encoder.safetensors")).expect("weights").len()
             < 12_000_000
     );
-    for encoder in [out.as_str(), "default"] {
+    for encoder in [out.as_str(), "default", "first"] {
         let judged = last_line(&good(&[
             "eval",
             "encoder",
@@ -226,7 +240,7 @@ fn an_encoder_is_trained_judged_and_shown() {
             "--json",
         ]));
         assert_eq!((judged["frames"].as_u64(), judged["town"].as_str()), (Some(20), Some("town5")));
-        let floor = if encoder == "default" { 17.0 } else { 3.0 };
+        let floor = if encoder == out { 3.0 } else { 17.0 };
         assert!(judged["psnr_db"].as_f64() > Some(floor), "{encoder}: {judged}");
     }
     let figure = at("figure.png");

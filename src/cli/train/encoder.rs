@@ -13,6 +13,7 @@ Examples:
   wad-cosim dataset collect --frames 20000 --out data/town3 --jobs 2
   wad-cosim train encoder --data data/town3 --out runs/encoder --epochs 30
   wad-cosim train encoder --data data/town3 --out runs/encoder --epochs 60 --resume
+  wad-cosim train encoder --data data/town3 --out runs/fast --bfloat16 --batch 64 --learning-rate 1e-3 --epochs 8
   wad-cosim train encoder --data data/town3 --out runs/gpu --device cuda --batch 256 --max-minutes 8
 
 The best network by validation is DIR/encoder.safetensors; losses are in DIR/metrics.jsonl and for TensorBoard.";
@@ -62,7 +63,7 @@ pub struct Args {
     small_weight: f64,
     /// Teach the latent what the linear probes ask (vehicle and pedestrian in the lane, red light, gap, lane
     /// boundaries), with this weight beside the picture's error; 0: not.
-    #[arg(long, value_name = "W", default_value_t = 0.0)]
+    #[arg(long, value_name = "W", default_value_t = 0.03)]
     label_weight: f64,
     /// Compute convolutions in bfloat16: twice as fast on processors that have it.
     #[arg(long)]

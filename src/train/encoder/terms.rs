@@ -58,7 +58,7 @@ impl TrainOptions {
             beta: 0.0,
             paint_weight: 4.0,
             small_weight: 4.0,
-            label_weight: 0.0,
+            label_weight: 0.03,
             bfloat16: false,
             augment: true,
             seed: 0,
