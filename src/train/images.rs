@@ -140,12 +140,14 @@ pub fn load(dataset: &Dataset, choice: Choice<'_>, device: Device) -> Result<Ima
         }
         Ok(at)
     })?;
-    let labels = if labelled {
-        Some(Tensor::f_from_slice(&labels)?.f_view([-1, LABELS as i64])?.f_to_device(device)?)
-    } else {
-        None
-    };
+    let labels = if labelled { Some(rows(&labels, device)?) } else { None };
     Ok(Images { pixels: pixels.f_narrow(0, 0, filled)?, labels })
+}
+
+/// Labels frame by frame (n, [`LABELS`]); n may be 0.
+fn rows(labels: &[f32], device: Device) -> Result<Tensor, TchError> {
+    let (count, each) = ((labels.len() / LABELS) as i64, LABELS as i64);
+    Tensor::f_from_slice(labels)?.f_view([count, each])?.f_to_device(device)
 }
 
 /// Labels (n, [`LABELS`]) of all frames of some shards, on `device`.
@@ -161,5 +163,5 @@ pub fn labels(dataset: &Dataset, shards: &[usize], device: Device) -> Result<Ten
             labels.extend(heads::labels(&Told::of(&record)));
         }
     }
-    Ok(Tensor::f_from_slice(&labels)?.f_view([-1, LABELS as i64])?.f_to_device(device)?)
+    Ok(rows(&labels, device)?)
 }

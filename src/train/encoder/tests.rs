@@ -185,6 +185,18 @@ fn bfloat16_learns_as_well_and_the_labels_are_learnt() {
 }
 
 #[test]
+fn a_dataset_of_one_shard_trains_without_validation() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    write(&path("data"), "town3", &[8], Preset::ClearNoon, |n| Picture {
+        red: false,
+        object: [30 + n, 60, 20, 14],
+    });
+    let trained = go(&options(&path("data"), &path("out"), 1), false).unwrap();
+    assert_eq!((trained.images, trained.validation_images, trained.steps), (8, 0, 1));
+}
+
+#[test]
 fn a_variational_one_trains_too() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
