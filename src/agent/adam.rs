@@ -4,7 +4,7 @@
 //! stopped. All of a network's parameters lie in one tensor here, which makes a step eight operations
 //! however many layers there are: what counts on a GPU, where each costs its launch.
 
-use tch::{Tensor, no_grad};
+use tch::{TchError, Tensor, no_grad};
 
 /// Adam for one flat tensor of parameters.
 #[derive(Debug)]
@@ -28,18 +28,33 @@ impl Adam {
     }
 
     /// Moves `parameters` against `gradient`; both are flat and of one length.
+    ///
+    /// # Panics
+    /// torch fails, as with tch's own plain methods; [`Self::f_step`] says so instead.
     pub fn step(&mut self, parameters: &mut Tensor, gradient: &Tensor) {
+        if let Err(error) = self.f_step(parameters, gradient) {
+            panic!("Adam: {error}");
+        }
+    }
+
+    /// The same.
+    ///
+    /// # Errors
+    /// torch fails, e.g. out of memory.
+    pub fn f_step(&mut self, parameters: &mut Tensor, gradient: &Tensor) -> Result<(), TchError> {
         no_grad(|| {
             self.t += 1;
             // m = b1 m + (1 - b1) g;  v = b2 v + (1 - b2) g^2
-            let _ = self.m.lerp_(gradient, 1.0 - BETA1);
-            let _ = self.v.lerp_(&(gradient * gradient), 1.0 - BETA2);
+            let _ = self.m.f_lerp_(gradient, 1.0 - BETA1)?;
+            let _ = self.v.f_lerp_(&gradient.f_mul(gradient)?, 1.0 - BETA2)?;
             // theta -= lr * (m / (1 - b1^t)) / (sqrt(v / (1 - b2^t)) + eps)
             let first = 1.0 - BETA1.powi(self.t as i32);
             let second = 1.0 - BETA2.powi(self.t as i32);
-            let denominator = self.v.sqrt() * (1.0 / second.sqrt()) + EPSILON;
-            let _ = parameters.addcdiv_(&(&self.m * (-self.learning_rate / first)), &denominator);
-        });
+            let root = self.v.f_sqrt()?.f_mul_scalar(1.0 / second.sqrt())?;
+            let change = self.m.f_mul_scalar(-self.learning_rate / first)?;
+            let _ = parameters.f_addcdiv_(&change, &root.f_add_scalar(EPSILON)?)?;
+            Ok(())
+        })
     }
 }
 

@@ -50,15 +50,15 @@ fn encoder() -> Result<Box<dyn Encoder>, DriverError> {
     Ok(Box::new(wad_cosim::latent::PooledEncoder))
 }
 
-/// The name of the encoder to show what `agent` sees: `asked` for, the agent's own, or the default.
+/// The name of the encoder that belongs to `agent`: the one `asked` for, the agent's own, or the default.
 #[cfg(feature = "learn")]
-pub fn sees_through(asked: Option<&str>, agent: &str) -> String {
-    let own = || wad_cosim::agent::policy::encoder_of(agent);
+pub fn sees_through(asked: Option<&str>, agent: Option<&str>) -> String {
+    let own = || agent.and_then(wad_cosim::agent::policy::encoder_of);
     asked.map(str::to_string).or_else(own).unwrap_or_else(|| "default".to_string())
 }
 
 #[cfg(not(feature = "learn"))]
-pub fn sees_through(asked: Option<&str>, _: &str) -> String {
+pub fn sees_through(asked: Option<&str>, _: Option<&str>) -> String {
     asked.unwrap_or("default").to_string()
 }
 

@@ -437,7 +437,7 @@ impl Sight {
 #[cfg(feature = "learn")]
 fn with_decoder(args: &Args, watch: Watch) -> Watch {
     tch::set_num_threads(1);
-    let encoder = agents::sees_through(args.encoder.as_deref(), &args.agent);
+    let encoder = agents::sees_through(args.encoder.as_deref(), Some(&args.agent));
     match wad_cosim::latent::TchEncoder::find(&encoder) {
         Ok(encoder) => watch.with_decoder(Box::new(encoder)),
         Err(error) => {

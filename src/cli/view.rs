@@ -97,7 +97,7 @@ impl View {
         let bridge = drive.bridge();
         let town = sight::town(bridge, LOOK);
         let (network, length) = (bridge.network(), drive.ego().params().length);
-        let encoder = agents::sees_through(about.encoder, about.agent);
+        let encoder = agents::sees_through(about.encoder, Some(about.agent));
         let artist = artist(town, network, length, about.detector, Some(&encoder), about.seed)?;
         let make_driver = Some(maker(about));
         let mut agents: Vec<String> = bundled_agents();

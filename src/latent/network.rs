@@ -152,8 +152,8 @@ pub struct Autoencoder {
     pub theta: Tensor,
     /// Batch norm's running statistics.
     pub statistics: Vec<(String, Tensor)>,
-    /// What convolutions compute in: single precision, or bfloat16 (three times as fast where the processor
-    /// has matrix units for it). Parameters, latents and pictures made are in single precision either way.
+    /// What convolutions compute in: single precision, or bfloat16 (twice as fast in training where the
+    /// processor has matrix units for it). Parameters, latents and pictures made are in single precision either way.
     pub precision: Kind,
     slots: Vec<Slot>,
     decayed: i64,

@@ -57,7 +57,7 @@ struct Trainer<'a> {
     dataset: Dataset,
     network: Autoencoder,
     adam: Adam,
-    /// With `--label-weight`; made when the first images are there.
+    /// With `--label-weight`.
     heads: Option<Heads>,
     reached: Reached,
     /// Shards that are resident, and their images.
@@ -216,10 +216,10 @@ impl<'a> Trainer<'a> {
         };
         tch::no_grad(|| self.regularize(&mut gradient))?;
         self.adam.learning_rate = rate;
-        self.adam.step(&mut self.network.theta, &gradient);
+        self.adam.f_step(&mut self.network.theta, &gradient)?;
         if let Some((heads, gradient)) = self.heads.as_mut().zip(gradients.next()) {
             heads.adam.learning_rate = HEADS_RATE * rate;
-            heads.adam.step(&mut heads.theta, &gradient);
+            heads.adam.f_step(&mut heads.theta, &gradient)?;
         }
         self.reached.step += 1;
         Ok(loss.f_detach()?)

@@ -2,14 +2,14 @@
 
 use super::encoder::Device;
 use crate::cli::progress::Bar;
-use crate::cli::{Exit, dataset, print};
+use crate::cli::{Exit, agents, dataset, print};
 use anyhow::{Context, anyhow};
 use clap::{ValueEnum, ValueHint};
 use std::path::{Path, PathBuf};
 use wad_cosim::agent::imitation::Imitation;
 use wad_cosim::agent::learner::{Algorithm, Inputs};
 use wad_cosim::agent::networks::CriticEnd;
-use wad_cosim::agent::policy::{PolicyError, encoder_of, find_encoder};
+use wad_cosim::agent::policy::{PolicyError, find_encoder};
 use wad_cosim::agent::sac::SacParams;
 use wad_cosim::agent::td3::Td3Params;
 use wad_cosim::env::{Assets, Env, EnvError, EnvOptions};
@@ -281,8 +281,7 @@ fn config(args: &Args) -> anyhow::Result<TrainConfig> {
         }),
     };
     let curriculum = curriculum(args.curriculum.as_deref())?;
-    let of_init = || args.init.as_deref().and_then(encoder_of);
-    let encoder = args.encoder.clone().or_else(of_init).unwrap_or_else(|| "default".to_string());
+    let encoder = agents::sees_through(args.encoder.as_deref(), args.init.as_deref());
     let hash = find_encoder(&encoder).map_err(|e| Exit::Input.because(e))?.hash().to_string();
     let mut config = TrainConfig::new(algorithm, curriculum, &encoder, &hash);
     config.seed = args.seed;
