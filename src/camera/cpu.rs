@@ -16,7 +16,7 @@ use super::model::{Scene, SemanticTag};
 use super::raster::{CamVertex, Visibility, settle};
 use super::shade::{self, Row, Run, Wall};
 use super::shade_ground::{Ground, ground};
-use super::shadow_map::ShadowMap;
+use super::shadow_map::{self, ShadowMap};
 use super::simd::{multiversion, pack, tone};
 use super::sky::{Look, Sky};
 use super::stages::{Stages, Watch};
@@ -412,7 +412,7 @@ impl CpuRenderer {
                     shade: &self.marks.shade[start..end],
                     painted: self.marks.painted[y],
                     shaded: self.marks.shaded[y],
-                    shadow_reach: if lies && weather.shadows > 0.02 { 96.0 } else { 1e-3 },
+                    shadow_reach: if lies && weather.shadows > 0.02 { shadow_map::REACH } else { 1e-3 },
                     numbers: &self.grounds[material],
                     lies,
                 };

@@ -1,7 +1,9 @@
 //! Where the town's buildings, trees and poles keep the sun off the ground.
 //!
-//! A map of texels round the camera, filled cell by cell as the camera first sees them and kept while
-//! the sun stands still. Each texel holds its right, upper and diagonal neighbours' values too.
+//! A map of texels around the camera. It holds the cells that the camera sees now, and sun everywhere
+//! else: equal shots read equal shadows, whatever was looked at before. A cell is kept for as long as it
+//! stays in view and the sun stands still. Each texel holds its right, upper and diagonal neighbours'
+//! values too.
 
 use super::lanes::Lane;
 use super::large::Large;
@@ -15,9 +17,12 @@ const DENSITY: f32 = 4.0;
 const CELL: usize = 128;
 const SIDE: usize = 1024;
 const CELLS: i32 = (SIDE / CELL) as i32;
+const SLOTS: usize = (CELLS * CELLS) as usize;
 const CELL_M: f64 = CELL as f64 / DENSITY as f64;
-/// Cells filled on each side of the camera's.
-const REACH: i32 = 3;
+/// How deep into the picture shadows are drawn (m).
+pub const REACH: f32 = 96.0;
+/// Cells looked at on each side of the camera's: the corners of a wide picture are farther than [`REACH`].
+const AROUND: i32 = 5;
 /// Longest shadow (m).
 const LONGEST: f64 = 80.0;
 
@@ -31,10 +36,9 @@ pub struct ShadowMap {
 
 impl Default for ShadowMap {
     fn default() -> Self {
-        let slots = (CELLS * CELLS) as usize;
         Self {
             texels: Large::new(SIDE * SIDE, u32::MAX),
-            owners: vec![None; slots],
+            owners: vec![None; SLOTS],
             sun: [0.0; 3],
             scratch: vec![0; (CELL + 4) * (CELL + 4)],
         }
@@ -45,35 +49,32 @@ impl ShadowMap {
     /// Forgets everything: another scene.
     pub fn forget(&mut self) {
         self.owners.fill(None);
+        self.texels.fill(u32::MAX);
     }
 
-    /// Fills what the view can see.
+    /// Makes the map what the view needs: cells in view hold shadows, the others hold sun.
     pub fn prepare(&mut self, scene: &Scene, view: &View, sun: [f32; 3]) {
         if self.sun != sun {
             self.sun = sun;
             self.forget();
         }
-        let cell = |v: f64| (v / CELL_M).floor() as i32;
-        let (cx, cy) = (cell(view.eye.x), cell(view.eye.y));
-        // On hills the plane under everything may be far below the ground in view.
-        let plane = scene.ground.map_or(0.0, |g| g.1);
-        let grounds = [plane, view.eye.z - 2.0];
-        for y in cy - REACH..=cy + REACH {
-            for x in cx - REACH..=cx + REACH {
-                let slot = (y.rem_euclid(CELLS) * CELLS + x.rem_euclid(CELLS)) as usize;
-                if self.owners[slot] == Some((x, y)) {
-                    continue;
-                }
-                let middle = |c: i32| (f64::from(c) + 0.5) * CELL_M;
-                let seen = grounds.iter().any(|&ground| {
-                    let centre = view.point(&Point3::new(middle(x), middle(y), ground));
-                    view.sees_ball(centre, 0.75 * CELL_M as f32)
-                });
-                if seen {
-                    self.fill(scene, (x, y), slot);
-                    self.owners[slot] = Some((x, y));
-                }
+        for (slot, wanted) in cells_in_view(scene, view).into_iter().enumerate() {
+            if self.owners[slot] == wanted {
+                continue;
             }
+            match wanted {
+                Some(cell) => self.fill(scene, cell, slot),
+                None => self.clear(slot),
+            }
+            self.owners[slot] = wanted;
+        }
+    }
+
+    /// Sun in all of a slot.
+    fn clear(&mut self, slot: usize) {
+        let (left, low) = corner(slot);
+        for y in low..low + CELL {
+            self.texels[y * SIDE + left..][..CELL].fill(u32::MAX);
         }
     }
 
@@ -173,7 +174,7 @@ impl ShadowMap {
             };
             255 - (row(y + 1) + 2 * row(y + 2) + row(y + 3)) * 255 / 16
         };
-        let (left, low) = (slot % CELLS as usize * CELL, slot / CELLS as usize * CELL);
+        let (left, low) = corner(slot);
         let mut line: Vec<u32> = (0..=CELL).map(|x| soft(x, 0)).collect();
         for y in 0..CELL {
             let next: Vec<u32> =
@@ -203,6 +204,37 @@ impl ShadowMap {
         let y = Self::wrap(p.y + f64::from(throw[1]) * height);
         sample(self.texels(), x, y)
     }
+}
+
+/// By slot of the map the cell that it is to hold. Where two cells in view share a slot the nearer one has it.
+fn cells_in_view(scene: &Scene, view: &View) -> [Option<(i32, i32)>; SLOTS] {
+    let cell = |v: f64| (v / CELL_M).floor() as i32;
+    let (cx, cy) = (cell(view.eye.x), cell(view.eye.y));
+    // On hills the plane under everything may be far below the ground in view.
+    let plane = scene.ground.map_or(0.0, |g| g.1);
+    let grounds = [plane, view.eye.z - 2.0];
+    let radius = 0.75 * CELL_M as f32;
+    let mut wanted = [None; SLOTS];
+    let far = |(x, y): (i32, i32)| (x - cx).pow(2) + (y - cy).pow(2);
+    for y in cy - AROUND..=cy + AROUND {
+        for x in cx - AROUND..=cx + AROUND {
+            let middle = |c: i32| (f64::from(c) + 0.5) * CELL_M;
+            let seen = grounds.iter().any(|&ground| {
+                let centre = view.point(&Point3::new(middle(x), middle(y), ground));
+                centre[2] - radius < REACH && view.sees_ball(centre, radius)
+            });
+            let slot = &mut wanted[(y.rem_euclid(CELLS) * CELLS + x.rem_euclid(CELLS)) as usize];
+            if seen && slot.is_none_or(|other| far((x, y)) < far(other)) {
+                *slot = Some((x, y));
+            }
+        }
+    }
+    wanted
+}
+
+/// The first column and row of a slot (texels).
+fn corner(slot: usize) -> (usize, usize) {
+    (slot % CELLS as usize * CELL, slot / CELLS as usize * CELL)
 }
 
 multiversion! {

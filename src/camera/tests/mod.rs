@@ -2,6 +2,7 @@
 
 mod agreement;
 mod golden;
+mod history;
 mod odd;
 mod places;
 
