@@ -4,12 +4,12 @@
 //! SUMO steps, the reply is decoded, the camera renders what the ego sees, perception looks at it.
 
 use crate::bench::{median, quantile};
-use crate::camera::{Camera, CameraConfig, CameraError, Outputs, Town, Weather};
+use crate::camera::{CameraConfig, Outputs, Preset};
 use crate::cpu_time;
 use crate::drive::{Drive, DriveError, DriveOptions, Status};
-use crate::latent::{Encoder, LatentError};
-use crate::perception::{Detector, EgoFacts, Perception, PerceptionError};
-use crate::sight;
+use crate::eyes::{Eyes, EyesError};
+use crate::latent::Encoder;
+use crate::perception::{Detector, EgoFacts};
 use serde::Serialize;
 use serde::ser::{SerializeMap, Serializer};
 use std::collections::BTreeMap;
@@ -57,7 +57,7 @@ impl Serialize for Stages {
 pub struct TickBenchOptions {
     pub drive: DriveOptions,
     pub camera: CameraConfig,
-    pub weather: Weather,
+    pub weather: Preset,
     pub outputs: Outputs,
     /// Who detects; None: perception is left out.
     pub detector: Option<Box<dyn Detector>>,
@@ -73,23 +73,13 @@ pub enum TickBenchError {
     #[error(transparent)]
     Drive(#[from] DriveError),
     #[error(transparent)]
-    Camera(#[from] CameraError),
-    #[error(transparent)]
-    Perception(#[from] PerceptionError),
-    #[error(transparent)]
-    Latent(#[from] LatentError),
+    Eyes(#[from] EyesError),
 }
 
 /// A measurement under way.
 pub struct TickBench {
     drive: Drive,
-    town: Town,
-    camera: Camera,
-    weather: Weather,
-    outputs: Outputs,
-    perception: Option<Perception>,
-    encoder: Option<Box<dyn Encoder>>,
-    latent: Vec<f32>,
+    eyes: Eyes,
     warm_up: u64,
     done: u64,
     stages: Stages,
@@ -117,22 +107,21 @@ impl TickBench {
     /// # Errors
     /// A camera that cannot be, bad input, SUMO fails.
     pub async fn start(options: TickBenchOptions) -> Result<Self, TickBenchError> {
-        let camera = Camera::new(options.camera)?;
-        let perception = options.detector.map(|d| Perception::new(d, options.camera)).transpose()?;
-        let needs = perception.as_ref().map_or(options.outputs, Perception::needs);
-        let outputs = Outputs { boxes: needs.boxes || options.outputs.boxes, ..options.outputs };
         let seed = options.drive.bridge.seed;
         let drive = Drive::start(options.drive).await?;
-        let town = sight::town(drive.bridge(), seed);
+        let town = drive.assets().town();
+        let mut eyes = match options.detector {
+            Some(detector) => Eyes::new(town, options.camera, detector)?,
+            None => Eyes::camera(town, options.camera)?,
+        }
+        .with_outputs(options.outputs);
+        if let Some(encoder) = options.encoder {
+            eyes = eyes.with_encoder(encoder);
+        }
+        eyes.reset(options.weather, seed);
         Ok(Self {
             drive,
-            town,
-            camera,
-            weather: options.weather,
-            outputs,
-            perception,
-            encoder: options.encoder,
-            latent: Vec::new(),
+            eyes,
             warm_up: options.warm_up,
             done: 0,
             stages: Stages::default(),
@@ -159,11 +148,11 @@ impl TickBench {
         let clock = Instant::now();
         let status = self.drive.tick().await?;
         let driven = clock.elapsed();
-        sight::follow(&mut self.town, self.drive.ego());
-        let pose = self.drive.ego().state().pose;
-        self.camera.render(self.town.scene(), self.town.actors(), &pose, &self.weather, self.outputs);
-        let rendered = clock.elapsed();
-        let seen = self.perceive()?;
+        let ego = self.drive.ego();
+        self.eyes.follow(ego.world());
+        let followed = clock.elapsed();
+        let bridge = self.drive.bridge();
+        self.eyes.look(&EgoFacts::of(bridge.network(), ego, bridge.tick()))?;
         let total = clock.elapsed();
         self.done += 1;
         if measured {
@@ -172,13 +161,16 @@ impl TickBench {
             self.stages.record("sumo", sumo);
             self.stages.record("decode", after.bridge - before.bridge - sumo);
             self.stages.record("physics", after.physics - before.physics);
-            self.stages.record("camera", (rendered - driven).as_secs_f64());
-            if let Some(seen) = seen {
-                for (stage, seconds) in
-                    ["detect", "lanes", "judge", "transform", "encode"].into_iter().zip(seen)
-                {
-                    self.stages.record(stage, seconds);
-                }
+            let times = self.eyes.times();
+            self.stages.record("camera", (followed - driven).as_secs_f64() + times.camera);
+            if self.eyes.perception().is_some() {
+                self.stages.record("detect", times.detect);
+                self.stages.record("lanes", times.lanes);
+                self.stages.record("judge", times.judge);
+                self.stages.record("transform", times.transform);
+            }
+            if self.eyes.encodes() {
+                self.stages.record("encode", times.encode);
             }
             self.stages.record("act", after.agent - before.agent);
             self.totals.push(total.as_secs_f64() * 1000.0);
@@ -186,29 +178,6 @@ impl TickBench {
             self.cpu = self.cpu.zip(now).map(|((began, _), now)| (began, now));
         }
         Ok(status)
-    }
-
-    /// What the stages of perception took (s): detections, lanes, light and vehicle in front, transformed
-    /// image, and the encoder where there is one.
-    fn perceive(&mut self) -> Result<Option<Vec<f64>>, TickBenchError> {
-        let Some(perception) = &mut self.perception else { return Ok(None) };
-        let frame = self.camera.frame();
-        let facts = EgoFacts::of(self.drive.bridge().network(), self.drive.ego(), self.drive.bridge().tick());
-        let clock = Instant::now();
-        perception.detect(frame)?;
-        let detected = clock.elapsed().as_secs_f64();
-        perception.find_lanes(frame, &facts)?;
-        let lanes = clock.elapsed().as_secs_f64();
-        perception.judge(&facts);
-        let judged = clock.elapsed().as_secs_f64();
-        perception.transform(frame)?;
-        let transformed = clock.elapsed().as_secs_f64();
-        let mut took = vec![detected, lanes - detected, judged - lanes, transformed - judged];
-        if let Some(encoder) = &mut self.encoder {
-            encoder.encode(&perception.percept().transformed, &mut self.latent)?;
-            took.push(clock.elapsed().as_secs_f64() - transformed);
-        }
-        Ok(Some(took))
     }
 
     fn cpu_seconds(&self) -> Option<f64> {
@@ -233,7 +202,7 @@ impl TickBench {
     /// # Errors
     /// The run folder cannot be written.
     pub async fn finish(self) -> Result<(), TickBenchError> {
-        self.drive.finish("survived", false).await?;
+        self.drive.finish(false).await?;
         Ok(())
     }
 }

@@ -4,21 +4,26 @@ mod summary;
 
 pub use summary::{CollisionCounts, Summary};
 
-use crate::autopilot::{Autopilot, AutopilotParams, Decision, EgoModel};
-use crate::bridge::{Bridge, BridgeError, BridgeOptions, Ego, Lamps};
-use crate::criteria::{Criteria, CriteriaParams, Event, Situation};
-use crate::destination::{self, DestinationError, Destinations};
-use crate::env::episode;
-use crate::env::{Ending, Termination};
-use crate::learned_driver::{DriverRecord, LearnedDriver, LearnedDriverError};
-use crate::network::{LanePosition, Network, Polygon, Route, Shapes};
-use crate::scenario::{Director, Scenario};
+use crate::agent::AgentError;
+use crate::assets::{Assets, AssetsError};
+use crate::autopilot::{AutopilotParams, Decision};
+use crate::bridge::{Bridge, BridgeError, BridgeOptions, Ego};
+use crate::camera::Preset;
+use crate::criteria::{CriteriaParams, Event};
+use crate::destination::{self, DestinationError};
+use crate::driver::{Driver, Pilot, PilotRecord};
+use crate::end::{self, End, Ending, Termination};
+use crate::eyes::{Eyes, EyesError, Look};
+use crate::network::{LanePosition, Network};
+use crate::perception::EgoFacts;
+use crate::scenario::Scenario;
+use crate::seeds;
+use crate::session::{Act, Itinerary, ItineraryError, Seat, Session};
 use crate::telemetry::{
     FolderError, LeaderRecord, LightRecord, RouteRecord, RunFolder, TickRecord, Wish, WriteError,
 };
 use crate::traffic::{Counts, TrafficSpec};
-use crate::vehicle::{self, Control, EgoParams};
-use crate::{cpu_time, seeds};
+use crate::vehicle::{Control, EgoParams};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -36,9 +41,6 @@ pub struct DriveOptions {
     pub criteria: CriteriaParams,
     /// The run's folder.
     pub out: PathBuf,
-    /// The scenario that the config is, to be played: its route, its events, its end.
-    #[serde(skip)]
-    pub scenario: Option<Arc<Scenario>>,
 }
 
 impl DriveOptions {
@@ -51,7 +53,6 @@ impl DriveOptions {
             autopilot: Default::default(),
             criteria: Default::default(),
             out,
-            scenario: None,
         }
     }
 
@@ -74,7 +75,20 @@ pub enum DriveError {
     #[error(transparent)]
     Write(#[from] WriteError),
     #[error(transparent)]
-    Driver(#[from] LearnedDriverError),
+    Assets(#[from] AssetsError),
+    #[error(transparent)]
+    Agent(#[from] AgentError),
+    #[error(transparent)]
+    Eyes(#[from] EyesError),
+}
+
+impl From<ItineraryError> for DriveError {
+    fn from(error: ItineraryError) -> Self {
+        match error {
+            ItineraryError::Bridge(error) => error.into(),
+            ItineraryError::Destination(error) => error.into(),
+        }
+    }
 }
 
 /// What `config.json` holds.
@@ -84,7 +98,7 @@ struct RunConfig<'a> {
     options: &'a DriveOptions,
     /// Who drives, where it is not the autopilot.
     #[serde(skip_serializing_if = "Option::is_none")]
-    driver: Option<&'a DriverRecord>,
+    driver: Option<&'a PilotRecord>,
 }
 
 /// What the status line shows.
@@ -94,18 +108,22 @@ pub struct Status {
     pub ticks_per_second: f64,
 }
 
-/// A drive under way.
+/// A drive under way: a session of one ego that goes from destination to destination.
 pub struct Drive {
-    bridge: Bridge,
-    ego: Ego,
-    autopilot: Autopilot,
-    driver: Option<LearnedDriver>,
-    criteria: Criteria,
-    destinations: Destinations,
+    session: Session,
+    pilot: Pilot,
+    /// For people to see through, where the pilot does not look.
+    spare: Eyes,
+    /// The eyes have seen the world as it is now.
+    looked: bool,
+    itinerary: Itinerary,
     folder: RunFolder,
     options: DriveOptions,
+    scenario: Option<Arc<Scenario>>,
+    weather: Preset,
     totals: Totals,
-    timings: Timings,
+    /// Wall time that pilots took, their looks included (s).
+    piloting: f64,
     began: Instant,
     /// Asked for since the last tick.
     wishes: Vec<Wish>,
@@ -130,82 +148,95 @@ pub struct Timings {
 }
 
 impl Drive {
-    /// Starts SUMO, draws or reads the first route, and puts the ego on it.
+    /// Reads the town, starts SUMO, draws or reads the first route, and puts the ego on it. The autopilot
+    /// drives.
     ///
     /// # Errors
     /// Bad input, SUMO fails, or the run folder cannot be written. Nothing is left running.
     pub async fn start(options: DriveOptions) -> Result<Self, DriveError> {
-        Self::start_with(options, None).await
+        let plays = options.bridge.scenario;
+        let assets = Assets::open(&options.bridge.config, plays)?;
+        Self::start_in(&assets, options, Pilot::autopilot(), Preset::default()).await
     }
 
-    /// The same with a trained agent at the wheel. The autopilot then only says what held the ego.
+    /// The same in a town that has been read, with `pilot` at the wheel, who sees `weather`. The autopilot
+    /// then only says what held the ego. The town's scenario is played, where it has one.
     ///
     /// # Errors
     /// As [`Drive::start`].
-    pub async fn start_with(
-        options: DriveOptions,
-        driver: Option<LearnedDriver>,
+    pub async fn start_in(
+        assets: &Arc<Assets>,
+        mut options: DriveOptions,
+        mut pilot: Pilot,
+        weather: Preset,
     ) -> Result<Self, DriveError> {
         options.ego.check().map_err(BridgeError::from)?;
-        let config = RunConfig { options: &options, driver: driver.as_ref().map(LearnedDriver::record) };
-        let folder = RunFolder::create(&options.out, &config)?;
-        let mut options = options;
-        if let Some(scenario) = &options.scenario {
+        pilot.reset(weather, options.bridge.seed);
+        let record = (!pilot.driver.is_autopilot()).then_some(&pilot.record);
+        let folder = RunFolder::create(&options.out, &RunConfig { options: &options, driver: record })?;
+        let scenario = assets.scenario().cloned();
+        if let Some(scenario) = &scenario {
             options.bridge.scenario = true;
             options.bridge.closed_lanes.clone_from(&scenario.closed_lanes);
         }
-        let mut bridge = Bridge::start(&options.bridge).await?;
-        let network = bridge.network().clone();
-        let rng = seeds::rng(options.bridge.seed, "route");
-        let mut destinations = Destinations::new(&network, rng)?;
-        if let Some(scenario) = &options.scenario {
-            bridge.set_director(Box::new(Director::new(Arc::clone(scenario))));
-        }
-        let route = match (&options.route, &options.scenario) {
+        let network = assets.network();
+        network.require_drivable(destination::EGO_CLASS).map_err(BridgeError::from)?;
+        let mut itinerary = Itinerary::new(network, seeds::rng(options.bridge.seed, "route"))?;
+        let route = match (&options.route, &scenario) {
             (None, Some(scenario)) => scenario.route.clone(),
             (Some(text), _) => {
-                let (from, to) = destination::parse_route(&network, text)?;
+                let (from, to) = destination::parse_route(network, text)?;
                 network.route(from, to, destination::EGO_CLASS).map_err(DestinationError::from)?
             }
-            (None, None) => first_route(&network, &mut destinations)?,
+            (None, None) => itinerary.first_route(network)?,
         };
-        let mut ego = Ego::new("ego", options.ego.clone(), route, 0.0);
-        ego.vehicle_mut().set_statics(vehicle::statics_from_network(&network, &polygons(&bridge, &network)));
-        bridge.spawn(&mut ego).await?;
-        let autopilot = Autopilot::new(options.autopilot, EgoModel::from(&options.ego));
-        let limit = options.scenario.as_ref().map(|scenario| scenario.tick_limit(bridge.tick()));
+        let (ego, autopilot, criteria) = (options.ego.clone(), options.autopilot, options.criteria);
+        let seat = Seat::new(assets, "ego", ego, autopilot, criteria, route);
+        let session = Session::start(assets, &options.bridge, vec![seat]).await?;
+        let limit = scenario.as_ref().map(|scenario| scenario.tick_limit(session.bridge().tick()));
         Ok(Self {
-            limit,
-            ending: None,
-            bridge,
-            ego,
-            autopilot,
-            driver,
-            criteria: Criteria::new(options.criteria),
-            destinations,
+            session,
+            pilot,
+            spare: Eyes::blind(),
+            looked: false,
+            itinerary,
             folder,
             options,
+            scenario,
+            weather,
             totals: Totals::default(),
-            timings: Timings::default(),
+            piloting: 0.0,
             began: Instant::now(),
             wishes: Vec::new(),
             guest: None,
+            limit,
+            ending: None,
         })
     }
 
     /// The co-simulation.
     pub fn bridge(&self) -> &Bridge {
-        &self.bridge
+        self.session.bridge()
     }
 
     /// The same, for what is to be asked of SUMO beside the drive.
     pub fn bridge_mut(&mut self) -> &mut Bridge {
-        &mut self.bridge
+        self.session.bridge_mut()
+    }
+
+    /// The town.
+    pub fn assets(&self) -> &Arc<Assets> {
+        self.session.assets()
     }
 
     /// The ego.
     pub fn ego(&self) -> &Ego {
-        &self.ego
+        self.session.ego(EGO)
+    }
+
+    /// Times that the ego was put down elsewhere.
+    pub fn respawns(&self) -> u64 {
+        self.totals.respawns
     }
 
     /// How the scenario ended, where it is one and has.
@@ -215,7 +246,14 @@ impl Drive {
 
     /// Where the wall time went.
     pub fn timings(&self) -> Timings {
-        self.timings
+        let times = self.session.timings();
+        Timings {
+            bridge: times.bridge,
+            sumo: times.sumo,
+            bridge_cpu: times.bridge_cpu,
+            physics: times.physics,
+            agent: times.expert + self.piloting,
+        }
     }
 
     /// Saves SUMO's state, persons and random generators included.
@@ -223,7 +261,39 @@ impl Drive {
     /// # Errors
     /// SUMO fails or cannot write the file.
     pub async fn save_state(&mut self, file: &Path) -> Result<(), DriveError> {
-        Ok(self.bridge.save_state(file).await?)
+        Ok(self.bridge_mut().save_state(file).await?)
+    }
+
+    /// What the pilot sees; where it does not look, what the eyes of [`Drive::watch_with`] see. Looks once a tick,
+    /// however often it is asked.
+    ///
+    /// # Errors
+    /// A stage of perception fails.
+    pub fn look(&mut self) -> Result<&Eyes, DriveError> {
+        let (ego, bridge) = (self.session.ego(EGO), self.session.bridge());
+        let eyes = if self.pilot.driver.looks() { &mut self.pilot.eyes } else { &mut self.spare };
+        if !self.looked {
+            eyes.follow(ego.world());
+            eyes.look(&EgoFacts::of(bridge.network(), ego, bridge.tick()))?;
+            self.looked = true;
+        }
+        Ok(eyes)
+    }
+
+    /// What was seen last.
+    pub fn eyes(&self) -> &Eyes {
+        if self.pilot.driver.looks() { &self.pilot.eyes } else { &self.spare }
+    }
+
+    /// Frame and percept of what the pilot saw last; None where it does not look.
+    pub fn last_look(&self) -> Option<Look> {
+        if self.pilot.driver.looks() { self.pilot.eyes.last_look() } else { None }
+    }
+
+    /// Gives people eyes to see through while the driver does not look (autopilot, person, constant, random).
+    pub fn watch_with(&mut self, mut eyes: Eyes) {
+        eyes.reset(self.weather, self.options.bridge.seed);
+        self.spare = eyes;
     }
 
     /// One tick: decide, move, step, judge, record.
@@ -234,76 +304,45 @@ impl Drive {
         self.tick_with(None).await
     }
 
-    /// The same with a control that is given, in place of whoever drives: a recorded run driven again.
+    /// The same with a control that is given, in place of the pilot's: a person's, or a recorded one.
     ///
     /// # Errors
     /// As [`Drive::tick`].
     pub async fn tick_with(&mut self, given: Option<Control>) -> Result<Status, DriveError> {
-        let tick = self.bridge.tick();
-        let network = self.bridge.network().clone();
-        let before = self.ego.on_route();
-        let clock = Instant::now();
-        let mut decision = self.autopilot.control(
-            &network,
-            self.ego.route(),
-            before.s,
-            &before.state,
-            self.ego.world(),
+        let tick = self.session.bridge().tick();
+        // What held the ego is told of every tick, whoever drives.
+        let decision = self.session.plan(EGO);
+        let act = match given {
+            // A control read back from text may differ in its last digit from the one that was driven.
+            Some(given) if is_close(&given, &decision.control) => Act::Expert,
+            Some(given) => Act::Control(given),
+            None => {
+                let clock = Instant::now();
+                if self.pilot.driver.looks() {
+                    self.look()?;
+                }
+                let act = self.pilot.driver.act(&self.pilot.eyes)?;
+                self.piloting += clock.elapsed().as_secs_f64();
+                act
+            }
+        };
+        let done = self.session.step_one(act).await?;
+        self.looked = false;
+        self.totals.add(
+            &decision,
+            &done.before.state,
+            &done.after.state,
             tick,
+            self.session.bridge().counts(),
         );
-        let decided = decision.control;
-        if let Some(driver) = self.driver.as_mut().filter(|_| given.is_none()) {
-            decision.control = driver.control(&network, &self.ego, tick)?;
-            decision.brake_light = decision.control.brake > 0.05;
-        }
-        // A control read back from text may differ in its last digit from the one that was driven.
-        if let Some(given) = given.filter(|given| !is_close(given, &decision.control)) {
-            decision.control = given;
-            decision.brake_light = given.brake > 0.05;
-        }
-        if decision.control != decided {
-            self.autopilot.overruled();
-        }
-        self.ego.set_lamps(Lamps {
-            blinker_left: decision.blinker_left,
-            blinker_right: decision.blinker_right,
-            brake: decision.brake_light,
-        });
-        let decided = clock.elapsed();
-        let contacts = self.ego.advance(decision.control, tick);
-        let moved = clock.elapsed();
-        let cpu = cpu_time::of_thread();
-        self.bridge.step(&mut [&mut self.ego]).await?;
-        let cpu = cpu_time::of_thread().zip(cpu).map_or(0.0, |(after, before)| after - before);
-        self.timings.bridge_cpu += cpu;
-        self.timings.sumo = self.bridge.sumo_seconds();
-        self.timings.agent += decided.as_secs_f64();
-        self.timings.physics += (moved - decided).as_secs_f64();
-        self.timings.bridge += (clock.elapsed() - moved).as_secs_f64();
-        let after = self.ego.on_route();
-        let params = self.ego.params();
-        let events = self.criteria.check(&Situation {
-            network: &network,
-            route: self.ego.route(),
-            world: self.ego.previous_world(),
-            before,
-            after,
-            contacts: &contacts,
-            static_label: &|key| self.ego.static_label(key),
-            length: params.length,
-            width: params.width,
-            wheelbase: params.wheelbase,
-            track: params.track,
-            tick,
-        });
-        self.totals.add(&decision, &before.state, &after.state, tick, self.bridge.counts());
-        self.totals.judge(&events);
-        self.totals.outside_ticks += u64::from(self.criteria.is_outside_lane());
-        let record = self.record(&network, &decision, events);
+        self.totals.judge(&done.events);
+        self.totals.outside_ticks += u64::from(self.session.seats()[EGO].criteria().is_outside_lane());
+        let network = self.session.network().clone();
+        let record = self.record(&network, &decision, done.control, done.events);
         self.folder.record(&record)?;
-        match self.options.scenario.clone() {
+        match self.scenario.clone() {
             Some(scenario) => self.judge(&scenario, &network, &record.events),
-            None => self.go_on(&network, &record.events).await?,
+            None => self.go_on(&record.events).await?,
         }
         let elapsed = self.began.elapsed().as_secs_f64().max(1e-9);
         Ok(Status { record, ticks_per_second: self.totals.ticks as f64 / elapsed })
@@ -316,35 +355,42 @@ impl Drive {
         }
         let ticks = self.totals.ticks;
         self.ending = match Termination::default().decide(events) {
-            Some((end, cause)) => Some(episode::ending(scenario.task, end, cause)),
+            Some((end, cause)) => Some(end::ending(scenario.task, end, cause)),
             None if self.limit.is_some_and(|limit| ticks >= limit) => {
-                let (kind, placement) = (scenario.task, &scenario.placement);
-                Some(episode::judge_limit(kind, placement, ticks, network, &self.ego))
+                Some(end::judge_limit(scenario.task, &scenario.placement, ticks, network, self.ego()))
             }
             None => None,
         };
     }
 
-    fn record(&mut self, network: &Network, decision: &Decision, events: Vec<Event>) -> TickRecord {
-        let on_route = self.ego.on_route();
-        let at = self.ego.route().at(on_route.s);
-        let (vehicles, pedestrians) = self.bridge.counts();
+    fn record(
+        &mut self,
+        network: &Network,
+        decision: &Decision,
+        control: Control,
+        events: Vec<Event>,
+    ) -> TickRecord {
+        let ego = self.session.ego(EGO);
+        let on_route = ego.on_route();
+        let at = ego.route().at(on_route.s);
+        let (vehicles, pedestrians) = self.session.bridge().counts();
+        let autopilot_drives = self.pilot.driver.is_autopilot() && self.guest.is_none();
         TickRecord {
             tick: self.totals.ticks,
-            time: self.bridge.time(),
-            control: decision.control,
+            time: self.session.bridge().time(),
+            control,
             ego: on_route.state,
             route: RouteRecord {
                 lane: network.lane(at.lane).id.clone(),
                 s: on_route.s,
                 d: on_route.d,
-                length: self.ego.route().length(),
+                length: ego.route().length(),
                 option: at.option,
             },
             limit: at.speed_limit,
             light: decision.light.map(|(state, distance)| LightRecord { state, distance }),
             leader: decision.leader.map(|leader| LeaderRecord { gap: leader.gap_m, speed: leader.speed_mps }),
-            reason: (self.driver.is_none() && self.guest.is_none()).then_some(decision.reason),
+            reason: autopilot_drives.then_some(decision.reason),
             events,
             vehicles,
             pedestrians,
@@ -354,41 +400,21 @@ impl Drive {
     }
 
     /// A new destination on arrival; a new start where the ego is blocked or has nowhere to go.
-    async fn go_on(&mut self, network: &Network, events: &[Event]) -> Result<(), DriveError> {
-        let blocked = events.contains(&Event::VehicleBlocked);
-        if events.contains(&Event::Arrival) {
-            // The new route begins a car's length behind the ego, on the lane that it is on.
-            let lane = self.ego.lane();
-            let here = network.lane(lane).shape.project(self.ego.state().pose.xy()).s;
-            let from = LanePosition { lane, s: (here - self.ego.params().length).max(0.0) };
-            match self.destinations.route_from(network, from) {
-                Ok(route) if route.length() >= SHORTEST_ROUTE => {
-                    self.ego.set_route(route, here - from.s);
-                    self.criteria.route_changed();
-                    return Ok(());
-                }
-                Ok(route) => tracing::info!("only {:.0} m of way on, starting elsewhere", route.length()),
-                Err(error) => tracing::info!("no way on from the destination, starting elsewhere: {error}"),
-            }
-        } else if !blocked {
-            return Ok(());
-        }
-        self.start_elsewhere(network).await
+    async fn go_on(&mut self, events: &[Event]) -> Result<(), DriveError> {
+        let arrived = events.contains(&Event::Arrival);
+        let goes_on = if arrived {
+            self.itinerary.go_on(&mut self.session, EGO)
+        } else {
+            !events.contains(&Event::VehicleBlocked)
+        };
+        if goes_on { Ok(()) } else { self.start_elsewhere().await }
     }
 
-    async fn start_elsewhere(&mut self, network: &Network) -> Result<(), DriveError> {
-        let mut route = first_route(network, &mut self.destinations)?;
-        for _ in 0..20 {
-            if self.bridge.is_free(&[route.at(0.0).lane]).await? {
-                break;
-            }
-            route = first_route(network, &mut self.destinations)?;
-        }
-        self.ego.respawn(route, 0.0);
-        if let Some(driver) = &mut self.driver {
-            driver.reset();
-        }
-        self.criteria.route_changed();
+    async fn start_elsewhere(&mut self) -> Result<(), DriveError> {
+        self.itinerary.start_elsewhere(&mut self.session, EGO).await?;
+        self.pilot.reset(self.weather, self.options.bridge.seed);
+        self.spare.reset(self.weather, self.options.bridge.seed);
+        self.looked = false;
         self.totals.respawns += 1;
         Ok(())
     }
@@ -399,19 +425,18 @@ impl Drive {
     /// # Errors
     /// SUMO fails, or the net has nowhere to start.
     pub async fn grant(&mut self, wish: Wish) -> Result<bool, DriveError> {
-        let network = self.bridge.network().clone();
         let granted = match wish {
             Wish::Respawn => {
-                self.start_elsewhere(&network).await?;
+                self.start_elsewhere().await?;
                 true
             }
-            Wish::NewRoute => self.leave_for(&network, None),
+            Wish::NewRoute => self.leave_for(None),
             Wish::FindBack => {
-                let to = self.ego.route().to;
-                self.leave_for(&network, Some(to))
+                let to = self.ego().route().to;
+                self.leave_for(Some(to))
             }
             Wish::Traffic { vehicles, pedestrians } => {
-                self.bridge.set_traffic(Counts::new(vehicles, pedestrians)).await?;
+                self.bridge_mut().set_traffic(Counts::new(vehicles, pedestrians)).await?;
                 true
             }
         };
@@ -422,57 +447,51 @@ impl Drive {
     }
 
     /// Sets out from where the ego is, to `to` or to a place that is drawn; false where no way leads there.
-    fn leave_for(&mut self, network: &Network, to: Option<LanePosition>) -> bool {
-        let pose = self.ego.state().pose;
-        let drivable = network.drivable_lanes(destination::EGO_CLASS);
-        let along = |near: &crate::network::NearLane| {
-            let heading = network.lane(near.lane).shape.at(near.s).heading;
-            crate::geometry::wrap_angle(heading - pose.heading).abs() < std::f64::consts::FRAC_PI_2
-        };
-        let near = network.lanes_near(pose.xy(), None, FIND_WITHIN);
-        let fits = near.iter().filter(|near| drivable.binary_search(&near.lane).is_ok() && along(near));
-        for near in fits {
-            let from = LanePosition { lane: near.lane, s: (near.s - self.ego.params().length).max(0.0) };
-            let route = match to {
-                Some(to) => network.route(from, to, destination::EGO_CLASS),
-                None => self.destinations.route_from(network, from),
-            };
-            if let Some(route) = route.ok().filter(|route| route.length() >= 0.5 * SHORTEST_ROUTE) {
-                self.ego.set_route(route, near.s - from.s);
-                self.criteria.route_changed();
-                return true;
-            }
-        }
-        false
+    fn leave_for(&mut self, to: Option<LanePosition>) -> bool {
+        self.looked = false;
+        self.itinerary.leave_for(&mut self.session, EGO, to)
     }
 
-    /// Puts somebody else at the wheel from the next tick on: a trained agent, or, with None, the autopilot.
-    /// `guest` is what telemetry calls him, None where he is the run's own driver.
-    /// Returns the agent that drove before.
-    pub fn hand_over(
-        &mut self,
-        driver: Option<LearnedDriver>,
-        guest: Option<String>,
-    ) -> Option<LearnedDriver> {
+    /// Puts another driver at the wheel from the next tick on, and returns the one before. `guest` is what
+    /// telemetry calls it, None where it is the run's own driver. It begins anew, in the weather of now.
+    pub fn hand_over(&mut self, mut pilot: Pilot, guest: Option<String>) -> Pilot {
         self.guest = guest;
-        std::mem::replace(&mut self.driver, driver)
+        pilot.reset(self.weather, self.options.bridge.seed);
+        self.looked = false;
+        std::mem::replace(&mut self.pilot, pilot)
     }
 
-    /// The weather that a trained agent sees from the next tick on.
-    pub fn set_weather(&mut self, weather: crate::camera::Preset) {
-        if let Some(driver) = &mut self.driver {
-            driver.set_weather(weather);
-        }
+    /// Who drives now.
+    pub fn driver(&self) -> &Driver {
+        &self.pilot.driver
     }
 
-    /// The summary so far.
-    pub fn summary(&self, end: &str, interrupted: bool) -> Summary {
+    /// The weather that is seen from the next tick on.
+    pub fn set_weather(&mut self, weather: Preset) {
+        self.weather = weather;
+        self.pilot.eyes.set_weather(weather);
+        self.spare.set_weather(weather);
+        self.looked = false;
+    }
+
+    /// The weather now.
+    pub fn weather(&self) -> Preset {
+        self.weather
+    }
+
+    /// The summary so far. A run that is not over has survived until now.
+    pub fn summary(&self, interrupted: bool) -> Summary {
+        self.summary_of(End::Survived, interrupted)
+    }
+
+    /// `end` is that of a run without a scenario that ended one.
+    fn summary_of(&self, end: End, interrupted: bool) -> Summary {
         let t = &self.totals;
         let per_tick = |sum: f64| if t.ticks == 0 { 0.0 } else { sum / t.ticks as f64 };
-        let tick = self.bridge.tick();
+        let tick = self.session.bridge().tick();
         let wall_seconds = self.began.elapsed().as_secs_f64();
         Summary {
-            town: self.bridge.config().name(),
+            town: self.session.bridge().config().name(),
             seed: self.options.bridge.seed,
             ticks: t.ticks,
             tick_ms: tick * 1000.0,
@@ -494,7 +513,7 @@ impl Drive {
             respawns: t.respawns,
             vehicles_mean: per_tick(t.vehicles as f64),
             pedestrians_mean: per_tick(t.pedestrians as f64),
-            end: self.ending.as_ref().map_or(end, |ending| ending.end.name()).to_string(),
+            end: self.ending.as_ref().map_or(end, |ending| ending.end),
             success: self.ending.as_ref().map(|ending| ending.success),
             cause: self.ending.as_ref().map(|ending| ending.cause.clone()),
             interrupted,
@@ -507,7 +526,7 @@ impl Drive {
     /// # Errors
     /// The summary cannot be written.
     pub async fn abort(mut self) -> Result<(), DriveError> {
-        let summary = self.summary("error", false);
+        let summary = self.summary_of(End::Error, false);
         Ok(self.folder.finish(&summary)?)
     }
 
@@ -515,52 +534,18 @@ impl Drive {
     ///
     /// # Errors
     /// The summary cannot be written.
-    pub async fn finish(mut self, end: &str, interrupted: bool) -> Result<Summary, DriveError> {
-        let summary = self.summary(end, interrupted);
+    pub async fn finish(mut self, interrupted: bool) -> Result<Summary, DriveError> {
+        let summary = self.summary(interrupted);
         self.folder.finish(&summary)?;
-        if let Err(error) = self.bridge.close().await {
+        if let Err(error) = self.session.close().await {
             tracing::warn!("SUMO did not close properly: {error}");
         }
         Ok(summary)
     }
 }
 
-/// The polygons of the config's additional files.
-pub(crate) fn polygons(bridge: &Bridge, network: &Network) -> Vec<Polygon> {
-    let mut polygons = Vec::new();
-    for file in bridge.config().additional_files() {
-        match Shapes::load(&file, network) {
-            Ok(shapes) => polygons.extend(shapes.polygons),
-            Err(error) => tracing::warn!("no buildings from an additional file: {error}"),
-        }
-    }
-    polygons
-}
-
-/// How far from a lane the ego may be to set out on it (m).
-const FIND_WITHIN: f64 = 30.0;
-
-/// A shorter way to the next destination is not worth going (m).
-const SHORTEST_ROUTE: f64 = 60.0;
-
-/// A random route from a random place: the first of some length, else the longest found.
-pub(crate) fn first_route(
-    network: &Network,
-    destinations: &mut Destinations,
-) -> Result<Route, DestinationError> {
-    let mut best: Result<Route, DestinationError> = Err(DestinationError::NoLane);
-    for _ in 0..20 {
-        let from: LanePosition = destinations.place(network);
-        match (destinations.route_from(network, from), &best) {
-            (Ok(route), _) if route.length() >= 4.0 * SHORTEST_ROUTE => return Ok(route),
-            (Ok(route), Ok(longest)) if route.length() <= longest.length() => {}
-            (Ok(route), _) => best = Ok(route),
-            (Err(error), Err(_)) => best = Err(error.into()),
-            (Err(_), Ok(_)) => {}
-        }
-    }
-    best
-}
+/// The run's only ego.
+const EGO: usize = 0;
 
 /// Equal but for the last digits that text loses.
 fn is_close(a: &Control, b: &Control) -> bool {

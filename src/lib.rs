@@ -42,6 +42,7 @@
 //! [`geometry`] only.
 
 pub mod agent;
+pub mod assets;
 pub mod autopilot;
 pub mod bench;
 pub mod bench_tick;
@@ -55,12 +56,14 @@ pub mod criteria;
 pub mod dataset;
 pub mod destination;
 pub mod drive;
+pub mod driver;
+pub mod end;
 pub mod env;
 pub mod eval;
+pub mod eyes;
 pub mod geometry;
 pub mod interrupt;
 pub mod latent;
-pub mod learned_driver;
 pub mod nets;
 pub mod network;
 pub mod observation;
@@ -70,7 +73,7 @@ pub mod replay;
 pub mod reward;
 pub mod scenario;
 pub mod seeds;
-pub mod sight;
+pub mod session;
 pub mod sumo_config;
 pub mod tasks;
 pub mod telemetry;
@@ -79,5 +82,4 @@ pub mod traffic;
 pub mod train;
 pub mod vehicle;
 pub mod view;
-pub mod watch;
 pub mod world;

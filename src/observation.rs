@@ -174,6 +174,34 @@ fn option_index(option: RoadOption) -> usize {
     }
 }
 
+/// What an observation holds. Sizes never change: what is left out is zero.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ObservationMode {
+    /// The latent and the six raw states, as in the paper.
+    #[default]
+    LatentAndRaw,
+    /// The raw states alone (ablation); no lanes are looked for and nothing is encoded.
+    RawOnly,
+    /// The latent alone (ablation).
+    LatentOnly,
+    /// Nothing is seen: latent zero, raw states without a vehicle in front. For drivers that do not look
+    /// (autopilot, random): several times faster.
+    Blind,
+}
+
+impl ObservationMode {
+    /// Whether the camera runs at all.
+    pub fn looks(self) -> bool {
+        self != Self::Blind
+    }
+
+    /// Whether images are encoded.
+    pub fn encodes(self) -> bool {
+        matches!(self, Self::LatentAndRaw | Self::LatentOnly)
+    }
+}
+
 /// What an agent sees.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Observation {

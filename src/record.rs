@@ -1,9 +1,10 @@
 //! A run as a film: chase, front or bird view, or all of them in one picture.
 
-use crate::camera::{Camera, CameraConfig, CameraError, Outputs, Picture, Town, Weather};
+use crate::camera::{Camera, CameraConfig, CameraError, Outputs, Picture, Preset, Town, Weather};
+use crate::eyes::Eyes;
 use crate::geometry::Pose;
 use crate::perception::stages;
-use crate::watch::Watch;
+use crate::world::{Actor, WorldState};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -97,6 +98,7 @@ fn other_codec(tried: &str) -> &'static str {
 
 /// A film under way.
 pub struct Recorder {
+    town: Town,
     view: RecordView,
     front: Option<Camera>,
     chase: Option<Camera>,
@@ -112,13 +114,14 @@ const WIDE: (usize, usize) = (1280, 720);
 const INSET: usize = 288;
 
 impl Recorder {
-    /// A film at `path`, `fps` pictures a second. A folder or a `.png` name gives numbered pictures.
+    /// A film of `town` at `path`, `fps` pictures a second. A folder or a `.png` name gives numbered pictures.
     /// `panels` of perception's stages are shown below the picture (0: none, 3, or 4 with a decoder).
     ///
     /// # Errors
     /// The place cannot be written, or no codec is there.
     pub fn create(
         path: &Path,
+        town: Town,
         view: RecordView,
         fps: f64,
         codec: Codec,
@@ -137,6 +140,7 @@ impl Recorder {
         // Whole numbers of pixels, even ones as video wants them.
         let size = (size.0, size.1 + panel_side(size.0, panels) / 2 * 2);
         Ok(Self {
+            town,
             view,
             panels,
             front: camera(&[Front, All], CameraConfig::default())?,
@@ -146,17 +150,18 @@ impl Recorder {
         })
     }
 
-    /// Adds a picture of the town as seen round an ego at `pose`, with what it makes of what it sees.
+    /// Moves the road users to where a tick has them, the ego too: to be called once a tick.
+    pub fn follow(&mut self, world: &WorldState, ego: &Actor) {
+        self.town.follow(world, Some(ego));
+    }
+
+    /// Adds a picture of the town as it was last followed, around an ego at `pose`, with what it makes of what it
+    /// sees.
     ///
     /// # Errors
     /// It cannot be written.
-    pub fn add(
-        &mut self,
-        town: &Town,
-        pose: &Pose,
-        weather: &Weather,
-        watch: Option<&Watch>,
-    ) -> Result<(), RecordError> {
+    pub fn add(&mut self, pose: &Pose, weather: Preset, eyes: Option<&Eyes>) -> Result<(), RecordError> {
+        let (town, weather) = (&self.town, &Weather::from(weather));
         let shoot = |camera: &mut Option<Camera>| {
             camera.as_mut().map(|camera| {
                 Picture::rgb(camera.render(town.scene(), town.actors(), pose, weather, Outputs::RGB))
@@ -173,8 +178,8 @@ impl Recorder {
                 };
                 put(&front, "front camera", right, 16);
                 put(&bird, "from above", right, low);
-                if let Some(watch) = watch {
-                    put(&stages::transformed(&watch.percept().transformed), "what the agent sees", 16, low);
+                if let Some(image) = eyes.and_then(Eyes::image) {
+                    put(&stages::transformed(image), "what the agent sees", 16, low);
                 }
                 chase
             }
@@ -183,10 +188,10 @@ impl Recorder {
                 None => return Ok(()),
             },
         };
-        match watch {
-            Some(watch) if self.panels > 0 => self.sink.write(&with_panels(&picture, watch, self.panels)),
-            _ => self.sink.write(&picture),
+        if self.panels == 0 {
+            return self.sink.write(&picture);
         }
+        self.sink.write(&with_panels(&picture, eyes, self.panels))
     }
 
     /// Completes the film.
@@ -204,11 +209,13 @@ fn panel_side(width: usize, panels: usize) -> usize {
 }
 
 /// The picture with the stages below it.
-fn with_panels(picture: &Picture, watch: &Watch, panels: usize) -> Picture {
+fn with_panels(picture: &Picture, eyes: Option<&Eyes>, panels: usize) -> Picture {
     let side = panel_side(picture.width, panels);
     let mut page = Picture::new(picture.width, picture.height + side / 2 * 2);
     page.paste(picture, 0, 0);
-    page.paste(&watch.strip(side), (picture.width - side * panels) / 2, picture.height);
+    if let Some(strip) = eyes.and_then(|eyes| eyes.strip(side)) {
+        page.paste(&strip, (picture.width - side * panels) / 2, picture.height);
+    }
     page
 }
 
@@ -347,12 +354,16 @@ mod video {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::network::{Network, Shapes};
 
     #[test]
     fn a_film_has_a_place_that_can_hold_it() {
         let folder = tempfile::tempdir().unwrap();
-        let at =
-            |name: &str| Recorder::create(&folder.path().join(name), RecordView::Front, 6.0, Codec::Auto, 0);
+        let net = Network::load(&crate::bundled::resolve("town3.net.xml").unwrap()).unwrap();
+        let town = Town::new(&net, &Shapes::default(), 0);
+        let at = |name: &str| {
+            Recorder::create(&folder.path().join(name), town.share(), RecordView::Front, 6.0, Codec::Auto, 0)
+        };
         assert!(at("frames/").is_ok() && at("new/film.png").is_ok());
         std::fs::write(folder.path().join("file"), "").unwrap();
         let error = at("file/film.png").err().map(|e| e.to_string()).unwrap_or_default();

@@ -184,6 +184,11 @@ impl Ego {
         self.vehicle.state()
     }
 
+    /// How it looks to others, brake lights and all.
+    pub fn as_actor(&self) -> Actor {
+        crate::replay::Body::of(self.params()).actor(&self.state())
+    }
+
     /// Its motion and its place on the route.
     pub fn on_route(&self) -> EgoOnRoute {
         EgoOnRoute { state: self.state(), s: self.s, d: self.d, front_s: self.front_s }

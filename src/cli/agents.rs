@@ -1,9 +1,10 @@
 //! Agents by the names that the command line gives them.
 
-use wad_cosim::agent::Agent;
+use super::Exit;
 use wad_cosim::agent::external::{ExternalAgent, Limits};
+use wad_cosim::assets::Assets;
 use wad_cosim::camera::CameraConfig;
-use wad_cosim::eval::{DriverError, DriverSpec, Made};
+use wad_cosim::driver::{DriverError, DriverSpec, Made, Pilot};
 use wad_cosim::latent::Encoder;
 
 /// Makes trained agents behind the camera `camera`, and external ones that keep to `limits`.
@@ -11,20 +12,48 @@ pub fn maker(
     camera: CameraConfig,
     limits: Limits,
 ) -> impl Fn(&DriverSpec) -> Result<Made, DriverError> + Sync {
-    move |spec| match spec {
+    move |spec| open(spec, None, &camera, limits)
+}
+
+/// The agent of a specification, and the encoder that it sees through: the one asked for, or its own.
+///
+/// # Errors
+/// There is no such agent or encoder, or they do not belong together.
+pub fn open(
+    spec: &DriverSpec,
+    encoder: Option<&str>,
+    camera: &CameraConfig,
+    limits: Limits,
+) -> Result<Made, DriverError> {
+    match spec {
         DriverSpec::Exec(command) => {
-            let encoder = encoder()?;
+            let encoder = encoder_of_external(encoder)?;
             let id = format!("exec:{command}, encoder {}", encoder.hash());
             Ok(Made { agent: Box::new(ExternalAgent::new(command, limits)), encoder, id })
         }
-        other => open(&other.to_string(), &camera),
+        other => trained(&other.to_string(), encoder, camera),
     }
 }
 
-/// A trained agent, and the encoder that it sees through.
+/// Who drives a run in the town of `assets`, with the eyes that it needs.
+pub fn pilot(
+    assets: &Assets,
+    spec: &DriverSpec,
+    encoder: Option<&str>,
+    detector: &str,
+) -> anyhow::Result<Pilot> {
+    if let Some(pilot) = Pilot::blind(spec) {
+        return Ok(pilot);
+    }
+    let camera = CameraConfig::default();
+    let made = open(spec, encoder, &camera, Limits::default()).map_err(|e| Exit::Input.because(e))?;
+    let pilot = Pilot::of_agent(assets, made.agent, made.encoder, detector, camera);
+    pilot.map_err(|e| Exit::Input.because(e))
+}
+
 #[cfg(feature = "learn")]
-fn open(name: &str, camera: &CameraConfig) -> Result<Made, DriverError> {
-    let (agent, encoder) = wad_cosim::agent::policy::open(name, None, camera)?;
+fn trained(name: &str, encoder: Option<&str>, camera: &CameraConfig) -> Result<Made, DriverError> {
+    let (agent, encoder) = wad_cosim::agent::policy::open(name, encoder, camera)?;
     let bytes = match wad_cosim::bundled::agent(name) {
         Some(bytes) if !std::path::Path::new(name).is_file() => bytes.to_vec(),
         _ => std::fs::read(name).unwrap_or_default(),
@@ -34,19 +63,19 @@ fn open(name: &str, camera: &CameraConfig) -> Result<Made, DriverError> {
 }
 
 #[cfg(not(feature = "learn"))]
-fn open(name: &str, _: &CameraConfig) -> Result<Made, DriverError> {
+fn trained(name: &str, _: Option<&str>, _: &CameraConfig) -> Result<Made, DriverError> {
     Err(DriverError::Unknown { found: name.to_string() })
 }
 
 /// What the latent of an external agent is made with.
 #[cfg(feature = "learn")]
-fn encoder() -> Result<Box<dyn Encoder>, DriverError> {
+fn encoder_of_external(name: Option<&str>) -> Result<Box<dyn Encoder>, DriverError> {
     tch::set_num_threads(1);
-    Ok(wad_cosim::agent::policy::find_encoder("default")?)
+    Ok(wad_cosim::agent::policy::find_encoder(name.unwrap_or("default"))?)
 }
 
 #[cfg(not(feature = "learn"))]
-fn encoder() -> Result<Box<dyn Encoder>, DriverError> {
+fn encoder_of_external(_: Option<&str>) -> Result<Box<dyn Encoder>, DriverError> {
     Ok(Box::new(wad_cosim::latent::PooledEncoder))
 }
 
@@ -60,31 +89,4 @@ pub fn sees_through(asked: Option<&str>, agent: Option<&str>) -> String {
 #[cfg(not(feature = "learn"))]
 pub fn sees_through(asked: Option<&str>, _: Option<&str>) -> String {
     asked.unwrap_or("default").to_string()
-}
-
-/// An agent, and what it sees through.
-pub type Seeing = (Box<dyn Agent>, Box<dyn Encoder>);
-
-/// The agent `name` for `run`, behind `encoder` or its own.
-///
-/// # Errors
-/// There is no such agent or encoder, or they do not belong together.
-#[cfg(feature = "learn")]
-pub fn for_run(name: &str, encoder: Option<&str>, camera: &CameraConfig) -> Result<Seeing, DriverError> {
-    match name.strip_prefix("exec:") {
-        Some(command) => {
-            tch::set_num_threads(1);
-            let encoder = wad_cosim::agent::policy::find_encoder(encoder.unwrap_or("default"))?;
-            Ok((Box::new(ExternalAgent::new(command, Limits::default())), encoder))
-        }
-        None => Ok(wad_cosim::agent::policy::open(name, encoder, camera)?),
-    }
-}
-
-#[cfg(not(feature = "learn"))]
-pub fn for_run(name: &str, _: Option<&str>, _: &CameraConfig) -> Result<Seeing, DriverError> {
-    match name.strip_prefix("exec:") {
-        Some(command) => Ok((Box::new(ExternalAgent::new(command, Limits::default())), encoder()?)),
-        None => Err(DriverError::Unknown { found: name.to_string() }),
-    }
 }

@@ -8,7 +8,6 @@ use wad_cosim::bench::median;
 use wad_cosim::bundled;
 use wad_cosim::camera::{Camera, CameraConfig, Outputs, Preset, Stages, Town, Weather};
 use wad_cosim::drive::{Drive, DriveOptions};
-use wad_cosim::sight;
 use wad_cosim::traffic::TrafficSpec;
 
 const EXAMPLES: &str = "\
@@ -122,17 +121,17 @@ async fn drive(way: &mut Way, args: &Args, config: std::path::PathBuf) -> anyhow
     let mut drive = Drive::start(DriveOptions::passing(config, args.seed, args.traffic, scratch.path()))
         .await
         .map_err(run::with_exit)?;
-    let mut town = sight::town(drive.bridge(), args.seed);
+    let mut town = drive.assets().town();
     let large = (way.times > 1).then(|| town.scene().repeated(way.times));
     let begin = drive.bridge().time() + BEFORE;
     while way.wall.len() < args.frames.max(1) {
         drive.tick().await.map_err(run::with_exit)?;
-        sight::follow(&mut town, drive.ego());
+        town.follow(drive.ego().world(), None);
         if drive.bridge().time() >= begin {
             time(way, &town, large.as_ref(), &drive);
         }
     }
-    drive.finish("survived", false).await.map_err(run::with_exit)?;
+    drive.finish(false).await.map_err(run::with_exit)?;
     Ok(())
 }
 

@@ -6,8 +6,9 @@ use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressDrawTarget};
 use wad_cosim::bench_tick::{TickBench, TickBenchError, TickBenchOptions, TickReport};
 use wad_cosim::bundled;
-use wad_cosim::camera::{CameraConfig, Outputs, Preset, Weather};
+use wad_cosim::camera::{CameraConfig, Outputs, Preset};
 use wad_cosim::drive::DriveOptions;
+use wad_cosim::eyes::EyesError;
 use wad_cosim::latent::Encoder;
 use wad_cosim::perception::{self, DETECTORS, MIN_SCORE};
 use wad_cosim::traffic::TrafficSpec;
@@ -82,7 +83,7 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
         encoder,
         drive: DriveOptions::passing(config, args.seed, args.traffic, scratch.path()),
         camera: CameraConfig::sized(args.size.0, args.size.1),
-        weather: Weather::from(args.weather),
+        weather: args.weather,
         outputs: match args.outputs {
             Made::Rgb => Outputs::RGB,
             Made::All => Outputs::ALL,
@@ -133,9 +134,8 @@ fn encoder(_: &str) -> anyhow::Result<Option<Box<dyn Encoder>>> {
 fn with_exit(error: TickBenchError) -> anyhow::Error {
     match error {
         TickBenchError::Drive(error) => run::with_exit(error),
-        TickBenchError::Camera(error) => Exit::Input.because(error),
-        TickBenchError::Perception(error) => Exit::Other.because(error),
-        TickBenchError::Latent(error) => Exit::Other.because(error),
+        TickBenchError::Eyes(error @ EyesError::Camera(_)) => Exit::Input.because(error),
+        TickBenchError::Eyes(error) => Exit::Other.because(error),
     }
 }
 

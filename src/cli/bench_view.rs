@@ -1,6 +1,6 @@
 //! `wad-cosim bench view`: what viewers cost the simulation.
 
-use super::run::{Interrupt, with_exit};
+use super::run::{Film, Interrupt, with_exit};
 use super::view::{About, View, ViewArgs};
 use super::{Exit, print};
 use anyhow::Context;
@@ -89,7 +89,6 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
     options.bridge.tick_ms = Some(args.tick_ms);
     let mut drive = Drive::start(options).await.map_err(with_exit)?;
     let about = About {
-        config: &args.config,
         seed: args.seed,
         agent: "autopilot",
         encoder: None,
@@ -103,7 +102,7 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
     let crowds = [0, 1, args.viewers];
     let mut times: [Times; 3] = Default::default();
     let mut interrupt = Interrupt::listen()?;
-    let mut sight = None;
+    let mut film = Film::default();
     'turns: for turn in 0..args.repeat {
         for (viewers, times) in crowds.iter().zip(&mut times) {
             let crowd = Crowd::watch(address, *viewers, view.cores())?;
@@ -111,7 +110,7 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
             for tick in 0..SETTLE + args.ticks {
                 let control = tokio::select! {
                     () = interrupt.wait() => break 'turns,
-                    next = view.next(&mut drive, &mut sight) => next.map_err(with_exit)?,
+                    next = view.next(&mut drive, &mut film) => next.map_err(with_exit)?,
                 };
                 let clock = Instant::now();
                 let status = drive.tick_with(control).await.map_err(with_exit)?;
@@ -136,7 +135,7 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
         eprintln!("turn {} of {}", turn + 1, args.repeat);
     }
     view.close();
-    drive.finish("survived", false).await.map_err(with_exit)?;
+    drive.finish(false).await.map_err(with_exit)?;
     let alone = median(times[0].ticks.clone());
     let per_turn = (SETTLE + args.ticks) as f64 / args.ticks as f64;
     let rows: Vec<Row> = crowds

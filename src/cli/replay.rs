@@ -8,8 +8,7 @@ use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 use wad_cosim::agent::external::Limits;
-use wad_cosim::camera::Weather;
-use wad_cosim::env::{Assets, EnvError};
+use wad_cosim::assets::Assets;
 use wad_cosim::eval::kept::{self, Kept, KeptError};
 use wad_cosim::record::{Codec, RecordView, Recorder};
 use wad_cosim::replay::Recording;
@@ -108,23 +107,18 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
 fn with_exit(error: KeptError) -> anyhow::Error {
     let exit = match &error {
         KeptError::Env(env) if env.is_sumo() => Exit::Sumo,
-        KeptError::Driver(wad_cosim::eval::DriverError::Env(env)) if env.is_sumo() => Exit::Sumo,
+        KeptError::Assets(assets) if !assets.is_input() => Exit::Sumo,
         _ => Exit::Input,
     };
     exit.because(error)
 }
 
-fn env_error(error: EnvError) -> anyhow::Error {
-    with_exit(error.into())
-}
-
 /// The recorded states as a film.
 fn film(args: &Args, path: &std::path::Path, recording: &Recording) -> anyhow::Result<()> {
     let header = recording.header();
-    let mut town = Assets::load(&header.config).map_err(env_error)?.town();
-    let weather = Weather::from(header.weather);
+    let town = Assets::load(&header.config).map_err(|e| with_exit(e.into()))?.town();
     let fps = 1000.0 / header.tick_ms;
-    let mut film = Recorder::create(path, args.record_view, fps, args.record_codec, 0)
+    let mut film = Recorder::create(path, town, args.record_view, fps, args.record_codec, 0)
         .map_err(|e| Exit::Input.because(e))?;
     let frames = recording.frames();
     let shown = args.last.map_or(frames.len(), |s| ((s.max(0.0) * fps) as usize).min(frames.len()));
@@ -133,14 +127,14 @@ fn film(args: &Args, path: &std::path::Path, recording: &Recording) -> anyhow::R
     let first = frames.len() - shown;
     for (index, frame) in frames.iter().enumerate() {
         // Those before the first picture still move wheels and legs to where they are by then.
-        town.follow(&frame.world, Some(&recording.ego_actor(frame)));
+        film.follow(&frame.world, &recording.ego_actor(frame));
         if index < first {
             continue;
         }
         if stop.load(Ordering::Relaxed) {
             break;
         }
-        film.add(&town, &frame.ego.pose, &weather, None)?;
+        film.add(&frame.ego.pose, header.weather, None)?;
         bar.show((index + 1 - first) as u64, "");
     }
     bar.clear();

@@ -143,7 +143,7 @@ fn load(episodes: &Episodes, id: &str, towns: &mut BTreeMap<String, Arc<Assets>>
     }
     let network = assets.network();
     let ego = kept.options.ego.clone();
-    let artist = view::artist(assets.town(), network, ego.length, &kept.options.detector, None, 0)?;
+    let artist = view::artist(&assets, ego.length, &kept.options.detector, None, 0)?;
     Ok(Played {
         listed,
         route: kept.episode.placement.route(network).ok(),

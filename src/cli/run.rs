@@ -11,20 +11,17 @@ use std::io::IsTerminal;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
+use wad_cosim::assets::{Assets, AssetsError};
 use wad_cosim::bridge::{BridgeError, BridgeOptions};
-use wad_cosim::camera::{CameraConfig, Preset, Town, Weather};
+use wad_cosim::camera::{CameraConfig, Preset};
 use wad_cosim::drive::{Drive, DriveError, DriveOptions, Status, Summary};
-use wad_cosim::env::EnvOptions;
-use wad_cosim::learned_driver::LearnedDriver;
-use wad_cosim::perception::{self, Percept};
+use wad_cosim::driver::DriverSpec;
+use wad_cosim::eyes::Eyes;
+use wad_cosim::perception;
 use wad_cosim::record::{Codec, RecordError, RecordView, Recorder};
-use wad_cosim::scenario::{self, Scenario};
-use wad_cosim::sight;
-use wad_cosim::sumo_config::{OptionSchema, SumoConfig};
 use wad_cosim::telemetry::FolderError;
 use wad_cosim::traci::process::SumoInstall;
 use wad_cosim::traffic::TrafficSpec;
-use wad_cosim::watch::Watch;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -47,9 +44,10 @@ pub struct Args {
     /// A .sumocfg, a .net.xml(.gz), a scenario's folder, a bundled town (town3, town5) or a shipped scenario.
     #[arg(value_hint = ValueHint::FilePath)]
     config: String,
-    /// Who drives: autopilot, wad-t, wad-s, a file that `train agent` wrote, or exec:COMMAND (docs/evaluate.md).
+    /// Who drives: autopilot, wad-t, wad-s, a file that `train agent` wrote, constant, random, manual (with --view),
+    /// or exec:COMMAND (docs/evaluate.md).
     #[arg(long, default_value = "autopilot", value_name = "NAME|FILE|exec:CMD", value_hint = ValueHint::FilePath)]
-    agent: String,
+    agent: DriverSpec,
     /// The encoder that the agent sees through [default: the one that it was trained with], and whose
     /// reconstruction --perception shows [default: the bundled one].
     #[arg(long, value_name = "NAME", value_hint = ValueHint::AnyPath)]
@@ -124,9 +122,9 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
 
 async fn drive(args: Args) -> anyhow::Result<Exit> {
     let config = super::scenario::resolve(&args.config)?;
-    let scenario = scenario_of(&args, &config)?;
+    let assets = town(&args, &config)?;
     let mut args = args;
-    if let Some(scenario) = &scenario {
+    if let Some(scenario) = assets.scenario() {
         args.weather = args.weather.or(Some(scenario.weather));
         args.traffic = Some(match args.traffic.unwrap_or(scenario.traffic) {
             // What is drawn is there anyway.
@@ -138,13 +136,19 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
     let seed = args.seed.unwrap_or(0);
     let out = args.out.clone().unwrap_or_else(|| default_folder(&config, seed));
     let listener = args.view.listen()?;
-    let driver = driver(&args, seed)?;
+    if args.agent == DriverSpec::Manual && listener.is_none() {
+        return Err(Exit::Input.because(anyhow::anyhow!(
+            "--agent manual needs a person at the live view's wheel: add --view, or name another driver"
+        )));
+    }
+    let pilot = pilot(&args, &assets)?;
+    let weather = args.weather.unwrap_or_default();
     let options = DriveOptions {
         bridge: BridgeOptions {
             seed,
             tick_ms: args.tick_ms,
             traffic: args.traffic.unwrap_or_default(),
-            scenario: scenario.is_some(),
+            scenario: assets.scenario().is_some(),
             gui: args.gui,
             attach: args.attach.clone(),
             tick_timeout: args.tick_timeout,
@@ -155,11 +159,10 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
         ego: Default::default(),
         autopilot: Default::default(),
         criteria: Default::default(),
-        scenario,
     };
     let mut interrupt = Interrupt::listen()?;
     let started = tokio::select! {
-        started = Drive::start_with(options, driver) => started,
+        started = Drive::start_in(&assets, options, pilot, weather) => started,
         () = interrupt.wait() => {
             eprintln!("interrupted before the first tick");
             return Ok(Exit::Interrupted);
@@ -167,16 +170,15 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
     };
     let mut drive = started.map_err(with_exit)?;
     let limit = tick_limit(&args, &drive)?;
-    let mut sight = Sight::begin(&args, &drive, seed)?;
+    let mut film = Film::begin(&args, &mut drive)?;
     let mut view = match listener {
         Some(listener) => {
             let about = About {
-                config: &args.config,
                 seed,
-                agent: &args.agent,
+                agent: &args.agent.to_string(),
                 encoder: args.encoder.as_deref(),
                 detector: &args.detector,
-                weather: args.weather.unwrap_or_default(),
+                weather,
                 traffic: args.traffic.unwrap_or_default().counts(&drive.bridge().config().town()),
                 out: &out,
                 recording: args.record.as_deref(),
@@ -193,17 +195,15 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
         let ticked = tokio::select! {
             biased;
             () = interrupt.wait() => { interrupted = true; break; }
-            ticked = next_tick(&mut drive, &mut view, &mut sight) => ticked,
+            ticked = next_tick(&mut drive, &mut view, &mut film) => ticked,
         };
         match ticked {
             Ok(status) => {
-                if let Some(sight) = &mut sight {
-                    sight.look(&drive)?;
-                }
+                film.add(&mut drive)?;
                 if let Some(view) = &mut view {
                     view.show(&drive, &status);
                 }
-                line.show(&status, sight.as_ref().and_then(Sight::said));
+                line.show(&status, drive.eyes().percept().filter(|_| args.perception));
             }
             Err(error) => {
                 line.clear();
@@ -233,10 +233,8 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
     if let Some(view) = view {
         view.close();
     }
-    if let Some(sight) = sight {
-        sight.finish()?;
-    }
-    let summary = drive.finish("survived", interrupted).await.map_err(with_exit)?;
+    film.end()?;
+    let summary = drive.finish(interrupted).await.map_err(with_exit)?;
     report(&summary, args.json)?;
     Ok(if interrupted { Exit::Interrupted } else { Exit::Done })
 }
@@ -245,55 +243,33 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
 async fn next_tick(
     drive: &mut Drive,
     view: &mut Option<View>,
-    sight: &mut Option<Sight>,
+    film: &mut Film,
 ) -> Result<Status, DriveError> {
     let control = match view {
-        Some(view) => view.next(drive, sight).await?,
+        Some(view) => view.next(drive, film).await?,
         None => None,
     };
     drive.tick_with(control).await
 }
 
-/// The scenario that the config is, where somebody in it is the ego and no other route is asked for.
-fn scenario_of(args: &Args, config: &std::path::Path) -> anyhow::Result<Option<Arc<Scenario>>> {
-    if args.route.is_some() || args.attach.is_some() || config.extension().is_none_or(|e| e != "sumocfg") {
-        return Ok(None);
+/// The town; with its scenario, where it is one and no other route is asked for.
+fn town(args: &Args, config: &std::path::Path) -> anyhow::Result<Arc<Assets>> {
+    if args.attach.is_none() {
+        // One that is too old is told so, rather than that its list of options reads badly.
+        let install = SumoInstall::find().map_err(|e| Exit::Sumo.because(e))?;
+        install.check_version().map_err(|e| Exit::Sumo.because(e))?;
     }
-    let install = SumoInstall::find().map_err(|e| Exit::Sumo.because(e))?;
-    // One that is too old is told so, rather than that its list of options reads badly.
-    install.check_version().map_err(|e| Exit::Sumo.because(e))?;
-    let schema = OptionSchema::cached(&install, false).map_err(|e| Exit::Sumo.because(e))?;
-    let loaded = SumoConfig::load(config, &schema).map_err(|e| Exit::Input.because(e))?;
-    if !scenario::has_ego(&loaded) {
-        return Ok(None);
-    }
-    let scenario = Scenario::load(config).map_err(|e| Exit::Input.because(e))?;
-    Ok(Some(Arc::new(scenario)))
+    let plays = args.route.is_none() && args.attach.is_none();
+    Assets::open(config, plays).map_err(|e| with_exit(e.into()))
 }
 
-/// The trained or external agent that was asked for; None: the autopilot.
-fn driver(args: &Args, seed: u64) -> anyhow::Result<Option<LearnedDriver>> {
-    if args.agent == "autopilot" {
-        return Ok(None);
+/// Who drives. What people are shown is what it sees.
+fn pilot(args: &Args, assets: &Assets) -> anyhow::Result<wad_cosim::driver::Pilot> {
+    let mut pilot = agents::pilot(assets, &args.agent, args.encoder.as_deref(), &args.detector)?;
+    if args.perception && pilot.driver.looks() {
+        pilot.eyes = with_decoder(args, pilot.eyes);
     }
-    let (agent, encoder) = (&args.agent, args.encoder.as_deref());
-    learned(&args.config, agent, encoder, &args.detector, args.weather.unwrap_or_default(), seed).map(Some)
-}
-
-/// The agent `agent`, ready to drive in the town of `config`.
-pub(super) fn learned(
-    config: &str,
-    agent: &str,
-    encoder: Option<&str>,
-    detector: &str,
-    weather: Preset,
-    seed: u64,
-) -> anyhow::Result<LearnedDriver> {
-    let options = EnvOptions { detector: detector.to_string(), ..EnvOptions::evaluation() };
-    let (agent, encoder) =
-        agents::for_run(agent, encoder, &options.camera).map_err(|e| Exit::Input.because(e))?;
-    let driver = LearnedDriver::new(config, agent, encoder, &options, weather, seed);
-    driver.map_err(|e| Exit::Input.because(e))
+    Ok(pilot)
 }
 
 impl Args {
@@ -338,118 +314,86 @@ pub fn with_exit(error: DriveError) -> anyhow::Error {
         DriveError::Bridge(bridge) if bridge.is_input() => Exit::Input,
         DriveError::Bridge(BridgeError::Folder { .. }) | DriveError::Write(_) => Exit::Other,
         DriveError::Bridge(_) => Exit::Sumo,
-        DriveError::Driver(_) => Exit::Other,
+        DriveError::Assets(AssetsError::Install(_)) => Exit::Sumo,
+        DriveError::Assets(_) => Exit::Input,
+        DriveError::Agent(_) | DriveError::Eyes(_) => Exit::Other,
         DriveError::Destination(_) | DriveError::Folder(FolderError::Taken { .. }) => Exit::Input,
         DriveError::Folder(FolderError::Write(_)) => Exit::Other,
     };
     exit.because(error)
 }
 
-/// What is seen and recorded of the run.
-pub(super) struct Sight {
-    town: Town,
-    weather: Weather,
-    watch: Option<Watch>,
-    /// Perception was asked for, not only needed by the film.
-    says: bool,
+/// The film of the run, where there is one, and whether perception was asked for.
+#[derive(Default)]
+pub(super) struct Film {
     recorder: Option<Recorder>,
+    looks: bool,
 }
 
-impl Sight {
-    /// None where nobody looks.
-    fn begin(args: &Args, drive: &Drive, seed: u64) -> anyhow::Result<Option<Self>> {
-        if args.record.is_none() && !args.perception {
-            return Ok(None);
-        }
+impl Film {
+    fn begin(args: &Args, drive: &mut Drive) -> anyhow::Result<Self> {
         // The film of all views holds the transformed image where this build can make one.
         let inset = args.record.is_some() && args.record_view == RecordView::All && cfg!(feature = "vision");
-        let watch = (args.perception || inset)
-            .then(|| -> anyhow::Result<Watch> {
-                let detector = perception::detector(&args.detector, perception::MIN_SCORE)
-                    .map_err(|e| Exit::Input.because(e))?;
-                let mut watch =
-                    Watch::new(detector, CameraConfig::default()).map_err(|e| Exit::Input.because(e))?;
-                watch.reset(seed);
-                Ok(if args.perception { with_decoder(args, watch) } else { watch })
-            })
-            .transpose()?;
-        let panels = watch.as_ref().filter(|_| args.perception).map_or(0, Watch::panels);
+        let looks = args.perception || inset;
+        if looks {
+            let detector = perception::detector(&args.detector, perception::MIN_SCORE)
+                .map_err(|e| Exit::Input.because(e))?;
+            let eyes = Eyes::new(drive.assets().town(), CameraConfig::default(), detector)
+                .map_err(|e| Exit::Input.because(e))?;
+            drive.watch_with(if args.perception { with_decoder(args, eyes) } else { eyes });
+        }
+        let panels = if args.perception { drive.eyes().panels() } else { 0 };
         let fps = 1.0 / drive.bridge().tick();
-        let recorder = args
-            .record
-            .as_ref()
-            .map(|path| Recorder::create(path, args.record_view, fps, args.record_codec, panels))
-            .transpose()
-            .map_err(|e| Exit::Input.because(e))?;
-        let (town, weather) =
-            (sight::town(drive.bridge(), seed), Weather::from(args.weather.unwrap_or_default()));
-        Ok(Some(Self { town, weather, watch, says: args.perception, recorder }))
+        let create = |path: &PathBuf| {
+            Recorder::create(path, drive.assets().town(), args.record_view, fps, args.record_codec, panels)
+        };
+        let recorder = args.record.as_ref().map(create).transpose().map_err(|e| Exit::Input.because(e))?;
+        Ok(Self { recorder, looks })
     }
 
-    fn look(&mut self, drive: &Drive) -> anyhow::Result<()> {
-        let (ego, bridge) = (drive.ego(), drive.bridge());
-        sight::follow(&mut self.town, ego);
-        if let Some(watch) = &mut self.watch {
-            watch.look(&self.town, &self.weather, bridge.network(), ego, bridge.tick())?;
+    /// Shows a tick.
+    fn add(&mut self, drive: &mut Drive) -> anyhow::Result<()> {
+        if self.looks {
+            drive.look()?;
         }
         if let Some(recorder) = &mut self.recorder {
-            recorder.add(&self.town, &ego.state().pose, &self.weather, self.watch.as_ref())?;
+            let ego = drive.ego();
+            recorder.follow(ego.world(), &ego.as_actor());
+            recorder.add(&ego.state().pose, drive.weather(), Some(drive.eyes()))?;
         }
         Ok(())
     }
 
-    /// Nothing is looked at yet.
-    pub fn plain(town: Town, weather: Preset) -> Self {
-        let weather = Weather::from(weather);
-        Self { town, weather, watch: None, says: false, recorder: None }
-    }
-
-    /// The weather from the next tick on.
-    pub fn set_weather(&mut self, weather: Preset) {
-        self.weather = Weather::from(weather);
-    }
-
     /// Films from the next tick on, from behind.
-    pub fn begin_film(&mut self, path: &std::path::Path, fps: f64) -> Result<(), RecordError> {
-        self.recorder = Some(Recorder::create(path, RecordView::Chase, fps, Codec::Auto, 0)?);
+    pub fn restart(&mut self, path: &std::path::Path, drive: &Drive) -> Result<(), RecordError> {
+        let (town, fps) = (drive.assets().town(), 1.0 / drive.bridge().tick());
+        self.recorder = Some(Recorder::create(path, town, RecordView::Chase, fps, Codec::Auto, 0)?);
         Ok(())
     }
 
     /// Completes the film under way, if there is one.
-    pub fn end_film(&mut self) -> Result<(), RecordError> {
+    pub fn end(&mut self) -> Result<(), RecordError> {
         self.recorder.take().map_or(Ok(()), Recorder::finish)
-    }
-
-    /// What perception says of the last tick.
-    fn said(&self) -> Option<&Percept> {
-        self.watch.as_ref().filter(|_| self.says).map(Watch::percept)
-    }
-
-    fn finish(self) -> anyhow::Result<()> {
-        match self.recorder {
-            Some(recorder) => Ok(recorder.finish()?),
-            None => Ok(()),
-        }
     }
 }
 
 /// The reconstruction among the stages, where there is an encoder: the one that the agent sees through.
 #[cfg(feature = "learn")]
-fn with_decoder(args: &Args, watch: Watch) -> Watch {
+fn with_decoder(args: &Args, eyes: Eyes) -> Eyes {
     tch::set_num_threads(1);
-    let encoder = agents::sees_through(args.encoder.as_deref(), Some(&args.agent));
+    let encoder = agents::sees_through(args.encoder.as_deref(), Some(&args.agent.to_string()));
     match wad_cosim::latent::TchEncoder::find(&encoder) {
-        Ok(encoder) => watch.with_decoder(Box::new(encoder)),
+        Ok(encoder) => eyes.with_decoder(Box::new(encoder)),
         Err(error) => {
             tracing::warn!("no reconstruction: {error}");
-            watch
+            eyes
         }
     }
 }
 
 #[cfg(not(feature = "learn"))]
-fn with_decoder(_: &Args, watch: Watch) -> Watch {
-    watch
+fn with_decoder(_: &Args, eyes: Eyes) -> Eyes {
+    eyes
 }
 
 /// Ctrl-C and SIGTERM.

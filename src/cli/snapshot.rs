@@ -7,11 +7,11 @@ use std::path::{Path, PathBuf};
 use wad_cosim::bundled;
 use wad_cosim::camera::{Camera, CameraConfig, MAX_PIXELS, Outputs, Picture, Preset, Town, Weather};
 use wad_cosim::drive::{Drive, DriveOptions};
+use wad_cosim::eyes::Eyes;
 use wad_cosim::geometry::Pose;
-use wad_cosim::perception::{self, stages};
-use wad_cosim::sight;
+use wad_cosim::latent::Decoder;
+use wad_cosim::perception::{self, Detector, stages};
 use wad_cosim::traffic::TrafficSpec;
-use wad_cosim::watch::Watch;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -142,45 +142,51 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
     }
     // Known before anything is simulated.
     check_place(&numbered(&args, 0))?;
-    let watch = args.stage.map(|stage| watch(&args, stage, config)).transpose()?;
+    let stage = args.stage.map(|stage| stage_parts(&args, stage)).transpose()?;
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()
         .context("cannot start the asynchronous runtime")?;
-    runtime.block_on(take(args, camera, watch))
+    runtime.block_on(take(args, camera, stage))
 }
 
-fn watch(args: &Args, stage: Stage, config: CameraConfig) -> anyhow::Result<Watch> {
+/// What a stage's picture takes beside the camera.
+struct StageParts {
+    stage: Stage,
+    detector: Box<dyn Detector>,
+    decoder: Option<Box<dyn Decoder>>,
+}
+
+fn stage_parts(args: &Args, stage: Stage) -> anyhow::Result<StageParts> {
     let detector =
         perception::detector(&args.detector, perception::MIN_SCORE).map_err(|e| Exit::Input.because(e))?;
-    let watch = Watch::new(detector, config).map_err(|e| Exit::Input.because(e))?;
-    with_decoder(args, stage, watch)
+    Ok(StageParts { stage, detector, decoder: decoder(args, stage)? })
 }
 
 /// The stages that show a reconstruction need an encoder; the strip of all does without if it must.
 #[cfg(feature = "learn")]
-fn with_decoder(args: &Args, stage: Stage, watch: Watch) -> anyhow::Result<Watch> {
+fn decoder(args: &Args, stage: Stage) -> anyhow::Result<Option<Box<dyn Decoder>>> {
     if !matches!(stage, Stage::Latent | Stage::All) {
-        return Ok(watch);
+        return Ok(None);
     }
     tch::set_num_threads(1);
     match wad_cosim::latent::TchEncoder::find(&args.encoder) {
-        Ok(encoder) => Ok(watch.with_decoder(Box::new(encoder))),
+        Ok(encoder) => Ok(Some(Box::new(encoder))),
         Err(error) if stage == Stage::Latent => Err(Exit::Input.because(error)),
         Err(error) => {
             tracing::warn!("no reconstruction: {error}");
-            Ok(watch)
+            Ok(None)
         }
     }
 }
 
 #[cfg(not(feature = "learn"))]
-fn with_decoder(_: &Args, stage: Stage, watch: Watch) -> anyhow::Result<Watch> {
+fn decoder(_: &Args, stage: Stage) -> anyhow::Result<Option<Box<dyn Decoder>>> {
     if stage == Stage::Latent {
         let why = "--stage latent needs libtorch, and this build has none; build with the feature `learn`";
         return Err(Exit::Input.because(anyhow::anyhow!(why)));
     }
-    Ok(watch)
+    Ok(None)
 }
 
 /// Where picture `number` goes.
@@ -199,7 +205,7 @@ fn check_place(path: &Path) -> anyhow::Result<()> {
         .with_context(|| format!("cannot write the picture {}", path.display()))
 }
 
-async fn take(args: Args, mut camera: Camera, mut watch: Option<Watch>) -> anyhow::Result<Exit> {
+async fn take(args: Args, mut camera: Camera, stage: Option<StageParts>) -> anyhow::Result<Exit> {
     let config = bundled::resolve(&args.config).map_err(|e| Exit::Input.because(e))?;
     let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
     let options = DriveOptions {
@@ -207,32 +213,35 @@ async fn take(args: Args, mut camera: Camera, mut watch: Option<Watch>) -> anyho
         ..DriveOptions::passing(config, args.seed, args.traffic, scratch.path())
     };
     let mut drive = Drive::start(options).await.map_err(run::with_exit)?;
-    let mut town = sight::town(drive.bridge(), args.seed);
+    let mut town = drive.assets().town();
+    let stage = match stage {
+        Some(StageParts { stage, detector, decoder }) => {
+            drive.set_weather(args.weather);
+            let mut eyes = Eyes::new(drive.assets().town(), *camera.config(), detector)
+                .map_err(|e| Exit::Input.because(e))?;
+            if let Some(decoder) = decoder {
+                eyes = eyes.with_decoder(decoder);
+            }
+            drive.watch_with(eyes);
+            Some(stage)
+        }
+        None => None,
+    };
     let begin = drive.bridge().time();
     for number in 0..args.count {
-        let mut looked = false;
         let until = begin + args.time + f64::from(number) * args.every;
         while drive.bridge().time() < until {
             drive.tick().await.map_err(run::with_exit)?;
-            sight::follow(&mut town, drive.ego());
+            town.follow(drive.ego().world(), None);
             // The vehicle in front and the lanes are followed over the last ticks.
-            if drive.bridge().time() > until - 2.0
-                && let Some(watch) = &mut watch
-            {
-                look(watch, &town, &drive, args.weather)?;
-                looked = true;
+            if stage.is_some() && drive.bridge().time() > until - 2.0 {
+                drive.look().map_err(run::with_exit)?;
             }
         }
-        let picture = match (&mut watch, args.stage) {
-            (Some(watch), Some(stage)) => {
-                if !looked {
-                    sight::follow(&mut town, drive.ego());
-                    look(watch, &town, &drive, args.weather)?;
-                }
-                stage_picture(watch, stage)
-            }
-            _ => {
-                sight::follow(&mut town, drive.ego());
+        let picture = match stage {
+            Some(stage) => stage_picture(drive.look().map_err(run::with_exit)?, stage)?,
+            None => {
+                town.follow(drive.ego().world(), None);
                 picture(&args, &mut camera, &town, &drive.ego().state().pose)
             }
         };
@@ -243,25 +252,24 @@ async fn take(args: Args, mut camera: Camera, mut watch: Option<Watch>) -> anyho
             .with_context(|| format!("cannot write the picture {}", out.display()))?;
         print(&format!("{} at {:.1} s\n", out.display(), drive.bridge().time()))?;
     }
-    drive.finish("survived", false).await.map_err(run::with_exit)?;
+    drive.finish(false).await.map_err(run::with_exit)?;
     Ok(Exit::Done)
 }
 
-fn look(watch: &mut Watch, town: &Town, drive: &Drive, weather: Preset) -> anyhow::Result<()> {
-    let bridge = drive.bridge();
-    watch.look(town, &Weather::from(weather), bridge.network(), drive.ego(), bridge.tick())?;
-    Ok(())
-}
-
-fn stage_picture(watch: &Watch, stage: Stage) -> Picture {
-    let (frame, percept) = (watch.frame(), watch.percept());
-    match stage {
+fn stage_picture(eyes: &Eyes, stage: Stage) -> anyhow::Result<Picture> {
+    let (Some(frame), Some(perception)) = (eyes.frame(), eyes.perception()) else {
+        anyhow::bail!("nothing was seen");
+    };
+    let percept = perception.percept();
+    Ok(match stage {
         Stage::Detect => stages::detections(frame, &percept.detections),
-        Stage::Lanes => stages::lanes(frame, percept, watch.perception().ground()),
+        Stage::Lanes => stages::lanes(frame, percept, perception.ground()),
         Stage::Transformed => stages::transformed(&percept.transformed),
-        Stage::Latent => stages::transformed(watch.reconstruction().unwrap_or(&percept.transformed)),
-        Stage::All => watch.strip(frame.height.max(128)),
-    }
+        Stage::Latent => stages::transformed(eyes.reconstruction().unwrap_or(&percept.transformed)),
+        Stage::All => {
+            eyes.strip(frame.height.max(128)).unwrap_or_else(|| stages::transformed(&percept.transformed))
+        }
+    })
 }
 
 fn picture(args: &Args, camera: &mut Camera, town: &Town, pose: &Pose) -> Picture {

@@ -1,16 +1,17 @@
 //! `--view`: the live view of a run.
 
-use super::run::Sight;
+use super::run::Film;
 use super::{Exit, agents};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use wad_cosim::camera::{CameraConfig, Preset, Town};
+use wad_cosim::assets::Assets;
+use wad_cosim::camera::{CameraConfig, Preset};
 use wad_cosim::cores::Cores;
 use wad_cosim::drive::{Drive, DriveError, Status};
+use wad_cosim::driver::{DriverError, DriverSpec};
+use wad_cosim::eyes::Eyes;
 use wad_cosim::latent::Decoder;
-use wad_cosim::network::Network;
-use wad_cosim::perception::{self, Perception};
-use wad_cosim::sight;
+use wad_cosim::perception;
 use wad_cosim::traffic::Counts;
 use wad_cosim::vehicle::Control;
 use wad_cosim::view::{
@@ -65,7 +66,6 @@ pub fn listen(address: ViewAddress, token: Option<Token>) -> anyhow::Result<List
 
 /// What the run says of itself.
 pub struct About<'a> {
-    pub config: &'a str,
     pub seed: u64,
     pub agent: &'a str,
     pub encoder: Option<&'a str>,
@@ -75,9 +75,6 @@ pub struct About<'a> {
     pub out: &'a Path,
     pub recording: Option<&'a Path>,
 }
-
-/// Every town looks to viewers as it looks to agents.
-const LOOK: u64 = 0;
 
 /// A run with its page.
 pub struct View {
@@ -94,14 +91,13 @@ impl View {
         drive: &Drive,
         about: &About<'_>,
     ) -> anyhow::Result<Self> {
-        let bridge = drive.bridge();
-        let town = sight::town(bridge, LOOK);
-        let (network, length) = (bridge.network(), drive.ego().params().length);
+        let (assets, length) = (drive.assets(), drive.ego().params().length);
         let encoder = agents::sees_through(about.encoder, Some(about.agent));
-        let artist = artist(town, network, length, about.detector, Some(&encoder), about.seed)?;
-        let make_driver = Some(maker(about));
+        let artist = artist(assets, length, about.detector, Some(&encoder), about.seed)?;
+        let make_driver = Some(maker(about, assets));
         let mut agents: Vec<String> = bundled_agents();
-        if about.agent != "autopilot" && !agents.iter().any(|name| name == about.agent) {
+        agents.extend(["constant", "random"].map(str::to_string));
+        if !["autopilot", "manual"].contains(&about.agent) && !agents.iter().any(|name| name == about.agent) {
             agents.push(about.agent.to_string());
         }
         let setting = RunSetting {
@@ -120,46 +116,28 @@ impl View {
     }
 
     /// Waits until a tick is due; with the control of the person who drives.
-    pub async fn next(
-        &mut self,
-        drive: &mut Drive,
-        sight: &mut Option<Sight>,
-    ) -> Result<Option<Control>, DriveError> {
+    pub async fn next(&mut self, drive: &mut Drive, film: &mut Film) -> Result<Option<Control>, DriveError> {
         loop {
             match self.run.next(drive).await? {
                 Ready::Tick(control) => return Ok(control),
-                Ready::Weather(weather) => {
-                    if let Some(sight) = sight {
-                        sight.set_weather(weather);
-                    }
-                }
                 Ready::Film(on) => {
-                    let film = self.film(on, drive, sight);
-                    self.run.filming(film.as_ref().map(|path| path.as_deref()).map_err(Clone::clone), drive);
+                    let place = self.film(on, drive, film);
+                    self.run.filming(place.as_ref().map(|path| path.as_deref()).map_err(Clone::clone), drive);
                 }
             }
         }
     }
 
     /// Begins or ends a film in the run's folder.
-    fn film(
-        &mut self,
-        on: bool,
-        drive: &Drive,
-        sight: &mut Option<Sight>,
-    ) -> Result<Option<PathBuf>, String> {
-        if let Some(sight) = sight {
-            sight.end_film().map_err(|e| e.to_string())?;
-        }
+    fn film(&mut self, on: bool, drive: &Drive, film: &mut Film) -> Result<Option<PathBuf>, String> {
+        film.end().map_err(|e| e.to_string())?;
         if !on {
             return Ok(None);
         }
         self.films += 1;
         let ending = if cfg!(feature = "vision") { ".mp4" } else { "/" };
         let path = self.out.join(format!("film-{}{ending}", self.films));
-        let sight =
-            sight.get_or_insert_with(|| Sight::plain(sight::town(drive.bridge(), LOOK), self.run.weather()));
-        sight.begin_film(&path, 1.0 / drive.bridge().tick()).map_err(|e| e.to_string())?;
+        film.restart(&path, drive).map_err(|e| e.to_string())?;
         Ok(Some(path))
     }
 
@@ -177,10 +155,9 @@ impl View {
     }
 }
 
-/// Who draws `town` for viewers; `seed` draws the detector's faults.
+/// Draws the town of `assets` for viewers; `seed` draws the detector's faults.
 pub fn artist(
-    town: Town,
-    network: &Arc<Network>,
+    assets: &Assets,
     length: f64,
     detector: &str,
     encoder: Option<&str>,
@@ -189,18 +166,16 @@ pub fn artist(
     let detector =
         perception::detector(detector, perception::MIN_SCORE).map_err(|e| Exit::Input.because(e))?;
     // Without OpenCV there are no stages, but everything else.
-    let perception = match Perception::new(detector, CameraConfig::default()) {
-        Ok(mut perception) => {
-            perception.reset(seed);
-            Some(perception)
-        }
+    let mut eyes = match Eyes::new(assets.town(), CameraConfig::default(), detector) {
+        Ok(eyes) => eyes,
         Err(error) => {
             tracing::info!("the view shows no stages: {error}");
-            None
+            Eyes::camera(assets.town(), CameraConfig::default())?
         }
     };
-    let decoder = perception.is_some().then(|| decoder(encoder)).flatten();
-    Ok(Artist::new(town, Arc::clone(network), length, perception, decoder)?)
+    eyes.reset(Preset::default(), seed);
+    let decoder = eyes.perception().is_some().then(|| decoder(encoder)).flatten();
+    Ok(Artist::new(assets.town(), eyes, Arc::clone(assets.network()), length, decoder)?)
 }
 
 #[cfg(feature = "learn")]
@@ -217,12 +192,12 @@ fn bundled_agents() -> Vec<String> {
     Vec::new()
 }
 
-fn maker(about: &About<'_>) -> MakeDriver {
-    let (config, encoder) = (about.config.to_string(), about.encoder.map(str::to_string));
-    let (detector, seed) = (about.detector.to_string(), about.seed);
-    let make = move |name: &str, weather: Preset| {
-        super::run::learned(&config, name, encoder.as_deref(), &detector, weather, seed)
-            .map_err(|e| format!("{e:#}"))
+fn maker(about: &About<'_>, assets: &Arc<Assets>) -> MakeDriver {
+    let (assets, encoder) = (Arc::clone(assets), about.encoder.map(str::to_string));
+    let detector = about.detector.to_string();
+    let make = move |name: &str| {
+        let spec: DriverSpec = name.parse().map_err(|e: DriverError| e.to_string())?;
+        agents::pilot(&assets, &spec, encoder.as_deref(), &detector).map_err(|e| format!("{e:#}"))
     };
     Arc::new(make)
 }

@@ -9,6 +9,7 @@ use super::plan::{Segment, plan};
 use super::record::FrameRecord;
 use super::recorded::{RecordedRun, RunDrive};
 use super::shard::{ShardHeader, ShardReader, ShardWriter};
+use crate::assets::Assets;
 use crate::bundled;
 use crate::camera::model::ObjectClass;
 use crate::camera::{CameraConfig, Preset};
@@ -16,8 +17,8 @@ use crate::cores::Cores;
 use crate::traffic::TrafficSpec;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 /// What to collect.
@@ -97,7 +98,7 @@ pub struct Collected {
 
 struct Shared<'a> {
     options: &'a CollectOptions,
-    config: PathBuf,
+    assets: Arc<Assets>,
     header: ShardHeader,
     missing: Vec<Segment>,
     next: AtomicUsize,
@@ -159,7 +160,7 @@ pub fn collect(
     let (missing, frames_before) = missing_segments(&options.out, &segments)?;
     let shared = Shared {
         options,
-        config,
+        assets: Assets::open(&config, false)?,
         header: ShardHeader {
             version: FORMAT_VERSION,
             segment: segments.first().copied().unwrap_or_else(|| plan(1, 1, &[], dense, 0)[0]),
@@ -267,7 +268,7 @@ async fn collect_segment(shared: &Shared<'_>, segment: Segment) -> Result<(), Da
     if let Some(run) = options.runs.get(segment.index / options.weathers.len().max(1)) {
         return collect_run(shared, run, segment, shard, scratch.path()).await;
     }
-    let mut drive = SegmentDrive::start(options, &shared.config, segment, scratch.path()).await?;
+    let mut drive = SegmentDrive::start(options, &shared.assets, segment, scratch.path()).await?;
     while shard.frames() < segment.frames {
         if shared.is_over() {
             // What is unfinished goes; the segment is driven again when collecting goes on.
@@ -302,8 +303,7 @@ async fn collect_run(
     scratch: &Path,
 ) -> Result<(), DatasetError> {
     let options = shared.options;
-    let looks = (options.seed, options.camera);
-    let mut drive = RunDrive::start(run, segment, options.every, looks, scratch).await?;
+    let mut drive = RunDrive::start(run, segment, options.every, options.camera, scratch).await?;
     while let Some(frame) = drive.next_frame().await? {
         if shared.is_over() {
             shared.frames.fetch_sub(shard.frames(), Ordering::Relaxed);

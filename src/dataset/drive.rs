@@ -6,14 +6,12 @@ use super::eye::{Eye, Moment};
 use super::noise::Disturber;
 use super::plan::Segment;
 use super::record::Frame;
-use crate::autopilot::{Autopilot, EgoModel};
-use crate::bridge::{Bridge, BridgeOptions, Ego, Lamps};
-use crate::destination::Destinations;
-use crate::drive::{first_route, polygons};
-use crate::network::{LanePosition, Network};
+use crate::assets::Assets;
+use crate::bridge::BridgeOptions;
+use crate::seeds;
+use crate::session::{Act, Itinerary, Seat, Session};
 use crate::traffic::TrafficSpec;
-use crate::vehicle::{self, Control};
-use crate::{seeds, sight};
+use crate::vehicle::{Control, EgoParams};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -28,8 +26,14 @@ const AFTER_CRASH: f64 = 1.0;
 /// An impulse that is a crash (N s), and how far off the route it is put back (m).
 const CRASH: f64 = 200.0;
 const LOST: f64 = 8.0;
+/// So near to its end the route is done (m).
+const ARRIVED: f64 = 5.0;
 /// A crash-free drive from one place lasts at most this long (s); then another place is seen.
 const LONGEST_STAY: f64 = 240.0;
+
+/// The session's only ego, and what SUMO calls it.
+const EGO: usize = 0;
+const EGO_ID: &str = "ego";
 
 /// How long after a frame the next one is due, where the ego has stood for `standing` (all s).
 pub(super) fn due(standing: f64, every: f64) -> f64 {
@@ -39,12 +43,9 @@ pub(super) fn due(standing: f64, every: f64) -> f64 {
 /// One segment under way.
 pub struct SegmentDrive<'a> {
     options: &'a CollectOptions,
-    bridge: Bridge,
-    network: Arc<Network>,
-    ego: Ego,
-    autopilot: Autopilot,
+    session: Session,
     noise: Disturber,
-    destinations: Destinations,
+    itinerary: Itinerary,
     eye: Eye,
     /// Time since the last frame, since the ego last moved, since a crash, at this place (s).
     since_frame: f64,
@@ -61,35 +62,25 @@ impl<'a> SegmentDrive<'a> {
     /// Bad input, or SUMO fails.
     pub async fn start(
         options: &'a CollectOptions,
-        config: &Path,
+        assets: &Arc<Assets>,
         segment: Segment,
         scratch: &Path,
     ) -> Result<Self, DatasetError> {
-        let mut bridge = Bridge::start(&BridgeOptions {
+        let mut itinerary = Itinerary::new(assets.network(), seeds::rng(segment.seed, "route"))?;
+        let route = itinerary.first_route(assets.network())?;
+        let ego = EgoParams::default();
+        let seat = Seat::new(assets, EGO_ID, ego, Default::default(), Default::default(), route);
+        let bridge = BridgeOptions {
             seed: segment.seed,
             traffic: TrafficSpec::Counts(segment.traffic),
-            ..BridgeOptions::new(config, scratch)
-        })
-        .await?;
-        let network = bridge.network().clone();
-        let mut destinations = Destinations::new(&network, seeds::rng(segment.seed, "route"))?;
-        let route = first_route(&network, &mut destinations)?;
-        let params = vehicle::EgoParams::default();
-        let mut ego = Ego::new("ego", params.clone(), route, 0.0);
-        let statics = vehicle::statics_from_network(&network, &polygons(&bridge, &network));
-        ego.vehicle_mut().set_statics(statics);
-        bridge.spawn(&mut ego).await?;
-        // One town for all segments: the buildings' faces do not change with the traffic.
-        let town = sight::town(&bridge, options.seed);
+            ..BridgeOptions::new(assets.config(), scratch)
+        };
         Ok(Self {
             options,
-            eye: Eye::new(town, segment, options.camera)?,
-            bridge,
-            network,
-            autopilot: Autopilot::new(Default::default(), EgoModel::from(&params)),
-            ego,
+            eye: Eye::new(assets.town(), segment, options.camera)?,
+            session: Session::start(assets, &bridge, vec![seat]).await?,
             noise: Disturber::new(options.noise, seeds::rng(segment.seed, "noise")),
-            destinations,
+            itinerary,
             since_frame: 0.0,
             standing: 0.0,
             crashed: None,
@@ -105,18 +96,17 @@ impl<'a> SegmentDrive<'a> {
     pub async fn next_frame(&mut self) -> Result<Frame, DatasetError> {
         loop {
             self.tick().await?;
-            let elapsed = self.bridge.tick();
-            self.since_frame += elapsed;
+            self.since_frame += self.session.bridge().tick();
             let due = due(self.standing, self.options.every);
-            if self.bridge.time() >= WARM_UP && self.since_frame >= due - 1e-6 {
+            if self.session.bridge().time() >= WARM_UP && self.since_frame >= due - 1e-6 {
                 break;
             }
         }
         let frame = self.eye.record(
-            &self.network,
-            &self.ego,
+            self.session.network(),
+            self.session.ego(EGO),
             Moment {
-                time: self.bridge.time(),
+                time: self.session.bridge().time(),
                 since: self.since_frame,
                 control: self.control,
                 disturbed: self.noise.is_disturbed() || self.crashed.is_some(),
@@ -127,32 +117,19 @@ impl<'a> SegmentDrive<'a> {
     }
 
     async fn tick(&mut self) -> Result<(), DatasetError> {
-        let tick = self.bridge.tick();
-        let before = self.ego.on_route();
-        let decision = self.autopilot.control(
-            &self.network,
-            self.ego.route(),
-            before.s,
-            &before.state,
-            self.ego.world(),
-            tick,
-        );
-        self.ego.set_lamps(Lamps {
-            blinker_left: decision.blinker_left,
-            blinker_right: decision.blinker_right,
-            brake: decision.brake_light,
-        });
-        let params = self.ego.params();
+        let tick = self.session.bridge().tick();
+        let wanted = self.session.plan(EGO).control;
+        let ego = self.session.ego(EGO);
+        let params = ego.params();
         let curvature = params.max_steer_angle.tan() / params.wheelbase;
-        self.control = self.noise.disturb(decision.control, before.state.speed, curvature, tick);
-        let contacts = self.ego.advance(self.control, tick);
-        self.bridge.step(&mut [&mut self.ego]).await?;
-        self.eye.follow(&self.ego);
+        self.control = self.noise.disturb(wanted, ego.state().speed, curvature, tick);
+        let done = self.session.step_one(Act::Disturbed(self.control)).await?;
+        self.eye.follow(self.session.ego(EGO));
         self.stay += tick;
-        self.standing = if self.ego.state().speed.abs() < 0.3 { self.standing + tick } else { 0.0 };
+        self.standing = if done.after.state.speed.abs() < 0.3 { self.standing + tick } else { 0.0 };
         if let Some(since) = &mut self.crashed {
             *since += tick;
-        } else if contacts.iter().any(|contact| contact.impulse > CRASH) {
+        } else if done.contacts.iter().any(|contact| contact.impulse > CRASH) {
             self.crashed = Some(0.0);
         }
         self.go_on().await
@@ -160,36 +137,17 @@ impl<'a> SegmentDrive<'a> {
 
     /// A new destination on arrival; another place after a crash, when stuck, lost or too long about.
     async fn go_on(&mut self) -> Result<(), DatasetError> {
-        let at = self.ego.on_route();
+        let ego = self.session.ego(EGO);
+        let at = ego.on_route();
         let over = self.crashed.is_some_and(|since| since > AFTER_CRASH)
             || self.standing > STUCK_AFTER
             || at.d.abs() > LOST
             || self.stay > LONGEST_STAY;
-        if !over {
-            if self.ego.route().length() - at.s > 5.0 {
-                return Ok(());
-            }
-            // The new route begins a car's length behind the ego, on the lane that it is on.
-            let lane = self.ego.lane();
-            let here = self.network.lane(lane).shape.project(self.ego.state().pose.xy()).s;
-            let from = LanePosition { lane, s: (here - self.ego.params().length).max(0.0) };
-            if let Ok(route) = self.destinations.route_from(&self.network, from)
-                && route.length() >= 60.0
-            {
-                self.ego.set_route(route, here - from.s);
-                return Ok(());
-            }
+        let arrived = ego.route().length() - at.s <= ARRIVED;
+        if !over && (!arrived || self.itinerary.go_on(&mut self.session, EGO)) {
+            return Ok(());
         }
-        let mut route = first_route(&self.network, &mut self.destinations)?;
-        for _ in 0..20 {
-            if self.bridge.is_free(&[route.at(0.0).lane]).await? {
-                break;
-            }
-            route = first_route(&self.network, &mut self.destinations)?;
-        }
-        self.ego.respawn(route, 0.0);
-        let model = EgoModel::from(self.ego.params());
-        self.autopilot = Autopilot::new(Default::default(), model);
+        self.itinerary.start_elsewhere(&mut self.session, EGO).await?;
         self.eye.reset();
         (self.crashed, self.stay, self.standing) = (None, 0.0, 0.0);
         Ok(())
@@ -197,7 +155,7 @@ impl<'a> SegmentDrive<'a> {
 
     /// Ends SUMO.
     pub async fn finish(self) {
-        if let Err(error) = self.bridge.close().await {
+        if let Err(error) = self.session.close().await {
             tracing::warn!("SUMO did not close properly: {error}");
         }
     }

@@ -76,11 +76,20 @@ pub enum DatasetError {
     #[error(transparent)]
     Destination(#[from] crate::destination::DestinationError),
     #[error(transparent)]
-    Lens(#[from] crate::camera::CameraError),
+    Assets(#[from] crate::assets::AssetsError),
     #[error(transparent)]
-    Perception(#[from] crate::perception::PerceptionError),
+    Eyes(#[from] crate::eyes::EyesError),
     #[error("could not {what}: {source}")]
     System { what: &'static str, source: std::io::Error },
+}
+
+impl From<crate::session::ItineraryError> for DatasetError {
+    fn from(error: crate::session::ItineraryError) -> Self {
+        match error {
+            crate::session::ItineraryError::Bridge(error) => error.into(),
+            crate::session::ItineraryError::Destination(error) => error.into(),
+        }
+    }
 }
 
 impl DatasetError {

@@ -5,10 +5,10 @@ use super::image_codec::CameraCodec;
 use super::plan::Segment;
 use super::record::{BoxRecord, Frame, FrameRecord, Labels};
 use crate::bridge::Ego;
-use crate::camera::{Camera, CameraConfig, Outputs, Town, Weather, model};
+use crate::camera::{CameraConfig, Outputs, Town, model};
+use crate::eyes::Eyes;
 use crate::network::Network;
-use crate::perception::{EgoFacts, Perception, TruthDetector};
-use crate::sight;
+use crate::perception::{EgoFacts, TruthDetector};
 use crate::vehicle::Control;
 use crate::world::Actor;
 
@@ -17,13 +17,10 @@ const HALF_LANE: f64 = 1.6;
 /// An object counts as seen from this many pixels of the camera on.
 const SEEN_PIXELS: u32 = 16;
 
-/// Camera and perception of a segment.
+/// Eyes that record what they see.
 pub struct Eye {
     segment: Segment,
-    town: Town,
-    camera: Camera,
-    perception: Perception,
-    weather: Weather,
+    eyes: Eyes,
     /// How the camera's pictures are kept; None: not at all.
     codec: Option<CameraCodec>,
 }
@@ -46,27 +43,22 @@ impl Eye {
     /// # Errors
     /// This build cannot detect lanes.
     pub fn new(town: Town, segment: Segment, keeps_camera: bool) -> Result<Self, DatasetError> {
-        let config = CameraConfig::default();
-        let mut eye = Self {
-            segment,
-            town,
-            camera: Camera::new(config)?,
-            perception: Perception::new(Box::new(TruthDetector::new()), config)?,
-            weather: Weather::from(segment.weather),
-            codec: keeps_camera.then(CameraCodec::best),
-        };
+        let outputs = Outputs { boxes: true, ..Outputs::RGB };
+        let eyes = Eyes::new(town, CameraConfig::default(), Box::new(TruthDetector::new()))?;
+        let mut eye =
+            Self { segment, eyes: eyes.with_outputs(outputs), codec: keeps_camera.then(CameraCodec::best) };
         eye.reset();
         Ok(eye)
     }
 
     /// Forgets what it saw: the ego was put down elsewhere.
     pub fn reset(&mut self) {
-        self.perception.reset(self.segment.seed);
+        self.eyes.reset(self.segment.weather, self.segment.seed);
     }
 
     /// The town's traffic after a tick.
     pub fn follow(&mut self, ego: &Ego) {
-        sight::follow(&mut self.town, ego);
+        self.eyes.follow(ego.world());
     }
 
     /// The frame of this moment.
@@ -74,12 +66,10 @@ impl Eye {
     /// # Errors
     /// A stage of perception fails.
     pub fn record(&mut self, network: &Network, ego: &Ego, moment: Moment) -> Result<Frame, DatasetError> {
-        let outputs = Outputs { boxes: true, ..Outputs::RGB };
-        let pose = ego.state().pose;
-        let (scene, actors) = (self.town.scene(), self.town.actors());
-        let frame = self.camera.render(scene, actors, &pose, &self.weather, outputs);
-        let facts = EgoFacts::of(network, ego, moment.since);
-        let percept = self.perception.perceive(frame, &facts)?;
+        self.eyes.look(&EgoFacts::of(network, ego, moment.since))?;
+        let (Some(frame), Some(percept)) = (self.eyes.frame(), self.eyes.percept()) else {
+            return Err(DatasetError::Image("the eyes are blind".to_string()));
+        };
         let world = ego.world();
         // The frame numbers road users by their place in the world; a shard by what they are.
         let keys: Vec<u64> = world.vehicles.iter().chain(&world.pedestrians).map(|a| a.key).collect();

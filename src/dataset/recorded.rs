@@ -8,7 +8,6 @@ use super::plan::Segment;
 use super::record::Frame;
 use crate::camera::Preset;
 use crate::drive::{Drive, DriveOptions};
-use crate::sight;
 use crate::telemetry::TickRecord;
 use std::path::{Path, PathBuf};
 
@@ -106,7 +105,7 @@ impl<'a> RunDrive<'a> {
         run: &'a RecordedRun,
         segment: Segment,
         every: f64,
-        (seed, keeps_camera): (u64, bool),
+        keeps_camera: bool,
         scratch: &Path,
     ) -> Result<Self, DatasetError> {
         let mut options = run.options.clone();
@@ -114,8 +113,7 @@ impl<'a> RunDrive<'a> {
         options.bridge.output_dir = scratch.join("sumo");
         options.bridge.gui = false;
         let drive = Drive::start(options).await?;
-        let town = sight::town(drive.bridge(), seed);
-        let eye = Eye::new(town, segment, keeps_camera)?;
+        let eye = Eye::new(drive.assets().town(), segment, keeps_camera)?;
         Ok(Self { run, drive, eye, every, next: 0, since_frame: 0.0, standing: 0.0, respawns: 0 })
     }
 
@@ -133,7 +131,7 @@ impl<'a> RunDrive<'a> {
             self.drive.tick_with(Some(recorded.control)).await?;
             self.eye.follow(self.drive.ego());
             let state = self.drive.ego().state();
-            let moved = self.drive.summary("", false).respawns;
+            let moved = self.drive.respawns();
             if moved != self.respawns {
                 self.respawns = moved;
                 self.eye.reset();
@@ -166,7 +164,7 @@ impl<'a> RunDrive<'a> {
 
     /// Ends SUMO.
     pub async fn finish(self) {
-        if let Err(error) = self.drive.finish("survived", false).await {
+        if let Err(error) = self.drive.finish(false).await {
             tracing::warn!("the run's second drive did not end properly: {error}");
         }
     }

@@ -2,6 +2,7 @@
 
 use crate::autopilot::Decision;
 use crate::criteria::{Cause, Event};
+use crate::end::End;
 use crate::vehicle::{EgoState, PartnerKind};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -54,7 +55,7 @@ pub struct Summary {
     pub respawns: u64,
     pub vehicles_mean: f64,
     pub pedestrians_mean: f64,
-    pub end: String,
+    pub end: End,
     /// Of a scenario: whether its task counts the end as a success, and why it ended.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub success: Option<bool>,

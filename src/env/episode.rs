@@ -1,21 +1,15 @@
 //! One episode: its clock, its judge, and what its reward is made from.
 
-use super::eyes::Eyes;
-use super::{End, Ending};
 use crate::bridge::Ego;
-use crate::criteria::{Criteria, CriteriaParams, Event};
+use crate::criteria::Event;
+use crate::end::{self, End, Ending};
+use crate::eyes::Eyes;
 use crate::geometry::{Pose, Vector};
-use crate::network::{Network, Route};
+use crate::network::Route;
 use crate::reward::{self, Facts, Light, RewardParams};
-use crate::tasks::{Placement, TaskKind, TaskSpec};
+use crate::tasks::{Placement, TaskSpec};
 use crate::vehicle::{Control, EgoState};
 
-/// At the tick limit a task that wants progress counts as survived from this share of the route on.
-const PROGRESS: f64 = 0.5;
-/// The obstacle task wants the ego to stand so far before it (m).
-const STAND: std::ops::RangeInclusive<f64> = 1.0..=10.0;
-/// Below this the ego stands (m/s).
-const STANDING: f64 = 0.3;
 /// How far ahead bends are looked at (m, and s of driving), and how closely (m).
 const BENDS: (f64, f64) = (15.0, 4.0);
 const BEND_STEP: f64 = 2.0;
@@ -26,29 +20,19 @@ pub struct Episode {
     pub limit: u64,
     pub tick: u64,
     pub over: bool,
-    pub criteria: Criteria,
     /// Of the last tick: steering (-1..1) and acceleration (m/s2).
     steer: f64,
     acceleration: f64,
 }
 
 impl Episode {
-    pub fn new(task: TaskSpec, placement: Placement, limit: u64, criteria: CriteriaParams) -> Self {
-        Self {
-            task,
-            placement,
-            limit,
-            tick: 0,
-            over: false,
-            criteria: Criteria::new(criteria),
-            steer: 0.0,
-            acceleration: 0.0,
-        }
+    pub fn new(task: TaskSpec, placement: Placement, limit: u64) -> Self {
+        Self { task, placement, limit, tick: 0, over: false, steer: 0.0, acceleration: 0.0 }
     }
 
     /// An ending that is no matter of the clock.
     pub fn ending(&self, end: End, cause: String) -> Ending {
-        ending(self.task.kind, end, cause)
+        end::ending(self.task.kind, end, cause)
     }
 
     /// What the reward of this tick is made from; remembers what the next one needs.
@@ -102,45 +86,6 @@ pub(crate) fn bends(route: &Route, s: f64, speed: f64) -> impl Iterator<Item = (
         let ahead = i as f64 * BEND_STEP;
         (ahead, route.at(s + ahead).curvature)
     })
-}
-
-/// An ending that is no matter of the clock.
-pub fn ending(task: TaskKind, end: End, cause: String) -> Ending {
-    Ending { end, cause, success: end == End::Arrival && task != TaskKind::Obstacle }
-}
-
-/// How an episode ends whose clock has run out after `ticks`.
-pub fn judge_limit(
-    task: TaskKind,
-    placement: &Placement,
-    ticks: u64,
-    network: &Network,
-    ego: &Ego,
-) -> Ending {
-    let at = ego.on_route();
-    let share = at.s / ego.route().length().max(1.0);
-    let ending = |success: bool, cause: String| Ending {
-        end: if success { End::Survived } else { End::Timeout },
-        cause,
-        success,
-    };
-    match task {
-        TaskKind::Composite => ending(true, format!("alive after {ticks} ticks")),
-        TaskKind::Navigation => ending(false, format!("{:.0} % of the route driven", 100.0 * share)),
-        TaskKind::Obstacle => {
-            let obstacle = placement.obstacle.as_ref().and_then(|o| o.at.on(network).ok());
-            let way = obstacle.map_or(0.0, |at| {
-                let place = network.lane(at.lane).shape.at(at.s).xy();
-                ego.route().centre_line.project(place).s
-            });
-            let gap = way - at.s - 0.5 * ego.params().length;
-            let stands = at.state.speed.abs() < STANDING;
-            let cause =
-                format!("{} {gap:.1} m before the obstacle", if stands { "standing" } else { "moving" });
-            ending(stands && STAND.contains(&gap), cause)
-        }
-        _ => ending(share >= PROGRESS, format!("{:.0} % of the route driven", 100.0 * share)),
-    }
 }
 
 /// The motion of an ego that does not exist.

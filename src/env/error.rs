@@ -1,39 +1,21 @@
 //! What can go wrong in an environment.
 
+use crate::assets::AssetsError;
 use crate::bridge::BridgeError;
-use crate::bundled::ResolveError;
-use crate::camera::CameraError;
-use crate::latent::LatentError;
-use crate::network::NetworkError;
-use crate::perception::PerceptionError;
-use crate::scenario::ScenarioError;
-use crate::sumo_config::ConfigError;
+use crate::eyes::EyesError;
 use crate::tasks::TaskError;
-use crate::traci::process::InstallError;
 
 /// Why an environment cannot be made or go on.
 #[derive(Debug, thiserror::Error)]
 pub enum EnvError {
     #[error(transparent)]
-    Resolve(#[from] ResolveError),
+    Assets(#[from] AssetsError),
     #[error(transparent)]
-    Config(#[from] ConfigError),
-    #[error(transparent)]
-    Network(#[from] NetworkError),
-    #[error(transparent)]
-    Install(#[from] InstallError),
-    #[error(transparent)]
-    Scenario(#[from] ScenarioError),
+    Eyes(#[from] EyesError),
     #[error(transparent)]
     Task(#[from] TaskError),
     #[error(transparent)]
     Bridge(#[from] BridgeError),
-    #[error(transparent)]
-    Camera(#[from] CameraError),
-    #[error(transparent)]
-    Perception(#[from] PerceptionError),
-    #[error(transparent)]
-    Latent(#[from] LatentError),
     #[error("no episode is under way: call reset first")]
     NoEpisode,
     #[error(
@@ -54,12 +36,8 @@ impl EnvError {
     /// True where the user's input is at fault, not SUMO.
     pub fn is_input(&self) -> bool {
         match self {
-            Self::Resolve(_)
-            | Self::Config(_)
-            | Self::Network(_)
-            | Self::Scenario(_)
-            | Self::Task(_)
-            | Self::Crowded { .. } => true,
+            Self::Task(_) | Self::Crowded { .. } => true,
+            Self::Assets(assets) => assets.is_input(),
             Self::Bridge(bridge) => bridge.is_input(),
             Self::Start { source, .. } => source.is_input(),
             _ => false,
@@ -68,6 +46,6 @@ impl EnvError {
 
     /// True where SUMO is at fault.
     pub fn is_sumo(&self) -> bool {
-        matches!(self, Self::Bridge(_) | Self::Start { .. } | Self::Install(_)) && !self.is_input()
+        matches!(self, Self::Bridge(_) | Self::Start { .. } | Self::Assets(_)) && !self.is_input()
     }
 }

@@ -35,25 +35,25 @@
 //! in the middle of an episode, `step` answers `truncated` with [`End::Error`], reward 0 and the last
 //! observation; drop that transition, and call `reset`, which builds a new SUMO.
 
-mod assets;
-mod end;
 pub(crate) mod episode;
 mod error;
-pub(crate) mod eyes;
 mod green;
 mod obstacle;
 mod options;
 mod world;
 
-pub use assets::Assets;
-pub use end::{End, Ending, Termination};
+pub use crate::assets::Assets;
+pub use crate::end::{End, Ending, Termination};
+pub use crate::observation::ObservationMode;
 pub use error::EnvError;
-pub use options::{EnvOptions, ObservationMode, StartOffset, WorldMode};
+pub use options::{EnvOptions, StartOffset, WorldMode};
 
 use crate::criteria::Event;
+use crate::eyes::Eyes;
 use crate::latent::Encoder;
 use crate::observation::{Observation, RawState};
 use crate::reward::RewardTerms;
+use crate::session::Act;
 use crate::tasks::{Placement, TaskSpec};
 use crate::vehicle::{Control, EgoState};
 use serde::{Deserialize, Serialize};
@@ -65,6 +65,8 @@ use world::World;
 #[derive(Clone, Debug)]
 pub struct Step {
     pub observation: Observation,
+    /// What was driven.
+    pub control: Control,
     /// Sum of `info.reward`.
     pub reward: f64,
     /// The episode ended by what the ego did: the value of what follows is 0.
@@ -154,6 +156,14 @@ impl Env {
         self.runtime.block_on(self.world.step(control))
     }
 
+    /// Drives one tick as a driver wants: the expert itself, or a control.
+    ///
+    /// # Errors
+    /// As [`Env::step`].
+    pub fn act(&mut self, act: Act) -> Result<Step, EnvError> {
+        self.runtime.block_on(self.world.act(act))
+    }
+
     /// What the rule-based expert would do now (it sees the whole world). To be asked at every tick of
     /// an episode that it drives, and once a tick: it has a memory.
     ///
@@ -183,19 +193,24 @@ impl Env {
         self.world.sumo_pid()
     }
 
+    /// The ego's eyes, as they looked last.
+    pub fn eyes(&self) -> &Eyes {
+        self.world.eyes()
+    }
+
     /// The six raw states of the last observation by name, in units.
     pub fn raw(&self) -> &RawState {
-        self.world.raw()
+        self.world.eyes().raw()
     }
 
     /// What the observation is made from, for people and data sets: the camera's last frame.
     pub fn frame(&self) -> Option<&crate::camera::Frame> {
-        self.world.frame()
+        self.world.eyes().frame()
     }
 
     /// The last transformed image.
     pub fn image(&self) -> Option<&crate::perception::TransformedImage> {
-        self.world.image()
+        self.world.eyes().image()
     }
 
     /// Length of a tick.

@@ -1,22 +1,22 @@
 //! One SUMO with the ego in it, from episode to episode.
 
-use super::episode::{Episode, judge_limit};
-use super::eyes::Eyes;
+use super::episode::{Episode, nowhere};
 use super::green::{self, Held};
 use super::obstacle;
-use super::{Assets, EnvError, EnvOptions, Info, Stages, Step, WorldMode};
-use crate::autopilot::{Autopilot, AutopilotParams, EgoModel};
-use crate::bridge::{Bridge, BridgeError, BridgeOptions, Ego, Lamps};
-use crate::camera::Frame;
-use crate::criteria::{Event, Situation};
+use super::{EnvError, EnvOptions, Info, Stages, Step, WorldMode};
+use crate::assets::Assets;
+use crate::autopilot::AutopilotParams;
+use crate::bridge::{BridgeError, BridgeOptions, Ego};
 use crate::destination::Destinations;
+use crate::end::{End, judge_limit};
+use crate::eyes::Eyes;
 use crate::latent::Encoder;
-use crate::network::{EdgeKind, LaneId, Network, RoadOption, Route};
-use crate::observation::{Observation, RawState};
-use crate::perception::TransformedImage;
+use crate::network::{EdgeKind, LaneId, Network, Route};
+use crate::observation::Observation;
+use crate::perception::EgoFacts;
 use crate::reward::{self, RewardTerms};
-use crate::scenario::Director;
 use crate::seeds;
+use crate::session::{Act, Seat, Session};
 use crate::tasks::{Placement, TaskError, TaskSpec};
 use crate::traffic::TrafficSpec;
 use crate::vehicle::Control;
@@ -31,9 +31,12 @@ const ATTEMPTS: usize = 3;
 const PLACES: usize = 12;
 const ROOM: f64 = 30.0;
 
-/// A SUMO that runs.
+/// The environment's only ego.
+const EGO: usize = 0;
+
+/// A SUMO that runs, with the ego in it.
 struct Sumo {
-    bridge: Bridge,
+    session: Session,
     /// What its population was made by.
     traffic: TrafficSpec,
     episodes: u64,
@@ -48,12 +51,9 @@ pub struct World {
     options: EnvOptions,
     eyes: Eyes,
     sumo: Option<Sumo>,
-    ego: Option<Ego>,
-    autopilot: Autopilot,
+    /// The ego, while it is in no SUMO.
+    parked: Option<Seat>,
     episode: Option<Episode>,
-    /// The blinkers and brake lights that the expert asked for, and the control that it decided on.
-    lamps: Option<Lamps>,
-    decided: Option<Control>,
     /// Draws the further destinations of a route that never ends.
     onward: Option<Destinations>,
     folder: TempDir,
@@ -72,15 +72,12 @@ impl World {
             .tempdir()
             .map_err(|source| EnvError::Folder { source })?;
         Ok(Self {
-            eyes: Eyes::new(&assets, &options, encoder)?,
-            autopilot: Autopilot::new(AutopilotParams::default(), EgoModel::from(&options.ego)),
+            eyes: Eyes::of_agent(&assets, options.observation, &options.detector, options.camera, encoder)?,
             assets,
             options,
             sumo: None,
-            ego: None,
+            parked: None,
             episode: None,
-            lamps: None,
-            decided: None,
             onward: None,
             folder,
             stages: Stages::default(),
@@ -96,7 +93,7 @@ impl World {
             match self.begin(task, seed).await {
                 Ok(placement) => break placement,
                 Err(EnvError::Bridge(error)) if !error.is_input() => {
-                    self.sumo = None;
+                    self.park();
                     if attempt == ATTEMPTS {
                         let (task, source) = (task.kind.to_string(), error);
                         return Err(EnvError::Start {
@@ -111,12 +108,10 @@ impl World {
                 Err(error) => return Err(error),
             }
         };
-        let Some(ego) = &self.ego else { return Err(EnvError::NoEpisode) };
+        let Some(ego) = self.ego() else { return Err(EnvError::NoEpisode) };
         let tick = self.options.tick_ms / 1000.0;
         let limit = task.tick_limit.unwrap_or_else(|| task.kind.tick_limit(ego.route().length(), tick));
-        self.episode = Some(Episode::new(task.clone(), placement, limit, self.options.criteria));
-        self.autopilot = Autopilot::new(AutopilotParams::default(), EgoModel::from(&self.options.ego));
-        (self.lamps, self.decided) = (None, None);
+        self.episode = Some(Episode::new(task.clone(), placement, limit));
         self.onward = None;
         if task.endless {
             let rng = seeds::rng(seed, "onward");
@@ -126,11 +121,33 @@ impl World {
                     .map_err(|error| TaskError::NoPlace { task: task.kind, condition: error.to_string() })?,
             );
         }
-        self.eyes.reset(task.weather, seeds::derive(seed, "detector"));
-        let observation = self.eyes.look(self.assets.network(), ego, tick, &mut self.stages)?;
+        self.eyes.reset(task.weather, seed);
+        let observation = self.look()?;
         self.stages.resets += 1;
         self.stages.reset += clock.elapsed().as_secs_f64();
         Ok(observation)
+    }
+
+    /// Looks at the world after a tick.
+    fn look(&mut self) -> Result<Observation, EnvError> {
+        let Some(sumo) = &self.sumo else { return Err(EnvError::NoEpisode) };
+        let ego = sumo.session.ego(EGO);
+        let clock = Instant::now();
+        self.eyes.follow(ego.world());
+        let followed = clock.elapsed().as_secs_f64();
+        self.eyes.look(&EgoFacts::of(self.assets.network(), ego, sumo.session.bridge().tick()))?;
+        let times = self.eyes.times();
+        self.stages.camera += followed + times.camera;
+        self.stages.perception += times.perception();
+        self.stages.encoder += times.encode;
+        Ok(self.eyes.observation())
+    }
+
+    /// Lets SUMO go, and keeps the ego for the next one.
+    fn park(&mut self) {
+        if let Some(sumo) = self.sumo.take() {
+            self.parked = sumo.session.into_seats().pop();
+        }
     }
 
     /// Puts the ego to its start, in a world as the task wants it.
@@ -149,20 +166,19 @@ impl World {
             self.start(traffic, seed, route).await?;
             placement
         };
-        let (Some(sumo), Some(ego)) = (&mut self.sumo, &mut self.ego) else {
-            return Err(EnvError::NoEpisode);
-        };
+        let Some(sumo) = &mut self.sumo else { return Err(EnvError::NoEpisode) };
         sumo.episodes += 1;
         sumo.obstacle = placement.obstacle.is_some();
+        let (bridge, seat) = sumo.session.bridge_and_seat(EGO);
         if task.kind.lights_are_green() {
-            sumo.held = green::hold(&mut sumo.bridge, ego.route()).await?;
+            sumo.held = green::hold(bridge, seat.ego().route()).await?;
         }
         // A scenario's director puts its own.
         if let (Some(wanted), None) = (&placement.obstacle, self.assets.scenario()) {
-            obstacle::put(&mut sumo.bridge, ego, wanted)?;
+            obstacle::put(bridge, seat.ego_mut(), wanted)?;
         }
         // Standing: SUMO learns the new route, and those in sight have a speed.
-        sumo.bridge.step(&mut [ego]).await?;
+        sumo.session.settle().await?;
         Ok(placement)
     }
 
@@ -178,7 +194,7 @@ impl World {
     /// A new SUMO with the ego at the route's begin.
     async fn start(&mut self, traffic: TrafficSpec, seed: u64, route: Route) -> Result<(), EnvError> {
         // The old one goes before the new one comes.
-        self.sumo = None;
+        self.park();
         let options = BridgeOptions {
             seed: seeds::derive(seed, "world"),
             tick_ms: Some(self.options.tick_ms),
@@ -190,25 +206,19 @@ impl World {
             gui: self.options.gui,
             ..BridgeOptions::new(self.assets.config(), self.sumo_folder())
         };
-        let mut bridge = Bridge::start_on(&options, Some(Arc::clone(self.assets.network()))).await?;
-        if let Some(scenario) = self.assets.scenario() {
-            bridge.set_director(Box::new(Director::new(Arc::clone(scenario))));
-        }
-        let ego = match &mut self.ego {
-            Some(ego) => {
-                ego.forget();
-                ego
+        let mut seat = match self.parked.take() {
+            Some(mut seat) => {
+                seat.ego_mut().forget();
+                seat
             }
-            none => {
-                let ego = none.insert(Ego::new("ego", self.options.ego.clone(), route.clone(), 0.0));
-                ego.vehicle_mut().set_statics(self.assets.statics().to_vec());
-                ego
+            None => {
+                let (ego, criteria) = (self.options.ego.clone(), self.options.criteria);
+                Seat::new(&self.assets, "ego", ego, AutopilotParams::default(), criteria, route.clone())
             }
         };
-        let (left, turn) = self.options.start.draw(seed);
-        ego.respawn_beside(route, 0.0, left, turn);
-        bridge.spawn(ego).await?;
-        self.sumo = Some(Sumo { bridge, traffic, episodes: 0, obstacle: false, held: Held::default() });
+        seat.place(route, 0.0, self.options.start.draw(seed));
+        let session = Session::start(&self.assets, &options, vec![seat]).await?;
+        self.sumo = Some(Sumo { session, traffic, episodes: 0, obstacle: false, held: Held::default() });
         Ok(())
     }
 
@@ -227,26 +237,24 @@ impl World {
     ) -> Result<Placement, EnvError> {
         let network = Arc::clone(self.assets.network());
         for again in 1..=PLACES {
-            let (Some(sumo), Some(ego)) = (&mut self.sumo, &mut self.ego) else {
-                return Err(EnvError::NoEpisode);
-            };
+            let Some(sumo) = &mut self.sumo else { return Err(EnvError::NoEpisode) };
+            let (bridge, seat) = sumo.session.bridge_and_seat(EGO);
             if let Some(counts) = task.traffic().counts(self.assets.town_name()) {
-                sumo.bridge.resize_traffic(counts);
+                bridge.resize_traffic(counts);
             }
             if std::mem::take(&mut sumo.obstacle) {
-                obstacle::take_away(&mut sumo.bridge, ego);
+                obstacle::take_away(bridge, seat.ego_mut());
             }
-            green::release(&mut sumo.bridge, &mut sumo.held);
+            green::release(bridge, &mut sumo.held);
             let start = route.at(0.0).pose.xy();
             let roads = |lane: &LaneId| {
                 matches!(network.edge(network.lane(*lane).edge).kind, EdgeKind::Normal | EdgeKind::Internal)
             };
             let lanes: Vec<LaneId> =
                 network.lanes_near(start, None, ROOM).iter().map(|near| near.lane).filter(roads).collect();
-            if sumo.bridge.clear(start, ROOM, &lanes).await? {
-                let (left, turn) = self.options.start.draw(seed);
-                ego.respawn_beside(route, 0.0, left, turn);
-                sumo.bridge.step(&mut [ego]).await?;
+            if bridge.clear(start, ROOM, &lanes).await? {
+                seat.place(route, 0.0, self.options.start.draw(seed));
+                sumo.session.settle().await?;
                 return Ok(placement);
             }
             if task.placement.is_some() {
@@ -261,82 +269,71 @@ impl World {
         })
     }
 
+    /// The ego is driven with `control`; where the expert was asked it shows the expert's lamps.
     pub async fn step(&mut self, control: Control) -> Result<Step, EnvError> {
-        let control = control.clamped();
-        let (Some(episode), Some(sumo), Some(ego)) = (&mut self.episode, &mut self.sumo, &mut self.ego)
-        else {
-            return Err(EnvError::NoEpisode);
-        };
-        if episode.over {
-            return Err(EnvError::NoEpisode);
-        }
-        let network = self.assets.network();
-        let tick = sumo.bridge.tick();
-        let before = ego.on_route();
-        ego.set_lamps(self.lamps.take().unwrap_or_else(|| lamps(ego, &control)));
-        if self.decided.take().is_some_and(|decided| decided.clamped() != control) {
-            self.autopilot.overruled();
+        let planned = self.sumo.as_ref().is_some_and(|sumo| sumo.session.seats()[EGO].is_planned());
+        self.act(if planned { Act::Disturbed(control) } else { Act::Control(control) }).await
+    }
+
+    pub async fn act(&mut self, act: Act) -> Result<Step, EnvError> {
+        let running = self.episode.as_ref().is_some_and(|episode| !episode.over);
+        let (true, Some(sumo)) = (running, &mut self.sumo) else { return Err(EnvError::NoEpisode) };
+        if act == Act::Expert {
+            sumo.session.plan(EGO);
         }
         if let Some(onward) = &mut self.onward {
-            go_onward(network, ego, onward);
+            go_onward(self.assets.network(), sumo.session.seat_mut(EGO).ego_mut(), onward);
         }
-        let clock = Instant::now();
-        let contacts = ego.advance(control, tick);
-        let moved = clock.elapsed().as_secs_f64();
-        let stepped = sumo.bridge.step(&mut [ego]).await;
-        self.stages.physics += moved;
-        self.stages.sumo += clock.elapsed().as_secs_f64() - moved;
+        let before = sumo.session.timings();
+        let stepped = sumo.session.step_one(act).await;
+        let after = sumo.session.timings();
+        self.stages.physics += after.physics - before.physics;
+        self.stages.sumo += after.bridge - before.bridge;
         self.stages.steps += 1;
-        episode.tick += 1;
-        if let Err(error) = stepped {
-            return Ok(self.lost(&error));
+        let (time, traffic) = (sumo.session.bridge().time(), sumo.session.bridge().counts());
+        if let Some(episode) = &mut self.episode {
+            episode.tick += 1;
         }
-        let after = ego.on_route();
-        let params = ego.params();
-        let events = episode.criteria.check(&Situation {
-            network,
-            route: ego.route(),
-            world: ego.previous_world(),
-            before,
-            after,
-            contacts: &contacts,
-            static_label: &|key| ego.static_label(key),
-            length: params.length,
-            width: params.width,
-            wheelbase: params.wheelbase,
-            track: params.track,
-            tick,
-        });
-        let observation = self.eyes.look(network, ego, tick, &mut self.stages)?;
-        let decided = self.options.termination.decide(&events);
-        let ending = match decided {
+        let tick = match stepped {
+            Ok(tick) => tick,
+            Err(error) => return Ok(self.lost(&error)),
+        };
+        let observation = self.look()?;
+        let (Some(episode), Some(sumo)) = (&mut self.episode, &self.sumo) else {
+            return Err(EnvError::NoEpisode);
+        };
+        let ego = sumo.session.ego(EGO);
+        let ending = match self.options.termination.decide(&tick.events) {
             Some((end, cause)) => Some(episode.ending(end, cause)),
             None if episode.tick >= episode.limit => {
-                Some(judge_limit(episode.task.kind, &episode.placement, episode.tick, network, ego))
+                let (kind, network) = (episode.task.kind, self.assets.network());
+                Some(judge_limit(kind, &episode.placement, episode.tick, network, ego))
             }
             None => None,
         };
-        let facts = episode.facts(&self.options.reward, ego, &self.eyes, &control, &events, ending.as_ref());
-        let terms = reward::compute(&self.options.reward, &facts);
+        let reward = &self.options.reward;
+        let facts = episode.facts(reward, ego, &self.eyes, &tick.control, &tick.events, ending.as_ref());
+        let terms = reward::compute(reward, &facts);
         let terminated = ending.as_ref().is_some_and(|ending| ending.end.is_terminal());
         let truncated = ending.is_some() && !terminated;
         episode.over = ending.is_some();
         Ok(Step {
             observation,
+            control: tick.control,
             reward: terms.total(),
             terminated,
             truncated,
             info: Info {
                 tick: episode.tick,
-                time: sumo.bridge.time(),
+                time,
                 reward: terms,
-                events,
+                events: tick.events,
                 ending,
                 raw: *self.eyes.raw(),
-                ego: after.state,
-                driven: after.s,
+                ego: tick.after.state,
+                driven: tick.after.s,
                 route_length: ego.route().length(),
-                traffic: sumo.bridge.counts(),
+                traffic,
             },
         })
     }
@@ -344,15 +341,16 @@ impl World {
     /// SUMO died: the episode is lost, the next reset builds a new one.
     fn lost(&mut self, error: &BridgeError) -> Step {
         tracing::warn!("an episode is lost, its SUMO is replaced: {error}");
-        let time = self.sumo.take().map_or(0.0, |sumo| sumo.bridge.time());
-        let ego = self.ego.as_ref();
-        let events: Vec<Event> = Vec::new();
+        let time = self.sumo.as_ref().map_or(0.0, |sumo| sumo.session.bridge().time());
+        self.park();
         let (tick, ending) = self.episode.as_mut().map_or((0, None), |episode| {
             episode.over = true;
-            (episode.tick, Some(episode.ending(super::End::Error, error.to_string())))
+            (episode.tick, Some(episode.ending(End::Error, error.to_string())))
         });
+        let ego = self.ego();
         Step {
             observation: self.eyes.observation(),
+            control: Control::default(),
             reward: 0.0,
             terminated: false,
             truncated: true,
@@ -360,10 +358,10 @@ impl World {
                 tick,
                 time,
                 reward: RewardTerms::default(),
-                events,
+                events: Vec::new(),
                 ending,
                 raw: *self.eyes.raw(),
-                ego: ego.map_or_else(super::episode::nowhere, Ego::state),
+                ego: ego.map_or_else(nowhere, Ego::state),
                 driven: ego.map_or(0.0, |ego| ego.on_route().s),
                 route_length: ego.map_or(0.0, |ego| ego.route().length()),
                 traffic: (0, 0),
@@ -373,23 +371,13 @@ impl World {
 
     pub fn expert(&mut self) -> Result<Control, EnvError> {
         let running = self.episode.as_ref().is_some_and(|episode| !episode.over);
-        let (true, Some(ego)) = (running, &self.ego) else { return Err(EnvError::NoEpisode) };
-        let at = ego.on_route();
-        let tick = self.options.tick_ms / 1000.0;
-        let decision =
-            self.autopilot.control(self.assets.network(), ego.route(), at.s, &at.state, ego.world(), tick);
-        self.lamps = Some(Lamps {
-            blinker_left: decision.blinker_left,
-            blinker_right: decision.blinker_right,
-            brake: decision.brake_light,
-        });
-        self.decided = Some(decision.control);
-        Ok(decision.control)
+        let (true, Some(sumo)) = (running, &mut self.sumo) else { return Err(EnvError::NoEpisode) };
+        Ok(sumo.session.plan(EGO).control)
     }
 
     pub async fn close(&mut self) {
         if let Some(sumo) = self.sumo.take()
-            && let Err(error) = sumo.bridge.close().await
+            && let Err(error) = sumo.session.close().await
         {
             tracing::debug!("SUMO did not close properly: {error}");
         }
@@ -400,24 +388,17 @@ impl World {
     }
 
     pub fn ego(&self) -> Option<&Ego> {
-        self.ego.as_ref()
+        let seat = self.sumo.as_ref().and_then(|sumo| sumo.session.seats().get(EGO)).or(self.parked.as_ref());
+        seat.map(Seat::ego)
     }
 
     /// SUMO's process, for tests that kill it.
     pub fn sumo_pid(&self) -> Option<u32> {
-        self.sumo.as_ref().and_then(|sumo| sumo.bridge.sumo_pid())
+        self.sumo.as_ref().and_then(|sumo| sumo.session.bridge().sumo_pid())
     }
 
-    pub fn raw(&self) -> &RawState {
-        self.eyes.raw()
-    }
-
-    pub fn frame(&self) -> Option<&Frame> {
-        self.eyes.frame()
-    }
-
-    pub fn image(&self) -> Option<&TransformedImage> {
-        self.eyes.image()
+    pub fn eyes(&self) -> &Eyes {
+        &self.eyes
     }
 
     pub fn tick(&self) -> Duration {
@@ -452,18 +433,5 @@ fn go_onward(network: &Network, ego: &mut Ego, places: &mut Destinations) {
             ego.set_route(route, s);
             return;
         }
-    }
-}
-
-/// What an ego shows that nobody told what to show: brake lights, and blinkers before a turn or a lane
-/// change.
-fn lamps(ego: &Ego, control: &Control) -> Lamps {
-    let at = ego.on_route();
-    let ahead = (at.front_s + 2.0 + 2.0 * at.state.speed.max(0.0)).min(ego.route().length());
-    let option = ego.route().at(ahead).option;
-    Lamps {
-        blinker_left: matches!(option, RoadOption::Left | RoadOption::ChangeLaneLeft),
-        blinker_right: matches!(option, RoadOption::Right | RoadOption::ChangeLaneRight),
-        brake: control.brake > 0.05,
     }
 }

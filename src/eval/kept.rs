@@ -2,9 +2,12 @@
 
 use super::runner::make;
 use super::{Case, DriverError, DriverSpec, EpisodeRecord, MakeAgent};
+use crate::agent::AgentError;
+use crate::assets::AssetsError;
 use crate::criteria::Event;
 use crate::env::{Assets, Env, EnvError, EnvOptions};
 use crate::replay::{self, Body, Frame, Header, Moment, Recorder, Recording, ReplayError, digest};
+use crate::session::Act;
 use crate::telemetry::write_json;
 use crate::vehicle::Control;
 use serde::{Deserialize, Serialize};
@@ -32,7 +35,13 @@ pub enum KeptError {
     #[error(transparent)]
     Env(#[from] EnvError),
     #[error(transparent)]
+    Assets(#[from] AssetsError),
+    #[error(transparent)]
     Driver(#[from] DriverError),
+    #[error(transparent)]
+    Agent(#[from] AgentError),
+    #[error("{0}")]
+    Eval(Box<super::EvalError>),
     #[error("the episode was driven on another net: {town} was {expected} then, and is {found} now")]
     OtherNet { town: String, expected: String, found: String },
 }
@@ -81,8 +90,7 @@ const ROUTE_STEP: f64 = 5.0;
 /// The recording's header for an episode that has just begun.
 pub(super) fn header(env: &Env, case: &Case) -> Header {
     let (assets, options) = (env.assets(), env.options());
-    let ego = &options.ego;
-    let body = Body { length: ego.length, width: ego.width, height: ego.height };
+    let body = Body::of(&options.ego);
     let mut header = Header::new(&case.town, assets.name(), options.tick_ms, case.spec.weather, body);
     if let Some(route) = env.ego().map(|ego| ego.route()) {
         let points = (route.length() / ROUTE_STEP).ceil() as usize;
@@ -151,18 +159,19 @@ pub fn verify(
     let external = matches!(case.agent, DriverSpec::Exec(_));
     // Blind: what an external agent saw is of no account where its controls are given.
     let spec = if external { DriverSpec::Random } else { case.agent.clone() };
-    let (mut env, mut driver) = make(&assets, &options, &spec, make_agent)?;
+    let (mut env, mut driver) =
+        make(&assets, &options, &spec, make_agent).map_err(|e| KeptError::Eval(Box::new(e)))?;
     let driven = if external { Driven::Recorded } else { Driven::Agent };
     let mut verdict = Verdict { ticks: 0, same: true, first_difference: None, driven };
-    let mut observation = env.reset(&case.spec, kept.episode.episode_seed)?;
+    env.reset(&case.spec, kept.episode.episode_seed)?;
     driver.reset(kept.episode.episode_seed);
     let frames = recording.frames();
     for (index, frame) in frames.iter().enumerate() {
         let (mut control, mut events) = (Control::default(), Vec::new());
         if index > 0 {
-            control = if external { frame.control } else { driver.act(&mut env, &observation)?.clamped() };
-            let step = env.step(control)?;
-            (observation, events) = (step.observation, step.info.events);
+            let act = if external { Act::Control(frame.control) } else { driver.act(env.eyes())? };
+            let step = env.act(act)?;
+            (control, events) = (step.control, step.info.events);
             if step.info.ending.is_some() && index + 1 < frames.len() {
                 verdict.same = false;
                 verdict.first_difference.get_or_insert((frame.tick, "it ended earlier".to_string()));

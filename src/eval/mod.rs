@@ -7,7 +7,6 @@
 //! A [`Case`] is one episode to be; it and the environment's options give the same episode wherever and
 //! whenever it is driven. An [`EpisodeRecord`] is one line of `episodes.jsonl`. [`kept`] shows failures again.
 
-mod driver;
 pub mod kept;
 mod manifest;
 mod plan;
@@ -20,12 +19,12 @@ mod store;
 mod suite;
 mod tally;
 
-pub use driver::{Driver, DriverError, DriverSpec};
+pub use crate::driver::{Driver, DriverError, DriverSpec, Made};
 pub use manifest::Manifest;
 pub use plan::{Case, Selection, Shard};
 pub use record::{EpisodeRecord, Fault};
 pub use rows::{Row, Score, grouped, rows, wilson};
-pub use runner::{EvalError, Evaluation, Keep, Made, MakeAgent, run};
+pub use runner::{EvalError, Evaluation, Keep, MakeAgent, run};
 pub use store::{Results, Store, StoreError, in_order};
 pub use suite::{Condition, Suite, SuiteError, SuiteTask, names};
 pub use tally::{EventCounts, Histogram};

@@ -3,12 +3,11 @@
 use super::kept::{self, Kept};
 use super::record::Fault;
 use super::tally::Tally;
-use super::{Case, Driver, DriverError, DriverSpec, EpisodeRecord, Store};
-use crate::agent::Agent;
+use super::{Case, Driver, DriverError, DriverSpec, EpisodeRecord, Made, Store};
+use crate::assets::AssetsError;
 use crate::env::{Assets, End, Ending, Env, EnvError, EnvOptions, ObservationMode};
 use crate::latent::{Encoder, PooledEncoder};
 use crate::replay::{Moment, Recorder, ReplayError};
-use crate::seeds;
 use crate::vehicle::Control;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -23,6 +22,8 @@ pub enum EvalError {
     #[error(transparent)]
     Env(#[from] EnvError),
     #[error(transparent)]
+    Assets(#[from] AssetsError),
+    #[error(transparent)]
     Driver(#[from] DriverError),
     #[error(transparent)]
     Store(#[from] super::StoreError),
@@ -30,14 +31,6 @@ pub enum EvalError {
     Replay(#[from] ReplayError),
     #[error(transparent)]
     Kept(#[from] kept::KeptError),
-}
-
-/// An agent with the encoder that it sees through.
-pub struct Made {
-    pub agent: Box<dyn Agent>,
-    pub encoder: Box<dyn Encoder>,
-    /// Stands for the weights of both.
-    pub id: String,
 }
 
 /// Makes a trained or external agent; called on the thread that drives.
@@ -172,7 +165,7 @@ impl Worker<'_> {
     fn make(&self, case: &Case) -> Result<(Env, Driver), EvalError> {
         let Some(assets) = self.towns.get(&case.town) else { return Err(EnvError::NoEpisode.into()) };
         let evaluation = self.evaluation;
-        Ok(make(assets, &evaluation.options, &case.agent, evaluation.make_agent)?)
+        make(assets, &evaluation.options, &case.agent, evaluation.make_agent)
     }
 }
 
@@ -182,14 +175,15 @@ pub(super) fn make(
     options: &EnvOptions,
     spec: &DriverSpec,
     make_agent: &MakeAgent<'_>,
-) -> Result<(Env, Driver), DriverError> {
+) -> Result<(Env, Driver), EvalError> {
     let mut options = options.clone();
     let mut encoder: Box<dyn Encoder> = Box::new(PooledEncoder);
-    let driver = match spec {
-        DriverSpec::Autopilot => Driver::Autopilot,
-        DriverSpec::Random => Driver::Random(Box::new(seeds::rng(0, "driver"))),
-        DriverSpec::Constant(control) => Driver::Constant(*control),
-        DriverSpec::Exec(_) | DriverSpec::Agent(_) => {
+    if *spec == DriverSpec::Manual {
+        return Err(DriverError::Manual.into());
+    }
+    let driver = match Driver::blind(spec) {
+        Some(driver) => driver,
+        None => {
             let made = make_agent(spec)?;
             encoder = made.encoder;
             Driver::Agent(made.agent)
@@ -209,7 +203,7 @@ fn drive(
     keeps: bool,
 ) -> Result<(EpisodeRecord, Option<Recorder>), EvalError> {
     let seed = case.episode_seed();
-    let mut observation = env.reset(&case.spec, seed)?;
+    env.reset(&case.spec, seed)?;
     driver.reset(seed);
     let mut recorder = keeps.then(|| Recorder::new(&kept::header(env, case)));
     record(recorder.as_mut(), env, 0, Control::default(), &[]);
@@ -218,15 +212,15 @@ fn drive(
     let (mut ticks, mut route_length, mut driven) =
         (0, env.ego().map_or(0.0, |ego| ego.route().length()), 0.0);
     let (ending, fault) = loop {
-        let control = match driver.act(env, &observation) {
-            Ok(control) => control.clamped(),
-            Err(DriverError::Agent(error)) => {
+        let act = match driver.act(env.eyes()) {
+            Ok(act) => act,
+            Err(error) => {
                 let ending = Ending { end: End::Error, cause: error.to_string(), success: false };
                 break (ending, Some(Fault::Agent));
             }
-            Err(error) => return Err(error.into()),
         };
-        let step = env.step(control)?;
+        let step = env.act(act)?;
+        let control = step.control;
         let lost = step.info.ending.as_ref().is_some_and(|ending| ending.end == End::Error);
         if !lost {
             tally.add(&step, env.ego(), control.steer);
@@ -236,7 +230,6 @@ fn drive(
         if let Some(ending) = step.info.ending {
             break (ending, lost.then_some(Fault::Simulator));
         }
-        observation = step.observation;
     };
     let n = ticks.max(1) as f64;
     let Some(placement) = env.placement().cloned() else { return Err(EnvError::NoEpisode.into()) };

@@ -3,7 +3,6 @@
 use crate::camera::Town;
 use crate::drive::{Drive, DriveError, DriveOptions};
 use crate::geometry::Pose;
-use crate::sight;
 
 /// The autopilot drives, and stops at each new view.
 pub struct Tour {
@@ -25,7 +24,7 @@ impl Tour {
     /// As [`Drive::start`].
     pub async fn start(options: DriveOptions, scene_seed: u64) -> Result<Self, DriveError> {
         let drive = Drive::start(options).await?;
-        let town = sight::town(drive.bridge(), scene_seed);
+        let town = drive.assets().town_with(scene_seed);
         let mut tour = Self { drive, town, last: None };
         let until = tour.drive.bridge().time() + WARM_UP;
         while tour.drive.bridge().time() < until {
@@ -36,7 +35,7 @@ impl Tour {
 
     async fn tick(&mut self) -> Result<(), DriveError> {
         self.drive.tick().await?;
-        sight::follow(&mut self.town, self.drive.ego());
+        self.town.follow(self.drive.ego().world(), None);
         Ok(())
     }
 
@@ -68,6 +67,6 @@ impl Tour {
     /// # Errors
     /// The drive's summary cannot be written.
     pub async fn finish(self) -> Result<(), DriveError> {
-        self.drive.finish("survived", false).await.map(|_| ())
+        self.drive.finish(false).await.map(|_| ())
     }
 }

@@ -22,7 +22,7 @@ pub use format::{Body, Header};
 pub use recorder::{Moment, Recorder, digest};
 
 use crate::criteria::Event;
-use crate::vehicle::{Control, EgoState};
+use crate::vehicle::{Control, EgoParams, EgoState};
 use crate::world::{Actor, ActorKind, ActorType, VehicleSignals, WorldState};
 use flate2::read::GzDecoder;
 use format::{FORMAT, Line, Memory};
@@ -124,6 +124,11 @@ impl Recording {
 }
 
 impl Body {
+    /// The ego's.
+    pub fn of(ego: &EgoParams) -> Self {
+        Self { length: ego.length, width: ego.width, height: ego.height }
+    }
+
     /// A car of this size in the motion `ego`, its brake lights lit when it slows down.
     pub fn actor(&self, ego: &EgoState) -> Actor {
         let actor_type = ActorType {

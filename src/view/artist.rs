@@ -3,9 +3,10 @@
 use super::hub::{Hub, Packet, Shot};
 use super::protocol;
 use crate::camera::{Camera, CameraConfig, CameraError, Frame, Outputs, Town, Weather};
+use crate::eyes::Eyes;
 use crate::latent::Decoder;
 use crate::network::Network;
-use crate::perception::{EgoFacts, Perception, TRANSFORMED_SIZE, TransformedImage};
+use crate::perception::{EgoFacts, GroundPlane, Percept, TRANSFORMED_SIZE, TransformedImage};
 use bytes::Bytes;
 use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
 use serde_json::{Value, json};
@@ -22,42 +23,46 @@ type Named = Vec<(&'static str, Vec<u8>)>;
 
 /// What is needed to draw.
 pub struct Artist {
+    /// For the view from behind.
     town: Town,
-    network: Arc<Network>,
-    front: Camera,
     chase: Camera,
-    perception: Option<Perception>,
+    /// For ticks of drivers that do not look.
+    eyes: Eyes,
+    network: Arc<Network>,
     decoder: Option<Box<dyn Decoder>>,
+    ground: GroundPlane,
     /// The ego's length (m).
     length: f64,
 }
 
 impl Artist {
-    /// One who draws `town`. With `perception`, the stages too, and with a decoder the reconstruction.
+    /// Draws `town`. What a driver saw is shown as the driver saw it; where the driver does not look, `eyes`
+    /// do. A decoder shows the reconstruction too.
     ///
     /// # Errors
-    /// Impossible cameras.
+    /// A camera cannot be made.
     pub fn new(
         town: Town,
+        eyes: Eyes,
         network: Arc<Network>,
         length: f64,
-        perception: Option<Perception>,
         decoder: Option<Box<dyn Decoder>>,
     ) -> Result<Self, CameraError> {
         Ok(Self {
             town,
-            network,
-            front: Camera::new(CameraConfig::default())?,
             chase: Camera::new(CameraConfig::chase(CHASE.0, CHASE.1))?,
-            perception,
+            eyes,
+            network,
             decoder,
+            ground: GroundPlane::new(&CameraConfig::default()),
             length,
         })
     }
 
     /// Whether it can show what is made of the picture, and the reconstruction.
     pub fn stages(&self) -> (bool, bool) {
-        (self.perception.is_some(), self.perception.is_some() && self.decoder.is_some())
+        let sees = self.eyes.perception().is_some();
+        (sees, sees && self.decoder.is_some())
     }
 
     /// Draws until the hub closes or the artist of another number has taken over.
@@ -73,33 +78,48 @@ impl Artist {
     }
 
     fn draw(&mut self, hub: &Hub, shot: &Shot) -> Packet {
-        self.town.follow(&shot.world, Some(&shot.ego));
-        let weather = Weather::from(shot.weather);
-        let (scene, actors, pose) = (self.town.scene(), self.town.actors(), &shot.ego.pose);
+        let pose = &shot.ego.pose;
         let stages = hub.wants_stages();
-        let sees = self.perception.as_ref().filter(|_| stages && shot.way.is_some());
-        let outputs = sees.map_or(Outputs::RGB, |p| Outputs { rgb: true, ..p.needs() });
-        let frame = self.front.render(scene, actors, pose, &weather, outputs);
-        let mut images = vec![("front", jpeg(frame))];
         let mut more = protocol::around(&shot.world);
-        if let Some((sees, pictures)) = self.stages_of(shot, stages) {
+        let mut images = Vec::new();
+        self.eyes.follow(&shot.world);
+        if self.eyes.weather() != shot.weather {
+            self.eyes.set_weather(shot.weather);
+        }
+        let percept = match &shot.look {
+            Some(look) => {
+                images.push(("front", jpeg(&look.frame)));
+                stages.then(|| look.percept.clone())
+            }
+            None => {
+                let looked = stages && self.look(shot);
+                if !looked {
+                    self.eyes.glance(pose);
+                }
+                images.extend(self.eyes.frame().map(|frame| ("front", jpeg(frame))));
+                self.eyes.percept().filter(|_| looked).cloned()
+            }
+        };
+        if let Some(percept) = percept {
+            let (sees, pictures) = self.stages_of(&percept);
             more["sees"] = sees;
             images.extend(pictures);
         }
+        self.town.follow(&shot.world, Some(&shot.ego));
         if hub.wants_chase() {
             let (scene, actors) = (self.town.scene(), self.town.actors());
+            let weather = Weather::from(shot.weather);
             images.push(("chase", jpeg(self.chase.render(scene, actors, pose, &weather, Outputs::RGB))));
         }
         let bytes = Bytes::from(protocol::packet(&shot.state, more, &images));
         Packet { route_id: shot.state.route_id, bytes }
     }
 
-    /// What the ego makes of the picture that was just taken.
-    fn stages_of(&mut self, shot: &Shot, wanted: bool) -> Option<(Value, Named)> {
-        let (perception, (route, on_route)) = (self.perception.as_mut()?, shot.way.as_ref()?);
-        if !wanted {
-            return None;
-        }
+    /// Looks in the driver's place; false where nothing can be made of the picture.
+    fn look(&mut self, shot: &Shot) -> bool {
+        let (Some((route, on_route)), true) = (&shot.way, self.eyes.perception().is_some()) else {
+            return false;
+        };
         let facts = EgoFacts {
             network: &self.network,
             route,
@@ -108,11 +128,17 @@ impl Artist {
             signals: &shot.world.traffic_lights,
             tick: shot.state.dt,
         };
-        if let Err(error) = perception.perceive(self.front.frame(), &facts) {
-            tracing::debug!("no stages in the view: {error}");
-            return None;
+        match self.eyes.look(&facts) {
+            Ok(()) => true,
+            Err(error) => {
+                tracing::debug!("no stages in the view: {error}");
+                false
+            }
         }
-        let percept = perception.percept();
+    }
+
+    /// What was made of a picture.
+    fn stages_of(&mut self, percept: &Percept) -> (Value, Named) {
         let mut images = vec![("transformed", small(&percept.transformed))];
         if let Some(decoder) = &mut self.decoder {
             match decoder.reconstruct(&percept.transformed) {
@@ -126,14 +152,13 @@ impl Artist {
                 json!([format!("{:?}", d.class), l, t, r, b])
             })
             .collect();
-        let ground = perception.ground();
         let lanes: Vec<Value> = [&percept.lanes.left, &percept.lanes.right]
             .into_iter()
             .flatten()
-            .map(|lane| lane.pixels(ground).iter().flat_map(|p| p.map(|v| v.round() as i32)).collect())
+            .map(|lane| lane.pixels(&self.ground).iter().flat_map(|p| p.map(|v| v.round() as i32)).collect())
             .collect();
         let gap = percept.raw.lead.map(|lead| lead.gap);
-        Some((json!({ "boxes": boxes, "lanes": lanes, "red": percept.light_red, "gap": gap }), images))
+        (json!({ "boxes": boxes, "lanes": lanes, "red": percept.light_red, "gap": gap }), images)
     }
 }
 

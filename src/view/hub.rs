@@ -4,6 +4,7 @@ use super::protocol::{Request, State};
 use super::wheel::Wanted;
 use crate::camera::Preset;
 use crate::criteria::EgoOnRoute;
+use crate::eyes::Look;
 use crate::network::Route;
 use crate::world::{Actor, WorldState};
 use bytes::Bytes;
@@ -30,7 +31,9 @@ pub struct Shot {
     /// As seen from outside.
     pub ego: Actor,
     pub weather: Preset,
-    /// What perception needs; None: it is not asked.
+    /// What the driver saw; None where it does not look.
+    pub look: Option<Look>,
+    /// What perception needs where the driver did not look; None: it is not asked.
     pub way: Option<(Arc<Route>, EgoOnRoute)>,
 }
 

@@ -332,6 +332,7 @@ impl Player {
             world: frame.world.clone(),
             ego: recording.ego_actor(frame),
             weather: self.weather,
+            look: None,
             way,
         });
     }

@@ -11,9 +11,8 @@ use crate::bridge::Ego;
 use crate::camera::Preset;
 use crate::cores::Cores;
 use crate::drive::{Drive, DriveError, Status};
-use crate::learned_driver::LearnedDriver;
+use crate::driver::Pilot;
 use crate::network::Route;
-use crate::sight;
 use crate::telemetry::Wish;
 use crate::traffic::Counts;
 use crate::vehicle::Control;
@@ -25,8 +24,8 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use tokio::sync::{mpsc, oneshot};
 
-/// Makes the trained agent of a name, as it sees that weather; called on a thread of its own.
-pub type MakeDriver = Arc<dyn Fn(&str, Preset) -> Result<LearnedDriver, String> + Send + Sync>;
+/// Makes the driver of a name; called on a thread of its own.
+pub type MakeDriver = Arc<dyn Fn(&str) -> Result<Pilot, String> + Send + Sync>;
 
 /// The autopilot's and the person's names among the drivers.
 const AUTOPILOT: &str = "autopilot";
@@ -66,11 +65,9 @@ pub enum Ready {
     Tick(Option<Control>),
     /// A film is to begin or to end; [`RunView::filming`] tells what came of it.
     Film(bool),
-    /// The weather is another one now.
-    Weather(Preset),
 }
 
-type Loading = (String, oneshot::Receiver<Result<LearnedDriver, String>>);
+type Loading = (String, oneshot::Receiver<Result<Pilot, String>>);
 
 /// See the module.
 pub struct RunView {
@@ -89,13 +86,12 @@ pub struct RunView {
     astray_until: u64,
     loading: Option<Loading>,
     /// A trained agent that does not drive just now.
-    parked: Option<(String, LearnedDriver)>,
+    parked: Option<(String, Pilot)>,
     due: Instant,
     step: bool,
     ticked: VecDeque<Instant>,
-    /// The weather has changed since the last [`Ready::Weather`].
+    /// A film is to begin or to end.
     film: Option<bool>,
-    new_weather: Option<Preset>,
 }
 
 impl RunView {
@@ -112,8 +108,7 @@ impl RunView {
         let (hub, requests) = Hub::new();
         let cores = listener.cores();
         let bridge = drive.bridge();
-        let polygons = crate::drive::polygons(bridge, bridge.network());
-        hub.set_map(net::street_map(bridge.network(), &polygons));
+        hub.set_map(net::street_map(bridge.network(), drive.assets().polygons()));
         let (stages, reconstruction) = artist.stages();
         hub.set_hello(json!({
             "mode": "run",
@@ -168,7 +163,6 @@ impl RunView {
             step: false,
             ticked: VecDeque::new(),
             film: None,
-            new_weather: None,
         };
         view.show_ego(drive);
         Ok(view)
@@ -186,10 +180,6 @@ impl RunView {
             self.take_loaded(drive);
             if let Some(on) = self.film.take() {
                 return Ok(Ready::Film(on));
-            }
-            if let Some(weather) = self.new_weather.take() {
-                drive.set_weather(weather);
-                return Ok(Ready::Weather(weather));
             }
             let runs = !self.state.paused || self.step;
             if runs && Instant::now() >= self.due {
@@ -317,8 +307,9 @@ impl RunView {
         self.hub.show(Shot {
             state: state.clone(),
             world: ego.world().clone(),
-            ego: sight::from_outside(ego),
+            ego: ego.as_actor(),
             weather: self.setting.weather,
+            look: drive.last_look(),
             way: Some((route, at)),
         });
     }
@@ -389,7 +380,7 @@ impl RunView {
             Request::Weather { name } => {
                 self.setting.weather = name;
                 self.state.weather = name.name().to_string();
-                self.new_weather = Some(name);
+                drive.set_weather(name);
             }
             Request::Traffic { vehicles, pedestrians } => {
                 drive.grant(Wish::Traffic { vehicles, pedestrians }).await?;
@@ -419,7 +410,7 @@ impl RunView {
         if !self.hub.take_wheel(viewer) {
             return self.say(format!("viewer {viewer} asks for the wheel, but another one has it"));
         }
-        self.park(drive, Some(MANUAL));
+        self.hand_over(drive, Pilot::manual(), Some(MANUAL));
         self.wheel = Some(Wheel::taken_from(self.state.control));
         self.state.holder = Some(viewer);
         self.state.driver = MANUAL.to_string();
@@ -433,7 +424,7 @@ impl RunView {
         let by_hand = self.wheel.take().is_some();
         self.hub.leave_wheel();
         let own = self.setting.driver == AUTOPILOT;
-        self.park(drive, (!own).then_some(AUTOPILOT));
+        self.hand_over(drive, Pilot::autopilot(), (!own).then_some(AUTOPILOT));
         self.state.holder = None;
         self.state.driver = AUTOPILOT.to_string();
         if by_hand {
@@ -453,11 +444,12 @@ impl RunView {
         Ok(())
     }
 
-    /// Takes the trained agent from the wheel, and keeps it.
-    fn park(&mut self, drive: &mut Drive, guest: Option<&str>) {
+    /// Hands the wheel over, and keeps the trained agent that had it.
+    fn hand_over(&mut self, drive: &mut Drive, pilot: Pilot, guest: Option<&str>) {
         let name = self.state.driver.clone();
-        if let Some(driver) = drive.hand_over(None, guest.map(str::to_string)) {
-            self.parked = Some((name, driver));
+        let before = drive.hand_over(pilot, guest.map(str::to_string));
+        if before.driver.looks() {
+            self.parked = Some((name, before));
         }
     }
 
@@ -480,13 +472,13 @@ impl RunView {
             self.give_back(drive).await?;
         }
         let (sender, receiver) = oneshot::channel();
-        let (cores, weather, wanted) = (self.cores, self.setting.weather, name.clone());
+        let (cores, wanted) = (self.cores, name.clone());
         let work = move || {
             if let Some(cores) = cores {
                 cores.confine(0);
             }
             // Nobody listens any more where another driver was picked meanwhile.
-            let _ = sender.send(make(&wanted, weather));
+            let _ = sender.send(make(&wanted));
         };
         match std::thread::Builder::new().name("view loader".to_string()).spawn(work) {
             Ok(_) => {
@@ -506,7 +498,7 @@ impl RunView {
         }
     }
 
-    fn loaded(&mut self, result: Result<LearnedDriver, String>, drive: &mut Drive) {
+    fn loaded(&mut self, result: Result<Pilot, String>, drive: &mut Drive) {
         let Some((name, _)) = self.loading.take() else { return };
         self.state.loading = None;
         match result {
@@ -516,15 +508,13 @@ impl RunView {
         self.show_ego(drive);
     }
 
-    fn seat(&mut self, name: String, mut driver: LearnedDriver, drive: &mut Drive) {
+    fn seat(&mut self, name: String, pilot: Pilot, drive: &mut Drive) {
         #[cfg(feature = "learn")]
         tch::set_num_threads(1);
-        driver.reset();
-        driver.set_weather(self.setting.weather);
         self.wheel = None;
         self.hub.leave_wheel();
-        self.park(drive, None);
-        drive.hand_over(Some(driver), (self.setting.driver != name).then(|| name.clone()));
+        let guest = (self.setting.driver != name).then_some(name.as_str());
+        self.hand_over(drive, pilot, guest);
         self.state.holder = None;
         self.say(format!("{name} drives"));
         self.state.driver = name;
@@ -558,11 +548,6 @@ impl RunView {
     /// Viewers now.
     pub fn viewers(&self) -> usize {
         self.hub.viewers()
-    }
-
-    /// The weather now.
-    pub fn weather(&self) -> Preset {
-        self.setting.weather
     }
 
     /// Tells the viewers that it is over, and ends the threads.

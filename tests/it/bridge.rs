@@ -464,7 +464,7 @@ async fn it_drives_on_the_left_where_that_is_the_rule() {
     for _ in 0..600 {
         drive.tick().await.expect("a tick");
     }
-    let summary = drive.finish("survived", false).await.expect("a summary");
+    let summary = drive.finish(false).await.expect("a summary");
     assert!(summary.distance_m > 250.0, "{summary:?}");
     assert_eq!(summary.collisions, Default::default(), "{summary:?}");
     assert_eq!(
@@ -491,7 +491,7 @@ async fn long_ticks_keep_it_on_the_road() {
         for _ in 0..300 {
             drive.tick().await.expect("a tick");
         }
-        let summary = drive.finish("survived", false).await.expect("a summary");
+        let summary = drive.finish(false).await.expect("a summary");
         assert!(summary.distance_m > 150.0, "{summary:?}");
         assert_eq!((summary.outside_lane_ticks, summary.collisions), (0, Default::default()), "{summary:?}");
     }

@@ -18,6 +18,8 @@ mod network;
 mod program;
 mod run;
 mod scenario;
+#[cfg(feature = "vision")]
+mod session;
 mod traci;
 mod traffic;
 mod view;

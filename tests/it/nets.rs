@@ -42,7 +42,7 @@ fn drive(config: &Path, traffic: Counts, ticks: usize) -> usize {
             drive.tick().await.unwrap();
             most = most.max(drive.bridge().counts().1);
         }
-        let summary = drive.finish("survived", false).await.unwrap();
+        let summary = drive.finish(false).await.unwrap();
         assert!(summary.distance_m > 5.0, "{summary:?}");
         most
     })

@@ -1,7 +1,6 @@
 //! Scenarios on a real SUMO: their events happen, and every mistake is named.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use wad_cosim::autopilot::Reason;
 use wad_cosim::bridge::BridgeOptions;
 use wad_cosim::bundled;
@@ -73,18 +72,16 @@ fn drive(config: &Path, mut look: impl FnMut(&Drive, &TickRecord)) -> Ending {
             look(&drive, &status.record);
         }
         let ending = drive.ending().cloned().unwrap();
-        drive.finish("survived", false).await.unwrap();
+        drive.finish(false).await.unwrap();
         ending
     })
 }
 
 async fn start(config: &Path, out: &Path) -> Drive {
-    let scenario = Arc::new(Scenario::load(config).unwrap());
-    let traffic = scenario.traffic;
+    let traffic = Scenario::load(config).unwrap().traffic;
     assert_ne!(traffic, TrafficSpec::AsIs);
     let bridge = BridgeOptions { traffic, scenario: true, ..BridgeOptions::new(config, out.join("sumo")) };
-    let options = DriveOptions { scenario: Some(scenario), ..DriveOptions::new(bridge, out.join("run")) };
-    Drive::start(options).await.unwrap()
+    Drive::start(DriveOptions::new(bridge, out.join("run"))).await.unwrap()
 }
 
 fn shipped(name: &str) -> PathBuf {

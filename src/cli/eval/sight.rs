@@ -5,11 +5,11 @@ use anyhow::Context;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::IsTerminal;
 use wad_cosim::bundled;
-use wad_cosim::camera::{Camera, CameraConfig, Outputs, Preset, Town, Weather};
+use wad_cosim::camera::{CameraConfig, Frame, Outputs, Preset};
 use wad_cosim::drive::{Drive, DriveOptions};
+use wad_cosim::eyes::Eyes;
 use wad_cosim::perception::sight_score::{LaneScore, LaneTruth, LeadScore, LeadTruth, MEASURED_AT};
 use wad_cosim::perception::{self, EgoFacts, Perception};
-use wad_cosim::sight;
 use wad_cosim::traffic::TrafficSpec;
 
 const EXAMPLES: &str = "\
@@ -53,56 +53,43 @@ pub struct Args {
     json: bool,
 }
 
-/// Perception in one weather.
-struct Eye {
-    weather: Weather,
-    camera: Camera,
-    perception: Perception,
-}
-
-/// Drives, and hands every eye to `look` after each tick in which the ego moves; `looks` of the first
-/// `eyes` weathers.
+/// Drives, and hands the eyes of each weather to `score` after every tick.
 async fn drive(
     args: &Args,
     weathers: &[Preset],
     outputs: Outputs,
-    look: &mut dyn FnMut(usize, &mut Eye, &Town, &Drive) -> anyhow::Result<()>,
+    score: &mut dyn FnMut(usize, &Frame, &Perception, &Drive),
 ) -> anyhow::Result<()> {
-    let input = |e: anyhow::Error| Exit::Input.because(e);
     let config = bundled::resolve(&args.config).map_err(|e| Exit::Input.because(e))?;
     let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
     let (width, height) = args.size;
-    let camera = CameraConfig::sized(width, height);
-    let mut eyes = Vec::new();
-    for &preset in weathers {
-        let mut perception = perception::detector(&args.detector, perception::MIN_SCORE)
-            .and_then(|detector| Perception::new(detector, camera))
-            .map_err(|e| input(e.into()))?;
-        perception.reset(args.seed);
-        let camera = Camera::new(camera).map_err(|e| input(e.into()))?;
-        eyes.push(Eye { weather: Weather::from(preset), camera, perception });
-    }
+    let detectors = weathers.iter().map(|_| perception::detector(&args.detector, perception::MIN_SCORE));
+    let detectors: Vec<_> = detectors.collect::<Result<_, _>>().map_err(|e| Exit::Input.because(e))?;
     let mut drive = Drive::start(DriveOptions::passing(config, args.seed, args.traffic, scratch.path()))
         .await
         .map_err(run::with_exit)?;
-    let mut town = sight::town(drive.bridge(), args.seed);
+    let mut eyes = Vec::new();
+    for (&weather, detector) in weathers.iter().zip(detectors) {
+        let look = Eyes::new(drive.assets().town(), CameraConfig::sized(width, height), detector)
+            .map_err(|e| Exit::Input.because(e))?;
+        let mut look = look.with_outputs(outputs);
+        look.reset(weather, args.seed);
+        eyes.push(look);
+    }
     let bar = progress(args.ticks);
     let mut respawns = 0;
     for tick in 0..args.ticks {
         drive.tick().await.map_err(run::with_exit)?;
-        sight::follow(&mut town, drive.ego());
-        let now = drive.summary("survived", false).respawns;
-        for (index, eye) in eyes.iter_mut().enumerate() {
+        let now = drive.respawns();
+        for (index, (eyes, &weather)) in eyes.iter_mut().zip(weathers).enumerate() {
             if now != respawns {
-                eye.perception.reset(args.seed);
+                eyes.reset(weather, args.seed);
             }
-            let needs = eye.perception.needs();
-            let outputs = Outputs { boxes: needs.boxes || outputs.boxes, ..outputs };
-            let pose = drive.ego().state().pose;
-            eye.camera.render(town.scene(), town.actors(), &pose, &eye.weather, outputs);
-            let facts = EgoFacts::of(drive.bridge().network(), drive.ego(), drive.bridge().tick());
-            eye.perception.perceive(eye.camera.frame(), &facts)?;
-            look(index, eye, &town, &drive)?;
+            eyes.follow(drive.ego().world());
+            eyes.look(&EgoFacts::of(drive.bridge().network(), drive.ego(), drive.bridge().tick()))?;
+            if let (Some(frame), Some(perception)) = (eyes.frame(), eyes.perception()) {
+                score(index, frame, perception, &drive);
+            }
         }
         respawns = now;
         match &bar {
@@ -114,7 +101,7 @@ async fn drive(
     if let Some(bar) = bar {
         bar.finish_and_clear();
     }
-    drive.finish("survived", false).await.map_err(run::with_exit)?;
+    drive.finish(false).await.map_err(run::with_exit)?;
     Ok(())
 }
 
@@ -131,14 +118,13 @@ const STANDS: f64 = 0.3;
 pub async fn lanes(args: Args) -> anyhow::Result<Exit> {
     let mut scores = vec![LaneScore::default(); args.weather.len()];
     let outputs = Outputs { semantic: true, ..Outputs::RGB };
-    drive(&args, &args.weather, outputs, &mut |index, eye, _, drive| {
+    drive(&args, &args.weather, outputs, &mut |index, frame, perception, drive| {
         let facts = EgoFacts::of(drive.bridge().network(), drive.ego(), drive.bridge().tick());
         if facts.on_route.state.speed > STANDS
-            && let Some(truth) = LaneTruth::find(&facts, eye.perception.ground(), eye.camera.frame())
+            && let Some(truth) = LaneTruth::find(&facts, perception.ground(), frame)
         {
-            scores[index].add(&eye.perception.percept().lanes, &truth);
+            scores[index].add(&perception.percept().lanes, &truth);
         }
-        Ok(())
     })
     .await?;
     let say = |line: &str| if args.json { eprintln!("{line}") } else { println!("{line}") };
@@ -183,14 +169,12 @@ pub async fn lead(args: Args) -> anyhow::Result<Exit> {
     let mut score = LeadScore::default();
     let outputs = Outputs { boxes: true, ..Outputs::RGB };
     let weather = args.weather.first().copied().unwrap_or_default();
-    drive(&args, &[weather], outputs, &mut |_, eye, _, drive| {
+    drive(&args, &[weather], outputs, &mut |_, frame, perception, drive| {
         let ego = drive.ego();
         let facts = EgoFacts::of(drive.bridge().network(), ego, drive.bridge().tick());
         if facts.on_route.state.speed > STANDS {
-            let truth = LeadTruth::find(&facts, ego.world(), eye.camera.frame());
-            score.add(truth, eye.perception.percept().lead);
+            score.add(LeadTruth::find(&facts, ego.world(), frame), perception.percept().lead);
         }
-        Ok(())
     })
     .await?;
     let report = score.report();

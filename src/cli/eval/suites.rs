@@ -310,9 +310,13 @@ fn seconds(given: f64) -> anyhow::Result<Duration> {
 /// The error with the exit code that belongs to it.
 pub fn with_exit(error: EvalError) -> anyhow::Error {
     let exit = match &error {
-        EvalError::Env(env) | EvalError::Driver(DriverError::Env(env)) if env.is_input() => Exit::Input,
-        EvalError::Env(env) | EvalError::Driver(DriverError::Env(env)) if env.is_sumo() => Exit::Sumo,
-        EvalError::Driver(DriverError::Unknown { .. } | DriverError::Constant { .. }) => Exit::Input,
+        EvalError::Env(env) if env.is_input() => Exit::Input,
+        EvalError::Env(env) if env.is_sumo() => Exit::Sumo,
+        EvalError::Assets(assets) if assets.is_input() => Exit::Input,
+        EvalError::Assets(_) => Exit::Sumo,
+        EvalError::Driver(
+            DriverError::Unknown { .. } | DriverError::Constant { .. } | DriverError::Manual,
+        ) => Exit::Input,
         EvalError::Store(StoreError::File { .. }) => Exit::Other,
         EvalError::Store(_) => Exit::Input,
         #[cfg(feature = "learn")]

@@ -13,6 +13,7 @@ use wad_cosim::agent::policy::{PolicyError, find_encoder};
 use wad_cosim::agent::sac::SacParams;
 use wad_cosim::agent::td3::Td3Params;
 use wad_cosim::env::{Assets, Env, EnvError, EnvOptions};
+use wad_cosim::eyes::EyesError;
 use wad_cosim::latent::{Encoder, TchEncoder};
 use wad_cosim::tasks::Curriculum;
 use wad_cosim::train::agent::{Limits, Maker, Progress, TrainConfig, TrainError, Trained, train};
@@ -227,10 +228,10 @@ pub fn default_collectors() -> usize {
 
 /// Makes environments in `town` with the encoder called `name`.
 pub fn maker(name: &str, town: &str) -> anyhow::Result<Maker> {
-    let assets = Assets::load(town).map_err(|e| with_exit(TrainError::Env(e)))?;
+    let assets = Assets::load(town).map_err(|e| with_exit(TrainError::Env(e.into())))?;
     let name = name.to_string();
     Ok(Maker {
-        encoder: Box::new(move || Ok(find_encoder(&name)?)),
+        encoder: Box::new(move || find_encoder(&name).map_err(|e| EyesError::from(e).into())),
         env: Box::new(move |options: EnvOptions, encoder: Box<dyn Encoder>| -> Result<Env, EnvError> {
             Env::new(assets.clone(), options, encoder)
         }),

@@ -12,6 +12,7 @@ use crate::agent::action::{self, ACTION_SIZE, Action};
 use crate::agent::replay_buffer::{SEGMENT, Segment};
 use crate::agent::replay_files::write_whole;
 use crate::dataset::image_codec::{decode_png, encode_png};
+use crate::eyes::EyesError;
 use crate::latent::Encoder;
 use crate::observation::{self, LATENT_SIZE, RAW_SIZE, RawState};
 use crate::perception::{TRANSFORMED_SIZE, TransformedImage};
@@ -145,7 +146,7 @@ pub fn load(
         let length = u32::from_le_bytes([length[0], length[1], length[2], length[3]]);
         let png = take(&mut rest, length as usize).map_err(failed)?;
         decode_png(png, side, side, image.bytes_mut()).map_err(|e| failed(Error::other(e)))?;
-        encoder.encode(&image, &mut latent).map_err(|e| TrainError::Env(e.into()))?;
+        encoder.encode(&image, &mut latent).map_err(|e| TrainError::Env(EyesError::from(e).into()))?;
         let raw = floats(&mut rest, RAW_SIZE).map_err(failed)?;
         observations.push([latent.as_slice(), &raw].concat());
     }

@@ -1,6 +1,9 @@
 //! How episodes end (spec.md "Ends"): the paper's hard termination, and the clock.
 
+use crate::bridge::Ego;
 use crate::criteria::Event;
+use crate::network::Network;
+use crate::tasks::{Placement, TaskKind};
 use crate::vehicle::PartnerKind;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -142,6 +145,51 @@ impl Termination {
             Event::Arrival => Some((End::Arrival, "the route's end".to_string())),
             _ => None,
         }
+    }
+}
+
+/// At the tick limit a task that wants progress counts as survived from this share of the route on.
+const PROGRESS: f64 = 0.5;
+/// The obstacle task wants the ego to stand so far before it (m).
+const STAND: std::ops::RangeInclusive<f64> = 1.0..=10.0;
+/// Below this the ego stands (m/s).
+const STANDING: f64 = 0.3;
+/// An ending that is no matter of the clock.
+pub fn ending(task: TaskKind, end: End, cause: String) -> Ending {
+    Ending { end, cause, success: end == End::Arrival && task != TaskKind::Obstacle }
+}
+
+/// How an episode ends whose clock has run out after `ticks`.
+pub fn judge_limit(
+    task: TaskKind,
+    placement: &Placement,
+    ticks: u64,
+    network: &Network,
+    ego: &Ego,
+) -> Ending {
+    let at = ego.on_route();
+    let share = at.s / ego.route().length().max(1.0);
+    let ending = |success: bool, cause: String| Ending {
+        end: if success { End::Survived } else { End::Timeout },
+        cause,
+        success,
+    };
+    match task {
+        TaskKind::Composite => ending(true, format!("alive after {ticks} ticks")),
+        TaskKind::Navigation => ending(false, format!("{:.0} % of the route driven", 100.0 * share)),
+        TaskKind::Obstacle => {
+            let obstacle = placement.obstacle.as_ref().and_then(|o| o.at.on(network).ok());
+            let way = obstacle.map_or(0.0, |at| {
+                let place = network.lane(at.lane).shape.at(at.s).xy();
+                ego.route().centre_line.project(place).s
+            });
+            let gap = way - at.s - 0.5 * ego.params().length;
+            let stands = at.state.speed.abs() < STANDING;
+            let cause =
+                format!("{} {gap:.1} m before the obstacle", if stands { "standing" } else { "moving" });
+            ending(stands && STAND.contains(&gap), cause)
+        }
+        _ => ending(share >= PROGRESS, format!("{:.0} % of the route driven", 100.0 * share)),
     }
 }
 

@@ -1,13 +1,12 @@
-//! What all environments in a town share: it is read and built once.
+//! A town, read and built once, shared by all that drive or look in it.
 
-use super::EnvError;
-use crate::bundled;
+use crate::bundled::{self, ResolveError};
 use crate::camera::Town;
-use crate::network::{Network, Shapes};
-use crate::scenario::{self, Scenario};
-use crate::sumo_config::{OptionSchema, SumoConfig};
+use crate::network::{Network, NetworkError, Shapes};
+use crate::scenario::{self, Scenario, ScenarioError};
+use crate::sumo_config::{ConfigError, OptionSchema, SumoConfig};
 use crate::tasks::{Placement, Places, TaskError, TaskKind};
-use crate::traci::process::SumoInstall;
+use crate::traci::process::{InstallError, SumoInstall};
 use crate::vehicle::{self, StaticBody};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
@@ -28,18 +27,48 @@ pub struct Assets {
     town: OnceLock<Town>,
 }
 
-/// Every town looks the same in every run: weights are trained on that look.
+/// Every town looks the same in every run, picture and data set: weights are trained on that look.
 const LOOK: u64 = 0;
 
+/// Why there is no such town.
+#[derive(Debug, thiserror::Error)]
+pub enum AssetsError {
+    #[error(transparent)]
+    Resolve(#[from] ResolveError),
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    #[error(transparent)]
+    Network(#[from] NetworkError),
+    #[error(transparent)]
+    Install(#[from] InstallError),
+    #[error(transparent)]
+    Scenario(#[from] ScenarioError),
+}
+
+impl AssetsError {
+    /// True where the user's input is at fault, not SUMO.
+    pub fn is_input(&self) -> bool {
+        !matches!(self, Self::Install(_))
+    }
+}
+
 impl Assets {
-    /// The town of a CONFIG: a .sumocfg, a .net.xml(.gz), a folder or a bundled name.
+    /// The town of a CONFIG: a .sumocfg, a .net.xml(.gz), a folder or a bundled name; with its scenario, where
+    /// it is one.
     ///
     /// # Errors
     /// There is no such town, or its network is broken.
-    pub fn load(config: &str) -> Result<Arc<Self>, EnvError> {
-        let config = bundled::resolve(config)?;
+    pub fn load(config: &str) -> Result<Arc<Self>, AssetsError> {
+        Self::open(&bundled::resolve(config)?, true)
+    }
+
+    /// The town of a .sumocfg or .net.xml(.gz); `plays`: with its scenario, where it is one.
+    ///
+    /// # Errors
+    /// As [`Assets::load`].
+    pub fn open(config: &Path, plays: bool) -> Result<Arc<Self>, AssetsError> {
         let schema = OptionSchema::cached(&SumoInstall::find()?, false)?;
-        let loaded = SumoConfig::load(&config, &schema)?;
+        let loaded = SumoConfig::load(config, &schema)?;
         let net_file = loaded.net_file()?;
         let network = Network::load(&net_file)?;
         let net_hash = hash(&net_file);
@@ -54,12 +83,12 @@ impl Assets {
                 Err(error) => tracing::warn!("no polygons from an additional file: {error}"),
             }
         }
-        let scenario = match scenario::has_ego(&loaded) {
+        let scenario = match plays && scenario::has_ego(&loaded) {
             true => Some(Arc::new(scenario::inspect_on(&loaded, &network).into_scenario()?)),
             false => None,
         };
         Ok(Arc::new(Self {
-            config,
+            config: config.to_path_buf(),
             net_hash,
             name: loaded.name(),
             town_name: loaded.town(),
@@ -130,7 +159,13 @@ impl Assets {
 
     /// The town as cameras see it, to be followed on its own; what stands is shared.
     pub fn town(&self) -> Town {
-        self.town.get_or_init(|| Town::new(&self.network, &self.shapes, LOOK)).share()
+        self.town.get_or_init(|| self.town_with(LOOK)).share()
+    }
+
+    /// The town with another look (colours, façades, trees) than the one that agents know: variety for a detector's
+    /// training.
+    pub fn town_with(&self, look: u64) -> Town {
+        Town::new(&self.network, &self.shapes, look)
     }
 }
 
