@@ -74,10 +74,11 @@ pub mod sight;
 pub mod sumo_config;
 pub mod tasks;
 pub mod telemetry;
-pub mod traci;
 pub mod traffic;
 pub mod train;
 pub mod vehicle;
 pub mod view;
 pub mod watch;
 pub mod world;
+
+pub use sumo_traci as traci;

@@ -1,7 +1,7 @@
 //! The client against servers that do what servers should not.
 
-use crate::traci::client::{API_VERSION, DEFAULT_TIMEOUT};
-use crate::traci::*;
+use crate::client::{API_VERSION, DEFAULT_TIMEOUT};
+use crate::*;
 use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex};
 

@@ -7,7 +7,7 @@
 //! of the connection.
 //!
 //! ```no_run
-//! use wad_cosim::traci::{Batch, LaunchOptions, SumoProcess, person, simulation, vehicle};
+//! use sumo_traci::{Batch, LaunchOptions, SumoProcess, person, simulation, vehicle};
 //!
 //! # async fn example() -> Result<(), Box<dyn std::error::Error>> {
 //! let mut options = LaunchOptions::config("town.sumocfg").option("collision.action", "warn");
@@ -55,6 +55,7 @@
 //! Units are SUMO's: m, s, m/s, degrees clockwise from north, positions of front bumpers.
 
 pub mod batch;
+pub mod cache;
 pub mod client;
 pub mod codec;
 pub mod connection;

@@ -2,9 +2,9 @@
 
 use super::vehicle::{DrivingDistance, MoveToXy};
 use super::{RemoveReason, Stage};
-use crate::traci::codec::{Decode, DecodeError, Reader};
-use crate::traci::types::{Color, Position2D, Position3D, RoadPosition};
-use crate::traci::{Batch, Query, Ticket, Variable};
+use crate::codec::{Decode, DecodeError, Reader};
+use crate::types::{Color, Position2D, Position3D, RoadPosition};
+use crate::{Batch, Query, Ticket, Variable};
 
 domain!(
     /// The person domain.

@@ -1,8 +1,8 @@
 //! A stage of a person's plan, or of a route that SUMO has found.
 
 use super::{INVALID_DOUBLE, INVALID_INT};
-use crate::traci::codec::{Decode, DecodeError, Reader};
-use crate::traci::variable::Argument;
+use crate::codec::{Decode, DecodeError, Reader};
+use crate::variable::Argument;
 
 /// What is done in a stage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -2,8 +2,8 @@
 
 pub use super::vehicle_structs::*;
 use super::{INVALID_DOUBLE, RemoveReason};
-use crate::traci::types::{Color, Position2D, Position3D, RoadPosition};
-use crate::traci::{Batch, Query, Ticket, Variable};
+use crate::types::{Color, Position2D, Position3D, RoadPosition};
+use crate::{Batch, Query, Ticket, Variable};
 
 domain!(
     /// The vehicle domain.
@@ -57,7 +57,7 @@ variables! { Vehicle:
     /// See SUMO's routing modes.
     ROUTING_MODE: i32 = 0x89;
     COLOR: Color = 0x45;
-    /// Bit set, see [`crate::world::VehicleSignals`].
+    /// Bit set: 1 right blinker, 2 left blinker, 8 brake light, and more (see SUMO's vehicle signalling).
     SIGNALS: i32 = 0x5b;
     /// s.
     DEPARTURE: f64 = 0x3a;

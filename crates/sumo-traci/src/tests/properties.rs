@@ -1,10 +1,10 @@
 //! What must hold for all values and all garbage.
 
-use crate::traci::codec::{Decode, Encode, Reader};
-use crate::traci::domains::{KeyValue, Stage, person, traffic_light, vehicle};
-use crate::traci::replies::Replies;
-use crate::traci::simulation::Collision;
-use crate::traci::*;
+use crate::codec::{Decode, Encode, Reader};
+use crate::domains::{KeyValue, Stage, person, traffic_light, vehicle};
+use crate::replies::Replies;
+use crate::simulation::Collision;
+use crate::*;
 use bytes::Bytes;
 use proptest::prelude::*;
 

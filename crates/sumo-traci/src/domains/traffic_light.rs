@@ -1,8 +1,8 @@
 //! Traffic lights: state strings, programs, and what they control.
 
-use crate::traci::codec::{Decode, DecodeError, Reader, put_compound};
-use crate::traci::variable::Argument;
-use crate::traci::{Batch, Query, Ticket, Variable};
+use crate::codec::{Decode, DecodeError, Reader, put_compound};
+use crate::variable::Argument;
+use crate::{Batch, Query, Ticket, Variable};
 
 domain!(
     /// The traffic light domain. SUMO has no context subscriptions to it.
@@ -138,7 +138,7 @@ impl Decode for Vec<Program> {
     }
 }
 
-impl crate::traci::codec::Encode for Program {
+impl crate::codec::Encode for Program {
     type Arg<'a> = &'a Program;
     fn encode(program: &Program, out: &mut Vec<u8>) {
         put_compound(out, 5);

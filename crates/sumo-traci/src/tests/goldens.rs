@@ -1,8 +1,8 @@
 //! Bytes written by hand from the protocol's documentation.
 
-use crate::traci::codec::{Decode, DecodeError, Encode};
-use crate::traci::domains::{KeyValue, vehicle::Leader};
-use crate::traci::*;
+use crate::codec::{Decode, DecodeError, Encode};
+use crate::domains::{KeyValue, vehicle::Leader};
+use crate::*;
 
 /// Hex digits, blanks between them as one likes.
 fn hex(text: &str) -> Vec<u8> {

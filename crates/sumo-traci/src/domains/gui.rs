@@ -1,7 +1,7 @@
 //! sumo-gui's views. The first one is called [`MAIN_VIEW`].
 
-use crate::traci::types::Position2D;
-use crate::traci::{Batch, Query, Ticket, Variable};
+use crate::types::Position2D;
+use crate::{Batch, Query, Ticket, Variable};
 
 domain!(
     /// The GUI domain: only sumo-gui has it.

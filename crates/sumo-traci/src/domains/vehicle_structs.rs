@@ -1,8 +1,8 @@
 //! What vehicle variables and commands carry.
 
 use super::INVALID_DOUBLE;
-use crate::traci::codec::{Decode, DecodeError, Encode, Reader, tag};
-use crate::traci::variable::Argument;
+use crate::codec::{Decode, DecodeError, Encode, Reader, tag};
+use crate::variable::Argument;
 
 /// A vehicle ahead or behind.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,7 +1,7 @@
 //! Vehicle types, of persons too.
 
-use crate::traci::types::Color;
-use crate::traci::{Batch, Ticket};
+use crate::types::Color;
+use crate::{Batch, Ticket};
 
 domain!(
     /// The vehicle type domain.

@@ -1,7 +1,7 @@
 //! Polygons.
 
-use crate::traci::types::{Color, Position2D};
-use crate::traci::{Batch, Ticket};
+use crate::types::{Color, Position2D};
+use crate::{Batch, Ticket};
 
 domain!(
     /// The polygon domain.

@@ -1,6 +1,6 @@
 //! Routes: named lists of edges.
 
-use crate::traci::{Batch, Ticket};
+use crate::{Batch, Ticket};
 
 domain!(
     /// The route domain.

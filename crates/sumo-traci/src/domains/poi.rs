@@ -1,7 +1,7 @@
 //! Points of interest.
 
-use crate::traci::types::{Color, Position2D};
-use crate::traci::{Batch, Ticket};
+use crate::types::{Color, Position2D};
+use crate::{Batch, Ticket};
 
 domain!(
     /// The point-of-interest domain.

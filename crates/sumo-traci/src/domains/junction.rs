@@ -1,6 +1,6 @@
 //! Junctions.
 
-use crate::traci::types::{Position2D, Position3D};
+use crate::types::{Position2D, Position3D};
 
 domain!(
     /// The junction domain.

@@ -53,7 +53,7 @@ impl SumoInstall {
             let found = candidate(home.into(), "WAD_COSIM_SUMO_HOME");
             return found.ok_or(InstallError::NotFound { looked });
         }
-        let cached = crate::bundled::cache_in(&variable).map(|cache| cache.join("sumo-1.28.0/sumo"));
+        let cached = crate::cache::cache_in(&variable).map(|cache| cache.join("sumo-1.28.0/sumo"));
         if let Some(install) = cached.and_then(|home| candidate(home, "the cache folder")) {
             return Ok(install);
         }

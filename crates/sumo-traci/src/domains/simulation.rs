@@ -1,10 +1,10 @@
 //! The simulation as a whole. Ids are "" here.
 
 use super::{INVALID_DOUBLE, Stage};
-use crate::traci::codec::{Decode, DecodeError, Reader};
-use crate::traci::types::{GeoPosition, Position2D, Position3D, RoadPosition};
-use crate::traci::variable::Argument;
-use crate::traci::{Query, Variable};
+use crate::codec::{Decode, DecodeError, Reader};
+use crate::types::{GeoPosition, Position2D, Position3D, RoadPosition};
+use crate::variable::Argument;
+use crate::{Query, Variable};
 
 domain!(
     /// The simulation domain.

@@ -1,8 +1,8 @@
 //! Lanes of edges; crossings and walkingareas have one each.
 
 use super::vehicle::NextLink;
-use crate::traci::types::Position2D;
-use crate::traci::{Batch, Query, Ticket, Variable};
+use crate::types::Position2D;
+use crate::{Batch, Query, Ticket, Variable};
 
 domain!(
     /// The lane domain.

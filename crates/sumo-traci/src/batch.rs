@@ -56,7 +56,7 @@ pub(super) struct Command {
 /// Commands that travel in one message. Reuse it with [`Batch::clear`]: it then allocates nothing.
 ///
 /// ```
-/// use wad_cosim::traci::{Batch, vehicle};
+/// use sumo_traci::{Batch, vehicle};
 /// let mut batch = Batch::new();
 /// let speed = batch.get(vehicle::SPEED, "ego");   // redeemed when the reply is there
 /// batch.set(vehicle::SET_SPEED, "other", 3.0);

@@ -1,6 +1,6 @@
 //! Edges: roads between two junctions.
 
-use crate::traci::{Batch, Query, Ticket, Variable};
+use crate::{Batch, Query, Ticket, Variable};
 
 domain!(
     /// The edge domain.

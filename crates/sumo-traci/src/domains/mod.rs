@@ -7,37 +7,37 @@ macro_rules! domain {
         #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
         pub struct $domain;
 
-        impl $crate::traci::variable::Domain for $domain {
+        impl $crate::variable::Domain for $domain {
             const NAME: &'static str = $name;
             const GET: u8 = $get;
         }
 
         /// Ids of all objects of this domain (ask with id "").
-        pub const ID_LIST: $crate::traci::Variable<$domain, Vec<String>> =
-            $crate::traci::Variable::new(0x00, "id_list");
+        pub const ID_LIST: $crate::Variable<$domain, Vec<String>> =
+            $crate::Variable::new(0x00, "id_list");
         /// Number of objects of this domain (ask with id "").
-        pub const ID_COUNT: $crate::traci::Variable<$domain, i32> =
-            $crate::traci::Variable::new(0x01, "id_count");
+        pub const ID_COUNT: $crate::Variable<$domain, i32> =
+            $crate::Variable::new(0x01, "id_count");
 
         /// A generic parameter by its key; empty where it is not set.
-        pub const fn parameter(key: &str) -> $crate::traci::Query<$domain, String, &str> {
-            $crate::traci::Variable::new(0x7e, "parameter").with(key)
+        pub const fn parameter(key: &str) -> $crate::Query<$domain, String, &str> {
+            $crate::Variable::new(0x7e, "parameter").with(key)
         }
 
         /// A generic parameter with its key: the form to subscribe to.
         pub const fn parameter_with_key(
             key: &str,
-        ) -> $crate::traci::Query<$domain, $crate::traci::domains::KeyValue, &str> {
-            $crate::traci::Variable::new(0x3e, "parameter_with_key").with(key)
+        ) -> $crate::Query<$domain, $crate::domains::KeyValue, &str> {
+            $crate::Variable::new(0x3e, "parameter_with_key").with(key)
         }
 
         /// Sets a generic parameter.
         pub fn set_parameter(
-            batch: &mut $crate::traci::Batch,
+            batch: &mut $crate::Batch,
             id: &str,
             key: &str,
             value: &str,
-        ) -> $crate::traci::Ticket<()> {
+        ) -> $crate::Ticket<()> {
             batch.set_raw($domain, 0x7e, "parameter", id, (key, value))
         }
     };
@@ -48,8 +48,8 @@ macro_rules! variables {
     ($domain:ident: $($(#[$doc:meta])* $name:ident: $type:ty = $code:literal;)*) => {
         $(
             $(#[$doc])*
-            pub const $name: $crate::traci::Variable<$domain, $type> =
-                $crate::traci::Variable::new($code, stringify!($name));
+            pub const $name: $crate::Variable<$domain, $type> =
+                $crate::Variable::new($code, stringify!($name));
         )*
     };
 }
@@ -59,8 +59,8 @@ macro_rules! setters {
     ($domain:ident: $($(#[$doc:meta])* $name:ident: $type:ty = $code:literal;)*) => {
         $(
             $(#[$doc])*
-            pub const $name: $crate::traci::Setter<$domain, $type> =
-                $crate::traci::Setter::new($code, stringify!($name));
+            pub const $name: $crate::Setter<$domain, $type> =
+                $crate::Setter::new($code, stringify!($name));
         )*
     };
 }
