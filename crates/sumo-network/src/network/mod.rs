@@ -19,8 +19,8 @@ mod route_search;
 mod route_tests;
 mod smooth;
 mod spatial;
-#[cfg(test)]
-pub(crate) mod testing;
+#[doc(hidden)]
+pub mod testing;
 mod xml;
 
 pub use error::NetworkError;

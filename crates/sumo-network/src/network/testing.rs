@@ -7,7 +7,7 @@
 use super::*;
 
 /// The net's text, with lane `ab_0`'s further attributes.
-pub(crate) fn text(ab_0: &str) -> String {
+pub fn text(ab_0: &str) -> String {
     format!(
         r#"<?xml version="1.0" encoding="UTF-8"?>
 <net version="1.20">
@@ -40,16 +40,16 @@ pub(crate) fn text(ab_0: &str) -> String {
 }
 
 /// The net.
-pub(crate) fn net() -> Network {
+pub fn net() -> Network {
     parsed(&text("")).unwrap()
 }
 
 /// A net from text, called `test.net.xml`.
-pub(crate) fn parsed(text: &str) -> Result<Network, NetworkError> {
+pub fn parsed(text: &str) -> Result<Network, NetworkError> {
     Network::from_xml(Path::new("test.net.xml"), text)
 }
 
 /// A place by SUMO's lane id and arc length (m).
-pub(crate) fn place(network: &Network, lane: &str, s: f64) -> LanePosition {
+pub fn place(network: &Network, lane: &str, s: f64) -> LanePosition {
     LanePosition { lane: network.lane_by_id(lane).unwrap(), s }
 }
