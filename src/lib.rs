@@ -73,9 +73,9 @@ pub mod tasks;
 pub mod telemetry;
 pub mod traffic;
 pub mod train;
-pub mod vehicle;
 pub mod view;
 pub mod watch;
 
 pub use sumo_network::{geometry, network, seeds, world};
 pub use sumo_traci as traci;
+pub use wad_vehicle as vehicle;

@@ -1,8 +1,8 @@
 //! The ego on an empty plane, against theory.
 
 use super::*;
-use crate::geometry::{Pose, direction};
 use std::f64::consts::PI;
+use sumo_network::geometry::{Pose, direction};
 
 const TICK: f64 = 0.167;
 const COAST: Control = Control { throttle: 0.0, steer: 0.0, brake: 0.0 };
@@ -340,7 +340,7 @@ fn acceleration_and_velocities_fit_together() {
         let after = ego.state();
         assert!((after.acceleration - (after.speed - before.speed) / TICK).abs() < 1e-9);
         let ahead = direction(after.pose.heading);
-        let left = crate::geometry::Vector::new(-ahead.y, ahead.x);
+        let left = sumo_network::geometry::Vector::new(-ahead.y, ahead.x);
         assert!((ahead * after.speed + left * after.lateral_speed - after.velocity).norm() < 1e-9);
         assert!(after.steer_angle.abs() <= EgoParams::default().max_steer_angle);
     }

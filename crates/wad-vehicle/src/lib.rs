@@ -33,8 +33,8 @@ pub use params::{EgoParams, GRAVITY, ParamsError};
 pub use roadside::from_network as statics_from_network;
 pub use statics::{StaticBody, StaticKind};
 
-use crate::geometry::{Pose, Vector};
 use serde::{Deserialize, Serialize};
+use sumo_network::geometry::{Pose, Vector};
 
 /// One tick's control, as CARLA has it. Brake wins over throttle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]

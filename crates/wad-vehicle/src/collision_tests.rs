@@ -1,9 +1,9 @@
 //! The ego among other road users, walls and kerbs.
 
 use super::*;
-use crate::geometry::{Point, Pose, Vector};
 use proptest::prelude::*;
 use std::f64::consts::FRAC_PI_2;
+use sumo_network::geometry::{Point, Pose, Vector};
 
 const COAST: Control = Control { throttle: 0.0, steer: 0.0, brake: 0.0 };
 const FULL_THROTTLE: Control = Control { throttle: 1.0, ..COAST };

@@ -3,9 +3,9 @@
 
 use super::statics::{StaticKind, Statics, same_level};
 use super::{GRAVITY, MovingBody, PartnerKind};
-use crate::geometry::{Point, direction};
 use rapier3d::prelude::*;
 use std::collections::BTreeMap;
+use sumo_network::geometry::{Point, direction};
 
 /// Fixed bodies within this distance (m) are in the physics world ...
 const STATIC_RADIUS: f64 = 40.0;
@@ -78,7 +78,7 @@ struct Mover {
 pub(super) struct Reach {
     /// The ego's centre (m), velocity (m/s) and bounding radius (m).
     pub(super) ego: Point,
-    pub(super) velocity: crate::geometry::Vector,
+    pub(super) velocity: sumo_network::geometry::Vector,
     pub(super) radius: f64,
     /// The tick (s).
     pub(super) duration: f64,

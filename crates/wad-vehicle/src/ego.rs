@@ -6,7 +6,7 @@ use super::contacts::{ContactLog, PedestrianStrikes};
 use super::statics::Statics;
 use super::surroundings::Reach;
 use super::{Contact, Control, EgoParams, EgoState, MovingBody, PartnerKind, StaticBody};
-use crate::geometry::{Pose, direction};
+use sumo_network::geometry::{Pose, direction};
 
 /// Sub-steps per second.
 const SUB_STEPS: f64 = 60.0;
@@ -19,8 +19,8 @@ const OVERTURNED_FOR: f64 = 1.0;
 /// inputs give equal states bit for bit, on a new ego and after [`EgoVehicle::respawn`] alike.
 ///
 /// ```
-/// use wad_cosim::geometry::Pose;
-/// use wad_cosim::vehicle::{Control, EgoParams, EgoVehicle};
+/// use sumo_network::geometry::Pose;
+/// use wad_vehicle::{Control, EgoParams, EgoVehicle};
 ///
 /// let mut ego = EgoVehicle::new(EgoParams::default(), Pose::new(0.0, 0.0, 0.0, 0.0), 0.0);
 /// for _ in 0..12 {

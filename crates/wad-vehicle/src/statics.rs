@@ -4,11 +4,11 @@ pub use super::roadside::from_network;
 
 use super::outline::convex_pieces;
 use super::surroundings::OBSTACLE_SPAN;
-use crate::geometry::Point;
 use rapier3d::prelude::{Rotation, SharedShape, Vector};
 use rstar::primitives::{GeomWithData, Rectangle};
 use rstar::{AABB, RTree};
 use serde::{Deserialize, Serialize};
+use sumo_network::geometry::Point;
 
 /// What a fixed body is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -111,8 +111,9 @@ pub(super) fn same_level(a: Option<f64>, b: Option<f64>) -> bool {
 
 /// A convex, counter-clockwise part of `body` as a physics shape.
 fn piece(index: usize, body: &StaticBody, outline: &[Point]) -> Option<Piece> {
-    let centre =
-        Point::from(outline.iter().map(|p| p.coords).sum::<crate::geometry::Vector>() / outline.len() as f64);
+    let centre = Point::from(
+        outline.iter().map(|p| p.coords).sum::<sumo_network::geometry::Vector>() / outline.len() as f64,
+    );
     let kerb = body.kind == StaticKind::Kerb;
     let (bottom, top) = if kerb || body.bottom > FOOT {
         (body.bottom, body.top)
@@ -155,7 +156,7 @@ fn widened(outline: &[Point], by: f64) -> Vec<Point> {
             let p = outline[i];
             let before = (p - outline[(i + n - 1) % n]).normalize();
             let after = (outline[(i + 1) % n] - p).normalize();
-            let normal = |d: crate::geometry::Vector| crate::geometry::Vector::new(d.y, -d.x);
+            let normal = |d: sumo_network::geometry::Vector| sumo_network::geometry::Vector::new(d.y, -d.x);
             let sum = normal(before) + normal(after);
             p + sum * (by / (1.0 + before.dot(&after)).max(0.5))
         })
@@ -167,10 +168,10 @@ mod tests {
     use super::*;
 
     fn rectangle(x: f64, y: f64, length: f64, width: f64, heading: f64) -> Vec<Point> {
-        let pose = crate::geometry::Pose::new(x, y, 0.0, heading);
+        let pose = sumo_network::geometry::Pose::new(x, y, 0.0, heading);
         [(0.5, 0.5), (-0.5, 0.5), (-0.5, -0.5), (0.5, -0.5)]
             .iter()
-            .map(|(i, j)| pose.to_world(crate::geometry::Vector::new(i * length, j * width)))
+            .map(|(i, j)| pose.to_world(sumo_network::geometry::Vector::new(i * length, j * width)))
             .collect()
     }
 

@@ -9,9 +9,9 @@ use super::statics::Statics;
 use super::surroundings::{EGO, GROUND, KERB, OBSTACLE, Owner, Reach, Surroundings, WHEEL_RAY, groups};
 use super::tyres::Tyre;
 use super::{EgoParams, GRAVITY, MovingBody, PartnerKind};
-use crate::geometry::{self, Point, direction};
 use rapier3d::control::{DynamicRayCastVehicleController, WheelTuning};
 use rapier3d::prelude::*;
+use sumo_network::geometry::{self, Point, direction};
 
 /// The ego further than this from the world's origin moves the origin (m): single precision is then
 /// still better than 0.02 mm.

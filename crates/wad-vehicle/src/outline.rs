@@ -1,6 +1,6 @@
 //! Simple polygons cut into convex ones, for a physics engine that only knows those.
 
-use crate::geometry::Point;
+use sumo_network::geometry::Point;
 
 /// The convex pieces of a simple polygon, counter-clockwise each. Fewer than three corners,
 /// or no area, give none. A polygon that crosses itself gives pieces that cover most of it.

@@ -1,8 +1,8 @@
 //! The fixed bodies of a town, from its network and its polygons.
 
 use super::statics::{KERB_RAMP, StaticBody, StaticKind};
-use crate::geometry::{Point, Pose, Vector};
-use crate::network::{Edge, EdgeKind, Lane, LaneId, Network, Polygon, VehicleClass};
+use sumo_network::geometry::{Point, Pose, Vector};
+use sumo_network::network::{Edge, EdgeKind, Lane, LaneId, Network, Polygon, VehicleClass};
 
 /// Tops above the road (m).
 const BUILDING_HEIGHT: f64 = 9.0;

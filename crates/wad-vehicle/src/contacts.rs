@@ -1,7 +1,7 @@
 //! Who touched the ego, how hard and where.
 
 use super::{Contact, EgoParams, MovingBody, PartnerKind};
-use crate::geometry::{Pose, Vector};
+use sumo_network::geometry::{Pose, Vector};
 
 /// Contacts gathered over the sub-steps of a tick.
 #[derive(Default)]
