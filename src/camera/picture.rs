@@ -210,16 +210,12 @@ impl Picture {
     /// Whether [`Picture::save`] can write there: makes the folder, and leaves a file that is there as it is.
     ///
     /// # Errors
-    /// The name ends in neither .png nor .jpg, the file cannot be written, or it is a JPEG file and this
-    /// build has no OpenCV.
+    /// The name ends in neither .png nor .jpg, or the file cannot be written.
     pub fn can_save(path: &Path) -> io::Result<()> {
         let kind = extension(path);
         if path.is_dir() || !matches!(kind.as_deref(), Some("png" | "jpg" | "jpeg")) {
             let why = "no picture's name: expected a file that ends in .png or .jpg";
             return Err(io::Error::new(io::ErrorKind::InvalidInput, why));
-        }
-        if kind.as_deref() != Some("png") {
-            Self::new(8, 8).jpeg()?;
         }
         make_folder(path)?;
         let is_new = !path.exists();
@@ -230,7 +226,7 @@ impl Picture {
     /// Writes a PNG file, or a JPEG file where the name ends in .jpg or .jpeg.
     ///
     /// # Errors
-    /// The file cannot be written, or is a JPEG file and this build has no OpenCV.
+    /// The file cannot be written, or the picture is too large for JPEG.
     pub fn save(&self, path: &Path) -> io::Result<()> {
         make_folder(path)?;
         if matches!(extension(path).as_deref(), Some("jpg" | "jpeg")) {
@@ -263,33 +259,26 @@ impl Picture {
     /// The bytes of a JPEG file.
     ///
     /// # Errors
-    /// This build has no OpenCV, or OpenCV fails.
-    #[cfg(feature = "vision")]
+    /// A side is longer than JPEG's 65,535 pixels, or the pixels do not fit.
     pub fn jpeg(&self) -> io::Result<Vec<u8>> {
-        use opencv::core::{Mat, Vec3b, Vector};
-        use opencv::imgcodecs::{IMWRITE_JPEG_QUALITY, imencode};
-        let pixels: Vec<Vec3b> = self.rgb.chunks_exact(3).map(|p| Vec3b::from([p[2], p[1], p[0]])).collect();
-        let mut bytes = Vector::new();
-        Mat::new_rows_cols_with_data(self.height as i32, self.width as i32, &pixels)
-            .and_then(|mat| {
-                imencode(".jpg", &mat, &mut bytes, &Vector::from_slice(&[IMWRITE_JPEG_QUALITY, 85]))
+        let side = |pixels: usize| {
+            u16::try_from(pixels).map_err(|_| {
+                let why =
+                    format!("a JPEG file holds at most 65535 pixels a side, found {pixels}: write a .png");
+                io::Error::new(io::ErrorKind::InvalidInput, why)
             })
-            .map_err(|e| io::Error::other(format!("OpenCV cannot encode JPEG: {}", e.message)))?;
-        Ok(bytes.into())
-    }
-
-    /// Always an error: this build has no OpenCV.
-    ///
-    /// # Errors
-    /// See there.
-    #[cfg(not(feature = "vision"))]
-    pub fn jpeg(&self) -> io::Result<Vec<u8>> {
-        Err(io::Error::new(
-            io::ErrorKind::Unsupported,
-            "this build writes PNG files only: end the name with .png, or build with the feature `vision`",
-        ))
+        };
+        let (width, height) = (side(self.width)?, side(self.height)?);
+        let mut bytes = Vec::new();
+        jpeg_encoder::Encoder::new(&mut bytes, JPEG_QUALITY)
+            .encode(&self.rgb, width, height, jpeg_encoder::ColorType::Rgb)
+            .map_err(io::Error::other)?;
+        Ok(bytes)
     }
 }
+
+/// Quality of JPEG files, 0 to 100.
+const JPEG_QUALITY: u8 = 85;
 
 /// What the name ends in, in small letters.
 fn extension(path: &Path) -> Option<String> {
