@@ -47,7 +47,6 @@ pub mod bench;
 pub mod bench_tick;
 pub mod bridge;
 pub mod bundled;
-pub mod camera;
 pub mod clock;
 pub mod cores;
 pub mod cpu_time;
@@ -78,4 +77,5 @@ pub mod watch;
 
 pub use sumo_network::{geometry, network, seeds, world};
 pub use sumo_traci as traci;
+pub use wad_camera as camera;
 pub use wad_vehicle as vehicle;

@@ -1,0 +1,495 @@
+//! What a picture is made of: meshes, materials, models, chunks of the town, and the actors of a frame.
+//!
+//! The scene and actor builders fill these types; the renderer only reads them. World frame: x east,
+//! y north, z up, metres. Model frame: x forward, y left, z up, the origin on the ground in the middle
+//! of the footprint. Front faces are counter-clockwise seen from outside.
+
+use super::faces::Faces;
+use nalgebra::Point3;
+use sumo_network::geometry::Pose;
+use sumo_network::network::SignalIndex;
+
+/// Linear-light colour or reflectance, 0..1 per channel (red, green, blue).
+pub type Rgb = [f32; 3];
+
+/// A linear colour from 8-bit sRGB, as colour pickers show it.
+pub fn srgb(red: u8, green: u8, blue: u8) -> Rgb {
+    [red, green, blue].map(|c| (f32::from(c) / 255.0).powf(2.2))
+}
+
+/// A corner of a triangle.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Vertex {
+    /// m, in the chunk's or the model's frame.
+    pub position: [f32; 3],
+    /// Unit outward normal.
+    pub normal: [f32; 3],
+    /// Texture coordinates (m); what they mean is the [`Texture`]'s.
+    pub uv: [f32; 2],
+    /// Index into [`Model::bones`]; 0 where the model has none, and in chunks.
+    pub bone: u8,
+}
+
+/// Index into [`Library::materials`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct MaterialId(pub u16);
+
+/// Index into [`Library::models`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct ModelId(pub u16);
+
+/// Three corners, counter-clockwise seen from outside, and what they are made of.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Triangle {
+    /// Indices into [`Mesh::vertices`].
+    pub corners: [u32; 3],
+    pub material: MaterialId,
+}
+
+/// Triangles over shared vertices.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Mesh {
+    pub vertices: Vec<Vertex>,
+    pub triangles: Vec<Triangle>,
+    /// What the renderer draws; made of the triangles by [`Scene::index`].
+    pub(super) faces: Faces,
+}
+
+/// CARLA's semantic tags, by its numbers (0.9.14 and later).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[repr(u8)]
+pub enum SemanticTag {
+    #[default]
+    Unlabeled = 0,
+    Road = 1,
+    SideWalk = 2,
+    Building = 3,
+    Wall = 4,
+    Fence = 5,
+    Pole = 6,
+    TrafficLight = 7,
+    TrafficSign = 8,
+    Vegetation = 9,
+    Terrain = 10,
+    Sky = 11,
+    Pedestrian = 12,
+    Rider = 13,
+    Car = 14,
+    Truck = 15,
+    Bus = 16,
+    Train = 17,
+    Motorcycle = 18,
+    Bicycle = 19,
+    Static = 20,
+    Dynamic = 21,
+    Other = 22,
+    Water = 23,
+    RoadLine = 24,
+    Ground = 25,
+    Bridge = 26,
+    RailTrack = 27,
+    GuardRail = 28,
+}
+
+/// What a building's wall is made of between its windows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Wall {
+    Plaster,
+    Brick,
+    Concrete,
+    /// A curtain wall: glass with a thin grid.
+    Glass,
+}
+
+/// What the ground floor of a facade shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum GroundFloor {
+    /// Windows as above, with a door in every `door_every`-th bay.
+    Homes,
+    /// Wide shop windows with a fascia above.
+    Shops,
+    /// No openings.
+    Blank,
+}
+
+/// A grid of windows over a wall; `uv` = (m along the wall, m above the ground).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Facade {
+    pub wall: Wall,
+    pub ground_floor: GroundFloor,
+    /// Height of a storey and width of a bay (m). A bay holds one window in its middle.
+    pub storey: f32,
+    pub bay: f32,
+    /// Width and height of a window (m); 0 for a wall without windows.
+    pub window: [f32; 2],
+    /// Height of the sill above the storey's floor (m).
+    pub sill: f32,
+    /// A door in every n-th bay of the ground floor (0: none).
+    pub door_every: u32,
+    /// Colour of frames, doors and fascias.
+    pub trim: Rgb,
+    /// Share of windows lit when lamps are on.
+    pub lit_share: f32,
+    /// Varies which windows have curtains or light.
+    pub seed: u32,
+}
+
+/// The procedural pattern over a surface. Those that say `world` ignore uv and use the world's x, y.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Texture {
+    /// One colour, lit per vertex (smooth over shared normals). For actors and small things.
+    Plain,
+    /// World. Grain, patches and cracks by `wear` 0..1. Where `tracks`, uv = (m along the lane, m left
+    /// of the lane's centre) and the wheels' tracks show.
+    Asphalt { wear: f32, tracks: bool },
+    /// Slabs of `size` (m) with joints; uv = (m along, m across).
+    Paving { size: [f32; 2] },
+    /// World. Fine grain, stains.
+    Concrete,
+    /// World. Blades and patches.
+    Grass,
+    /// World. Earth or gravel.
+    Soil,
+    /// Windows, doors, storeys.
+    Facade(Facade),
+    /// World. Tiles or tar.
+    Roof,
+    /// Leaves: light and dark clumps; uv in metres on the surface.
+    Foliage,
+    /// Brick without openings; uv in metres.
+    Brick,
+    /// A licence plate or a sign's small print: dark marks on the albedo; uv 0..1 over the plate.
+    Plate,
+}
+
+/// What makes a surface shine by itself.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[repr(u8)]
+pub enum Channel {
+    /// Never.
+    #[default]
+    None = 0,
+    /// Always.
+    Always = 1,
+    Brake = 2,
+    /// Rear lamps: on with [`Lamps::HEAD`].
+    Head = 3,
+    Tail = 4,
+    BlinkLeft = 5,
+    BlinkRight = 6,
+    SignalRed = 7,
+    SignalYellow = 8,
+    SignalGreen = 9,
+    StreetLamp = 10,
+}
+
+/// The channels that shine on one instance (a bit set by [`Channel`]).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Lamps(pub u32);
+
+impl Lamps {
+    /// This set with `channel` in it.
+    #[must_use]
+    pub fn with(self, channel: Channel) -> Self {
+        Self(self.0 | 1 << channel as u32)
+    }
+    /// Whether `channel` shines.
+    pub fn has(self, channel: Channel) -> bool {
+        self.0 >> channel as u32 & 1 == 1
+    }
+}
+
+/// Where a material's colour comes from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Tint {
+    /// The material's albedo.
+    #[default]
+    Own,
+    /// The albedo times the instance's colour of this index (0..4).
+    Instance(u8),
+}
+
+/// What a triangle is made of.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Material {
+    /// For people who read a dump.
+    pub name: String,
+    /// Share of light reflected diffusely.
+    pub albedo: Rgb,
+    pub tint: Tint,
+    pub texture: Texture,
+    pub tag: SemanticTag,
+    /// Mirror-like reflection of sky and sun, 0 (chalk) .. 1 (glass, chrome).
+    pub gloss: f32,
+    /// How much the surface darkens and mirrors when wet, 0 (leaves) .. 1 (asphalt, where puddles form).
+    pub wetness: f32,
+    /// Colour emitted while `channel` shines (1 = as bright as sunlit white).
+    pub emission: Rgb,
+    pub channel: Channel,
+    /// Seen from both sides (leaves, sheets).
+    pub double_sided: bool,
+}
+
+impl Default for Material {
+    fn default() -> Self {
+        Self {
+            name: String::new(),
+            albedo: [0.5; 3],
+            tint: Tint::Own,
+            texture: Texture::Plain,
+            tag: SemanticTag::Unlabeled,
+            gloss: 0.0,
+            wetness: 0.3,
+            emission: [0.0; 3],
+            channel: Channel::None,
+            double_sided: false,
+        }
+    }
+}
+
+/// A mesh and how large it must appear to be worth its triangles.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Level {
+    pub mesh: Mesh,
+    /// Used while the model's bounding sphere is at least this many pixels in radius.
+    pub min_pixels: f32,
+}
+
+/// A part of a model that swings about an axis through `pivot`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Bone {
+    /// m, model frame.
+    pub pivot: [f32; 3],
+    /// Unit axis of the turn, model frame.
+    pub axis: [f32; 3],
+    /// The turn is `amplitude` x sin(phase + `offset`) (rad); an amplitude of 0 stays.
+    pub amplitude: f32,
+    pub offset: f32,
+    /// Turns with the whole phase instead (wheels).
+    pub spins: bool,
+    /// Bone that this one hangs on (a shin on its thigh); must be smaller than its own index.
+    pub parent: Option<u8>,
+}
+
+/// Something that is placed many times: a car, a person, a tree, a lamp.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Model {
+    pub name: String,
+    /// Finest first, `min_pixels` falling. Below the last one's nothing is drawn.
+    pub levels: Vec<Level>,
+    pub bones: Vec<Bone>,
+    /// Corners of the bounding box (m, model frame).
+    pub bounds: [[f32; 3]; 2],
+    /// Casts a sun shadow of its shape (static) or of its boxes (actors).
+    pub casts_shadow: bool,
+    /// Boxes (m, model frame) whose shadow stands for an actor's; empty: `bounds`.
+    pub shadow_boxes: Vec<[[f32; 3]; 2]>,
+    /// Where lamps dazzle: centre (m, model frame), channel. Drawn as a glow at night and in rain.
+    pub glows: Vec<([f32; 3], Channel)>,
+}
+
+/// All materials and models of a scene.
+#[derive(Clone, Debug, Default)]
+pub struct Library {
+    pub materials: Vec<Material>,
+    pub models: Vec<Model>,
+}
+
+impl Library {
+    /// Adds a material.
+    pub fn material(&mut self, material: Material) -> MaterialId {
+        self.materials.push(material);
+        MaterialId(self.materials.len() as u16 - 1)
+    }
+    /// Adds a model.
+    pub fn model(&mut self, model: Model) -> ModelId {
+        self.models.push(model);
+        ModelId(self.models.len() as u16 - 1)
+    }
+}
+
+/// The eight classes that detectors know.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ObjectClass {
+    Car,
+    Motorcycle,
+    Bicycle,
+    Person,
+    Bus,
+    Truck,
+    TrafficLight,
+    Bench,
+}
+
+/// A box with one heading, upright.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Box3 {
+    /// Centre of the footprint on the ground and heading.
+    pub pose: Pose,
+    /// Length along the heading, width, height (m).
+    pub size: [f64; 3],
+}
+
+/// What the ground truth tells of an instance.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Object {
+    pub class: ObjectClass,
+    /// Instance id, not 0, unique in the frame. A road user's is its place in the world + 1, vehicles before
+    /// pedestrians; who rides it has [`RIDER_IDS`] more. Static objects count from [`STATIC_IDS`].
+    pub id: u32,
+    pub bounds: Box3,
+}
+
+/// The first instance id of static objects; actors stay below.
+pub const STATIC_IDS: u32 = 1 << 24;
+/// What a rider's id is above its vehicle's.
+pub const RIDER_IDS: u32 = 1 << 23;
+
+/// A model put somewhere for one frame, or for good.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Instance {
+    pub model: ModelId,
+    /// Where the model's origin is.
+    pub pose: Pose,
+    /// Size of the model, 1 as built: x, y, z.
+    pub scale: [f32; 3],
+    /// Colours for [`Tint::Instance`].
+    pub tints: [Rgb; 4],
+    pub lamps: Lamps,
+    /// Phase of the walk or of the wheels (rad).
+    pub phase: f32,
+    /// A signal head's lamps follow this (static instances).
+    pub signal: Option<SignalIndex>,
+    /// Ground truth; None for what no detector looks for.
+    pub object: Option<Object>,
+}
+
+impl Instance {
+    /// `model` at `pose` as it was built.
+    pub fn new(model: ModelId, pose: Pose) -> Self {
+        Self {
+            model,
+            pose,
+            scale: [1.0; 3],
+            tints: [[0.5; 3]; 4],
+            lamps: Lamps::default(),
+            phase: 0.0,
+            signal: None,
+            object: None,
+        }
+    }
+}
+
+/// What paint on the ground looks like.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum PaintColour {
+    White = 0,
+    Yellow = 1,
+    Red = 2,
+    Blue = 3,
+    /// Patches and seams of tar.
+    Tar = 4,
+}
+
+/// Paint on the road: a convex quadrilateral, drawn with exact coverage however thin it is.
+///
+/// A bent line is a chain of quads: corners 0-1 and 2-3 are its sides, 1-2 its front end, 3-0 its rear
+/// end. Ends shared with the next quad of the chain are not softened.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Paint {
+    /// Counter-clockwise seen from above (m, chunk frame), on the surface (no offset needed).
+    pub corners: [[f32; 3]; 4],
+    pub colour: PaintColour,
+    /// 0 worn off .. 1 fresh.
+    pub strength: f32,
+    /// Whether the front end (1-2) and the rear end (3-0) are the line's own ends.
+    pub front_end: bool,
+    pub rear_end: bool,
+}
+
+/// A street lamp's light.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PointLight {
+    /// m, chunk frame.
+    pub position: [f32; 3],
+    pub colour: Rgb,
+    /// How far it lights the ground (m).
+    pub radius: f32,
+}
+
+/// A piece of the town, about [`CHUNK_SIZE`] wide. Everything in it that is not instanced is baked into
+/// its meshes.
+#[derive(Clone, Debug, Default)]
+pub struct Chunk {
+    /// Origin of its frame (m, world).
+    pub origin: Point3<f64>,
+    /// Corners of the box that holds all of it, instances included (m, chunk frame).
+    pub bounds: [[f32; 3]; 2],
+    /// Roads, sidewalks, lawns, buildings. Finest first; a level is used to its distance (m) from the
+    /// camera to the chunk's box; the last one's is usually infinite.
+    pub levels: Vec<(f32, Mesh)>,
+    pub paint: Vec<Paint>,
+    pub instances: Vec<Instance>,
+    pub lights: Vec<PointLight>,
+}
+
+/// Width of a chunk of the town (m).
+pub const CHUNK_SIZE: f64 = 32.0;
+
+/// The town without its road users.
+#[derive(Clone, Debug, Default)]
+pub struct Scene {
+    pub library: Library,
+    /// Lies under everything, to the horizon: its material and height (m).
+    pub ground: Option<(MaterialId, f64)>,
+    /// Fill and then call [`Scene::index`].
+    pub chunks: Vec<Chunk>,
+    pub(super) grid: super::grid::Grid,
+}
+
+impl Scene {
+    /// Rebuilds the spatial index and what is drawn after `chunks` or the library changed.
+    pub fn index(&mut self) {
+        self.grid = super::grid::Grid::new(&self.chunks);
+        let materials = &self.library.materials;
+        let models = self.library.models.iter_mut().flat_map(|m| &mut m.levels).map(|level| &mut level.mesh);
+        let chunks = self.chunks.iter_mut().flat_map(|c| &mut c.levels).map(|(_, mesh)| mesh);
+        for mesh in models.chain(chunks) {
+            mesh.faces = Faces::of(mesh, materials);
+        }
+    }
+
+    /// The town `times` times, side by side to the east: for measuring what a larger town costs.
+    #[must_use]
+    pub fn repeated(&self, times: usize) -> Self {
+        let ends = |f: fn(f64, f64) -> f64, start: f64, corner: usize| {
+            self.chunks.iter().map(|c| c.origin.x + f64::from(c.bounds[corner][0])).fold(start, f)
+        };
+        let width = ends(f64::max, f64::MIN, 1) - ends(f64::min, f64::MAX, 0);
+        let mut town = Self { chunks: Vec::with_capacity(self.chunks.len() * times), ..self.clone() };
+        for copy in 0..times {
+            let shift = width * copy as f64;
+            town.chunks.extend(self.chunks.iter().cloned().map(|mut chunk| {
+                chunk.origin.x += shift;
+                chunk.instances.iter_mut().for_each(|i| i.pose.position.x += shift);
+                chunk
+            }));
+        }
+        town.index();
+        town
+    }
+}
+
+/// The road users of one tick.
+#[derive(Clone, Debug, Default)]
+pub struct ActorFrame {
+    /// The scene's time (s): rain falls and blinkers blink by it.
+    pub time: f64,
+    pub instances: Vec<Instance>,
+    /// The ego itself, seen only by cameras outside it.
+    pub ego: Option<Instance>,
+    /// State strings of the traffic lights, as [`sumo_network::world::WorldState::traffic_lights`] has them.
+    pub traffic_lights: Vec<Option<std::sync::Arc<str>>>,
+}
