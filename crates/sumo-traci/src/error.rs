@@ -1,6 +1,6 @@
 //! What can go wrong: fatal errors of the connection, apart from refusals of one command.
 
-use super::process::PostMortem;
+use super::post_mortem::PostMortem;
 use std::io;
 use std::time::Duration;
 

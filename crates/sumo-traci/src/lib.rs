@@ -63,6 +63,7 @@ pub mod domains;
 pub mod error;
 mod install;
 mod port;
+mod post_mortem;
 pub mod process;
 pub mod replies;
 pub mod subscription;

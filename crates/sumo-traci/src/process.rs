@@ -4,7 +4,7 @@ use super::client::TcpClient;
 use super::error::Error;
 pub use super::install::{InstallError, OLDEST_SUMO, SumoInstall};
 use super::port;
-use std::fmt;
+pub use super::post_mortem::PostMortem;
 use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -140,34 +140,6 @@ pub enum LaunchError {
     /// It came up and does not speak TraCI as it should.
     #[error(transparent)]
     Traci(#[from] Error),
-}
-
-/// How SUMO ended.
-#[derive(Clone, Debug)]
-pub struct PostMortem {
-    /// None where it still runs.
-    pub status: Option<ExitStatus>,
-    /// The last lines of its log.
-    pub log: String,
-    /// The whole log, where it is kept.
-    pub log_file: Option<PathBuf>,
-}
-
-impl fmt::Display for PostMortem {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.status {
-            Some(status) => write!(f, "SUMO ended with {status}")?,
-            None => write!(f, "SUMO still runs")?,
-        }
-        match self.log.is_empty() {
-            true => write!(f, "; its log is empty")?,
-            false => write!(f, "; its log ends with\n{}", self.log)?,
-        }
-        match &self.log_file {
-            Some(path) => write!(f, "\n(whole log: {})", path.display()),
-            None => Ok(()),
-        }
-    }
 }
 
 /// A SUMO of ours. Dropping it kills it; it dies with this process too, even by SIGKILL.
