@@ -1,10 +1,12 @@
 //! From the file's elements to the network: names become ids, connections become links.
 
-use super::parse::{RawConnection, RawEdge, RawNet};
+use super::parse::{RawConnection, RawEdge, RawNet, parse};
 use super::requests;
+use super::source::Source;
 use super::spatial::LaneTree;
-use super::xml::Walk;
+use super::xml::read_text;
 use super::*;
+use crate::geometry::Vector;
 use std::collections::HashMap;
 use std::path::Path;
 
@@ -13,26 +15,26 @@ const DEFAULT_LANE_WIDTH: f64 = 3.2;
 /// A signal index beyond this is taken for damage.
 const MOST_SIGNALS: usize = 100_000;
 
-/// Where errors are reported to.
-pub(super) struct Source<'a> {
-    pub path: &'a Path,
-    pub text: &'a str,
-}
+impl Network {
+    /// Reads a `.net.xml` or `.net.xml.gz` file.
+    ///
+    /// # Errors
+    /// When the file cannot be read, is no XML, no network, cut off, or names what it does not have.
+    pub fn load(path: &Path) -> Result<Self, NetworkError> {
+        Self::from_xml(path, &read_text(path)?)
+    }
 
-impl Source<'_> {
-    fn dangling(&self, position: u64, element: &'static str, kind: &'static str, id: &str) -> NetworkError {
-        NetworkError::DanglingReference {
-            path: self.path.to_owned(),
-            line: Walk::new(self.path, self.text).line_of(position),
-            element,
-            kind,
-            id: id.to_owned(),
-        }
+    /// The network of a `.net.xml` document; `path` is what errors call it.
+    ///
+    /// # Errors
+    /// As [`Network::load`].
+    pub fn from_xml(path: &Path, text: &str) -> Result<Self, NetworkError> {
+        build(parse(path, text)?, &Source { path, text })
     }
 }
 
 /// Builds the network from its parts.
-pub(super) fn build(raw: RawNet, source: &Source<'_>) -> Result<Network, NetworkError> {
+fn build(raw: RawNet, source: &Source<'_>) -> Result<Network, NetworkError> {
     let mut network = Network {
         edges: Vec::with_capacity(raw.edges.len()),
         lanes: Vec::new(),
@@ -63,17 +65,13 @@ pub(super) fn build(raw: RawNet, source: &Source<'_>) -> Result<Network, Network
         rings.map(|ring| ring.iter().filter_map(|id| network.edge_by_id(id)).collect()).collect();
     traffic_light_places(&mut network);
     network.bounds = bounds(&network);
-    network.tree = LaneTree::new(&network);
+    network.tree = LaneTree::new(&network.edges, &network.lanes);
     network.drivable = VehicleClass::EVERY.iter().map(|&class| drivable(&network, class)).collect();
-    network.walks = PedestrianNetwork::new(&network, &raw.connections);
+    network.walks = {
+        let (edges, lanes) = (&network.edges, &network.lanes);
+        PedestrianNetwork::new(edges, lanes, &network.names.edges, &raw.connections)
+    };
     Ok(network)
-}
-
-impl Source<'_> {
-    /// The error for a lane that a junction names in vain.
-    pub(super) fn no_lane(&self, position: u64, id: &str) -> NetworkError {
-        self.dangling(position, "junction", "lane", id)
-    }
 }
 
 fn junctions(network: &mut Network, raw: &RawNet) {

@@ -1,6 +1,6 @@
 //! Why a network or a SUMO additional file could not be read.
 
-use super::VehicleClass;
+use super::permissions::VehicleClass;
 use std::path::PathBuf;
 
 /// Why a network could not be used.

@@ -6,6 +6,7 @@
 
 mod build;
 mod centre_line;
+mod elements;
 mod error;
 mod parse;
 mod pedestrian;
@@ -18,219 +19,25 @@ mod route_search;
 #[cfg(test)]
 mod route_tests;
 mod smooth;
+mod source;
 mod spatial;
 #[doc(hidden)]
 pub mod testing;
 mod xml;
 
+pub use elements::{
+    Crossing, CrossingId, Edge, EdgeId, EdgeKind, Junction, JunctionId, Lane, LaneId, LanePosition, Link,
+    LinkDirection, LinkId, NearLane, SignalIndex, TrafficLight, TrafficLightId,
+};
 pub use error::NetworkError;
 pub use permissions::{Permissions, VehicleClass};
 pub use polygons::{PointOfInterest, Polygon, Shapes};
 pub use route::{RoadOption, Route, RouteError, RouteLink, RoutePoint, RouteSection};
 
-use crate::geometry::{Point, Polyline, Vector};
+use crate::geometry::{Point, Polyline};
 use pedestrian::PedestrianNetwork;
 use spatial::LaneTree;
 use std::collections::HashMap;
-use std::path::Path;
-
-macro_rules! index_type {
-    ($(#[$doc:meta])* $name:ident) => {
-        $(#[$doc])*
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-        pub struct $name(pub u32);
-        impl $name {
-            /// The position in the network's vector of these.
-            pub fn index(self) -> usize {
-                self.0 as usize
-            }
-        }
-    };
-}
-index_type!(/// An edge of [`Network::edges`].
-    EdgeId);
-index_type!(/// A lane of [`Network::lanes`].
-    LaneId);
-index_type!(/// A junction of [`Network::junctions`].
-    JunctionId);
-index_type!(/// A link of [`Network::links`].
-    LinkId);
-index_type!(/// A crossing of [`Network::crossings`].
-    CrossingId);
-index_type!(/// A signal program of [`Network::traffic_lights`].
-    TrafficLightId);
-
-/// What an edge is for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum EdgeKind {
-    /// A road (or path) between two junctions.
-    Normal,
-    /// Lanes inside a junction.
-    Internal,
-    /// A pedestrian crossing over a junction's arm.
-    Crossing,
-    /// Where pedestrians walk between sidewalks and crossings.
-    WalkingArea,
-    /// A macroscopic connector or anything else that is not driven in detail.
-    Other,
-}
-
-/// A one-way road: a bundle of parallel lanes.
-#[derive(Clone, Debug)]
-pub struct Edge {
-    /// SUMO's id; may begin with `-` or `:`.
-    pub id: String,
-    pub kind: EdgeKind,
-    /// None for internal edges, crossings and walkingareas.
-    pub from: Option<JunctionId>,
-    pub to: Option<JunctionId>,
-    /// The junction that an internal edge, crossing or walkingarea lies in.
-    pub junction: Option<JunctionId>,
-    pub priority: i32,
-    /// SUMO edge type, empty where none was given.
-    pub edge_type: String,
-    /// Street name, empty where none was given.
-    pub name: String,
-    /// Lanes by lane_index: 0 is the outermost (rightmost in right-hand networks).
-    pub lanes: Vec<LaneId>,
-}
-
-/// One lane. `shape` is its centre line (for a walkingarea: its outline).
-#[derive(Clone, Debug)]
-pub struct Lane {
-    /// SUMO's id, e.g. `A0B0_1`.
-    pub id: String,
-    pub edge: EdgeId,
-    /// 0 is the outermost lane.
-    pub index: usize,
-    /// m/s.
-    pub speed_limit: f64,
-    /// SUMO's lane length (m): lane_position counts in it; may differ from `shape.length()`.
-    pub length: f64,
-    /// m; 3.2 where the file says nothing.
-    pub width: f64,
-    pub permissions: Permissions,
-    /// Who may change from here to the lane with the next higher index (SUMO's `changeLeft`).
-    pub change_up: Permissions,
-    /// Who may change from here to the lane with the next lower index (SUMO's `changeRight`).
-    pub change_down: Permissions,
-    pub shape: Polyline,
-    /// Links that leave this lane.
-    pub outgoing: Vec<LinkId>,
-    /// Links that enter this lane (for internal lanes: the link whose `via` holds it).
-    pub incoming: Vec<LinkId>,
-}
-
-/// Which way a link turns (SUMO's `dir`).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum LinkDirection {
-    Straight,
-    TurnAround,
-    Left,
-    Right,
-    PartLeft,
-    PartRight,
-    Invalid,
-}
-
-/// A signal head: one character of a traffic light's state.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SignalIndex {
-    pub traffic_light: TrafficLightId,
-    /// Position in the state string.
-    pub index: usize,
-}
-
-/// A way over a junction from one lane to another (SUMO's connection between normal edges).
-#[derive(Clone, Debug)]
-pub struct Link {
-    pub from: LaneId,
-    pub to: LaneId,
-    /// Internal lanes on the way, in order; empty in nets without internal lanes.
-    pub via: Vec<LaneId>,
-    pub direction: LinkDirection,
-    /// SUMO's `state`: `M` major, `m` minor, `=` equal, `s` stop, `o` uncontrolled by a signal that is off, ...
-    pub state: char,
-    pub signal: Option<SignalIndex>,
-    pub junction: JunctionId,
-    /// Index in the junction's request matrix, where it has one.
-    pub request_index: Option<usize>,
-    /// Links that this one must let pass (the request's `response`).
-    pub must_yield_to: Vec<LinkId>,
-    /// Links whose paths cross or join this one's (the request's `foes`).
-    pub foes: Vec<LinkId>,
-    /// Crossings that this link's path cuts across.
-    pub crossings: Vec<CrossingId>,
-    /// Crossings among those whose pedestrians go first.
-    pub yields_to_crossings: Vec<CrossingId>,
-}
-
-/// A pedestrian crossing.
-#[derive(Clone, Debug)]
-pub struct Crossing {
-    /// Its one lane, shape = centre line from kerb to kerb.
-    pub lane: LaneId,
-    pub edge: EdgeId,
-    pub junction: JunctionId,
-    /// The edges it lies over.
-    pub crossed_edges: Vec<EdgeId>,
-    /// Outline polygon (m): the file's `outlineShape`, or made from shape and width.
-    pub outline: Vec<Point>,
-    pub signal: Option<SignalIndex>,
-    /// Pedestrians have priority over vehicles.
-    pub priority: bool,
-}
-
-/// A junction (SUMO's, internal ones left out).
-#[derive(Clone, Debug)]
-pub struct Junction {
-    pub id: String,
-    /// SUMO's type: `priority`, `traffic_light`, `right_before_left`, ...
-    pub kind: String,
-    pub position: Point,
-    /// Outline polygon (m).
-    pub shape: Vec<Point>,
-    pub incoming_edges: Vec<EdgeId>,
-    pub outgoing_edges: Vec<EdgeId>,
-    pub crossings: Vec<CrossingId>,
-    /// Walkingarea lanes (shape = polygon).
-    pub walkingareas: Vec<LaneId>,
-}
-
-/// A traffic light (tlLogic id) and what it controls.
-#[derive(Clone, Debug)]
-pub struct TrafficLight {
-    pub id: String,
-    /// Number of characters in its state.
-    pub signals: usize,
-    /// Links controlled by it.
-    pub links: Vec<LinkId>,
-    /// Crossings controlled by it.
-    pub crossings: Vec<CrossingId>,
-    /// Centre of what it controls (m), and the radius around it that holds all stop lines (m).
-    pub position: Point,
-    pub radius: f64,
-}
-
-/// A place on a lane.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LanePosition {
-    pub lane: LaneId,
-    /// Arc length along the lane's shape (m).
-    pub s: f64,
-}
-
-/// A lane near a point.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct NearLane {
-    pub lane: LaneId,
-    /// Arc length along the lane's shape (m).
-    pub s: f64,
-    /// Lateral offset (m, left positive).
-    pub d: f64,
-    /// Horizontal distance from the point to the centre line (m).
-    pub distance: f64,
-}
 
 /// The whole network.
 #[derive(Clone, Debug)]
@@ -263,36 +70,7 @@ struct Names {
     traffic_lights: HashMap<String, TrafficLightId>,
 }
 
-impl Lane {
-    /// SUMO's lane_position (m) of arc length `s` (m) on the shape.
-    pub fn lane_position(&self, s: f64) -> f64 {
-        let shape = self.shape.length();
-        if shape > 0.0 { s * self.length / shape } else { 0.0 }
-    }
-
-    /// Arc length (m) on the shape of SUMO's `lane_position` (m).
-    pub fn arc_length(&self, lane_position: f64) -> f64 {
-        if self.length > 0.0 { lane_position * self.shape.length() / self.length } else { 0.0 }
-    }
-}
-
 impl Network {
-    /// Reads a `.net.xml` or `.net.xml.gz` file.
-    ///
-    /// # Errors
-    /// When the file cannot be read, is no XML, no network, cut off, or names what it does not have.
-    pub fn load(path: &Path) -> Result<Self, NetworkError> {
-        Self::from_xml(path, &xml::read_text(path)?)
-    }
-
-    /// The network of a `.net.xml` document; `path` is what errors call it.
-    ///
-    /// # Errors
-    /// As [`Network::load`].
-    pub fn from_xml(path: &Path, text: &str) -> Result<Self, NetworkError> {
-        build::build(parse::parse(path, text)?, &build::Source { path, text })
-    }
-
     /// The same network with lanes of these ids closed to everybody.
     #[must_use]
     pub fn without_lanes(&self, ids: &[String]) -> Self {
@@ -371,5 +149,30 @@ impl Network {
     }
     pub fn traffic_light(&self, id: TrafficLightId) -> &TrafficLight {
         &self.traffic_lights[id.index()]
+    }
+
+    /// Lanes whose centre line passes within `radius` (m) of `point`, nearest first: roads, paths,
+    /// internal lanes and crossings, but no walkingareas (they have no centre line).
+    /// `z` (m), where given, leaves out lanes more than 3 m above or below.
+    pub fn lanes_near(&self, point: Point, z: Option<f64>, radius: f64) -> Vec<NearLane> {
+        self.tree.near(&self.lanes, point, z, radius)
+    }
+
+    /// Whether the net has sidewalks and walkingareas, so that SUMO's pedestrians can walk everywhere.
+    pub fn has_pedestrian_network(&self) -> bool {
+        self.walks.is_complete()
+    }
+
+    /// Normal edges open to pedestrians of the largest part in which each is within a walk of each
+    /// other, in file order.
+    pub fn sidewalk_edges(&self) -> &[EdgeId] {
+        self.walks.largest()
+    }
+
+    /// The shortest walk from one edge to another: normal edges, each joined to the next by
+    /// walkingareas and crossings of one junction, as SUMO's `appendWalkingStage` takes them. None
+    /// where no walk leads there. Sidewalks are walked in both directions.
+    pub fn walk_route(&self, from: EdgeId, to: EdgeId) -> Option<Vec<EdgeId>> {
+        self.walks.route(&self.edges, &self.lanes, from, to)
     }
 }

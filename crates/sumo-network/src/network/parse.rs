@@ -1,7 +1,8 @@
 //! The elements of a `.net.xml`, as they stand in the file: names are still strings.
 
+use super::error::NetworkError;
+use super::permissions::Permissions;
 use super::xml::{Element, Step, Walk};
-use super::{NetworkError, Permissions};
 use nalgebra::Point3;
 use std::borrow::Cow;
 use std::path::Path;
@@ -393,6 +394,7 @@ fn connection(at: &At<'_>) -> Result<RawConnection, NetworkError> {
 mod tests {
     use super::super::testing::{net, parsed, text};
     use super::super::*;
+    use std::path::Path;
 
     #[test]
     fn elements_become_what_they_mean() {

@@ -1,7 +1,8 @@
 //! Where pedestrians walk: from sidewalk to sidewalk over walkingareas and crossings.
 
+use super::elements::{Edge, EdgeId, EdgeKind, Lane};
 use super::parse::RawConnection;
-use super::{EdgeId, EdgeKind, Network, VehicleClass};
+use super::permissions::VehicleClass;
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
 
@@ -39,28 +40,37 @@ impl Sets {
     }
 }
 
+/// A whole number that orders lengths (mm).
+fn millimetres(length: f64) -> u64 {
+    (length * 1000.0) as u64
+}
+
 impl PedestrianNetwork {
-    pub fn new(network: &Network, connections: &[RawConnection]) -> Self {
+    pub fn new(
+        edges: &[Edge],
+        lanes: &[Lane],
+        ids: &HashMap<String, EdgeId>,
+        connections: &[RawConnection],
+    ) -> Self {
         let walkable = |edge: EdgeId, lane: usize| {
-            let lane = network.edge(edge).lanes.get(lane);
-            lane.is_some_and(|&l| network.lane(l).permissions.allows(VehicleClass::Pedestrian))
+            let lane = edges[edge.index()].lanes.get(lane);
+            lane.is_some_and(|&l| lanes[l.index()].permissions.allows(VehicleClass::Pedestrian))
         };
         // Set 2e is the begin of edge e and 2e + 1 its end; inner edges have both in one.
-        let mut sets = Sets((0..2 * network.edges.len()).collect());
+        let mut sets = Sets((0..2 * edges.len()).collect());
         let node = |edge: EdgeId, end: usize| 2 * edge.index() + end;
-        for (i, edge) in network.edges.iter().enumerate() {
+        for (i, edge) in edges.iter().enumerate() {
             if edge.kind != EdgeKind::Normal {
                 sets.join(2 * i, 2 * i + 1);
             }
         }
         for connection in connections {
-            let edges = &network.names.edges;
-            let (Some(&a), Some(&b)) = (edges.get(&connection.from), edges.get(&connection.to)) else {
+            let (Some(&a), Some(&b)) = (ids.get(&connection.from), ids.get(&connection.to)) else {
                 continue;
             };
-            let foot = |edge| {
+            let foot = |edge: EdgeId| {
                 matches!(
-                    network.edge(edge).kind,
+                    edges[edge.index()].kind,
                     EdgeKind::Normal | EdgeKind::Crossing | EdgeKind::WalkingArea
                 )
             };
@@ -69,12 +79,10 @@ impl PedestrianNetwork {
                 sets.join(node(a, 1), node(b, 0));
             }
         }
-        let mut walks = Self {
-            walkingareas: network.edges.iter().any(|e| e.kind == EdgeKind::WalkingArea),
-            ..Self::default()
-        };
-        let mut parts = Sets((0..2 * network.edges.len()).collect());
-        for (i, edge) in network.edges.iter().enumerate() {
+        let mut walks =
+            Self { walkingareas: edges.iter().any(|e| e.kind == EdgeKind::WalkingArea), ..Self::default() };
+        let mut parts = Sets((0..2 * edges.len()).collect());
+        for (i, edge) in edges.iter().enumerate() {
             let id = EdgeId(i as u32);
             let open = edge.kind == EdgeKind::Normal && (0..edge.lanes.len()).any(|lane| walkable(id, lane));
             let ends = open.then(|| [sets.find(2 * i), sets.find(2 * i + 1)]);
@@ -99,33 +107,22 @@ impl PedestrianNetwork {
         }
         walks
     }
-}
 
-/// A whole number that orders lengths (mm).
-fn millimetres(length: f64) -> u64 {
-    (length * 1000.0) as u64
-}
-
-impl Network {
-    /// Whether the net has sidewalks and walkingareas, so that SUMO's pedestrians can walk everywhere.
-    pub fn has_pedestrian_network(&self) -> bool {
-        self.walks.walkingareas && !self.walks.largest.is_empty()
+    /// Whether there are walkingareas and somewhere to walk: see [`super::Network::has_pedestrian_network`].
+    pub fn is_complete(&self) -> bool {
+        self.walkingareas && !self.largest.is_empty()
     }
 
-    /// Normal edges open to pedestrians of the largest part in which each is within a walk of each
-    /// other, in file order.
-    pub fn sidewalk_edges(&self) -> &[EdgeId] {
-        &self.walks.largest
+    /// The edges of the largest connected part, in file order.
+    pub fn largest(&self) -> &[EdgeId] {
+        &self.largest
     }
 
-    /// The shortest walk from one edge to another: normal edges, each joined to the next by
-    /// walkingareas and crossings of one junction, as SUMO's `appendWalkingStage` takes them. None
-    /// where no walk leads there. Sidewalks are walked in both directions.
-    pub fn walk_route(&self, from: EdgeId, to: EdgeId) -> Option<Vec<EdgeId>> {
-        let walks = &self.walks;
-        let ends = |edge: EdgeId| walks.ends.get(edge.index()).copied().flatten();
+    /// The shortest walk: see [`super::Network::walk_route`].
+    pub fn route(&self, edges: &[Edge], lanes: &[Lane], from: EdgeId, to: EdgeId) -> Option<Vec<EdgeId>> {
+        let ends = |edge: EdgeId| self.ends.get(edge.index()).copied().flatten();
         let length = |edge: EdgeId| {
-            let lane = self.edge(edge).lanes.first().map(|&l| self.lane(l));
+            let lane = edges[edge.index()].lanes.first().map(|&l| &lanes[l.index()]);
             millimetres(lane.map_or(0.0, |l| l.shape.length()) + JUNCTION)
         };
         ends(from)?;
@@ -134,8 +131,8 @@ impl Network {
             return Some(vec![from]);
         }
         // A state is an edge and the end that it is walked towards: 2e or 2e + 1.
-        let mut cost = vec![u64::MAX; 2 * self.edges.len()];
-        let mut before = vec![usize::MAX; 2 * self.edges.len()];
+        let mut cost = vec![u64::MAX; 2 * edges.len()];
+        let mut before = vec![usize::MAX; 2 * edges.len()];
         let mut queue = BinaryHeap::new();
         for state in [2 * from.index(), 2 * from.index() + 1] {
             cost[state] = 0;
@@ -157,7 +154,7 @@ impl Network {
                 return Some(route);
             }
             let node = ends(edge)?[state % 2];
-            for &(next, end) in walks.at_node.get(&node).map_or(&[][..], Vec::as_slice) {
+            for &(next, end) in self.at_node.get(&node).map_or(&[][..], Vec::as_slice) {
                 // In at one end, on to the other.
                 let next_state = 2 * next.index() + (1 - end);
                 let next_cost = spent + length(next);

@@ -4,8 +4,8 @@
 //! lane, of its connections in the file; ways from a walkingarea onto a crossing count too and so
 //! come last. In `response` and `foes` link 0 is the last character.
 
-use super::build::Source;
 use super::parse::{RawJunction, RawNet};
+use super::source::Source;
 use super::*;
 use std::collections::HashMap;
 

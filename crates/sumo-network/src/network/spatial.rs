@@ -1,6 +1,6 @@
 //! Which lanes are near a point: an R-tree over the lanes' segments.
 
-use super::{EdgeKind, LaneId, NearLane, Network};
+use super::elements::{Edge, EdgeKind, Lane, LaneId, NearLane};
 use crate::geometry::Point;
 use rstar::RTree;
 use rstar::primitives::{GeomWithData, Line};
@@ -16,10 +16,10 @@ type Segment = GeomWithData<Line<[f64; 2]>, (LaneId, u32)>;
 pub(super) struct LaneTree(RTree<Segment>);
 
 impl LaneTree {
-    pub fn new(network: &Network) -> Self {
+    pub fn new(edges: &[Edge], lanes: &[Lane]) -> Self {
         let mut segments = Vec::new();
-        for (index, lane) in network.lanes.iter().enumerate() {
-            if network.edge(lane.edge).kind == EdgeKind::WalkingArea {
+        for (index, lane) in lanes.iter().enumerate() {
+            if edges[lane.edge.index()].kind == EdgeKind::WalkingArea {
                 continue;
             }
             for (i, pair) in lane.shape.points().windows(2).enumerate() {
@@ -29,20 +29,16 @@ impl LaneTree {
         }
         Self(RTree::bulk_load(segments))
     }
-}
 
-impl Network {
-    /// Lanes whose centre line passes within `radius` (m) of `point`, nearest first: roads, paths,
-    /// internal lanes and crossings, but no walkingareas (they have no centre line).
-    /// `z` (m), where given, leaves out lanes more than 3 m above or below.
-    pub fn lanes_near(&self, point: Point, z: Option<f64>, radius: f64) -> Vec<NearLane> {
+    /// Lanes within `radius` (m) of `point`: see [`super::Network::lanes_near`].
+    pub fn near(&self, lanes: &[Lane], point: Point, z: Option<f64>, radius: f64) -> Vec<NearLane> {
         let mut near: Vec<NearLane> = Vec::new();
         if !(point.x.is_finite() && point.y.is_finite() && radius >= 0.0) {
             return near;
         }
-        for segment in self.tree.0.locate_within_distance([point.x, point.y], radius * radius) {
+        for segment in self.0.locate_within_distance([point.x, point.y], radius * radius) {
             let (id, index) = segment.data;
-            let shape = &self.lane(id).shape;
+            let shape = &lanes[id.index()].shape;
             let index = index as usize;
             let (a, b) = (shape.points()[index], shape.points()[index + 1]);
             let ab = b.xy() - a.xy();

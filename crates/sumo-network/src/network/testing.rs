@@ -5,6 +5,7 @@
 //! are no internal lanes.
 
 use super::*;
+use std::path::Path;
 
 /// The net's text, with lane `ab_0`'s further attributes.
 pub fn text(ab_0: &str) -> String {

@@ -1,6 +1,6 @@
 //! SUMO's XML files: reading them whole, plain or gzipped, and walking their elements.
 
-use super::NetworkError;
+use super::error::NetworkError;
 use quick_xml::errors::SyntaxError;
 use quick_xml::events::{BytesStart, Event};
 use std::borrow::Cow;
