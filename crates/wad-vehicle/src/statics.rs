@@ -1,9 +1,6 @@
 //! What stands still beside the road: buildings, poles, kerbs.
 
-pub use super::roadside::from_network;
-
 use super::outline::convex_pieces;
-use super::surroundings::OBSTACLE_SPAN;
 use rapier3d::prelude::{Rotation, SharedShape, Vector};
 use rstar::primitives::{GeomWithData, Rectangle};
 use rstar::{AABB, RTree};
@@ -42,6 +39,10 @@ pub struct StaticBody {
 /// Horizontal run of a kerb's flank (m): a wheel of 0.32 m radius rises over 0.13 m in 0.26 m,
 /// and a ray, which has no radius, is given that ramp by the kerb instead.
 pub(super) const KERB_RAMP: f64 = 0.25;
+
+/// Obstacles reach from here to there (m), however high they are: a collision is then always pushed
+/// out sideways, never up or down.
+pub(super) const OBSTACLE_SPAN: (f64, f64) = (-5.0, 10.0);
 
 /// What begins lower than this (m) stands on the ground.
 const FOOT: f64 = 0.5;

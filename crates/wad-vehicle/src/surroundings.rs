@@ -1,7 +1,7 @@
 //! The ground, the fixed bodies near the ego and the moving ones in its reach, as colliders of
 //! the physics world.
 
-use super::statics::{StaticKind, Statics, same_level};
+use super::statics::{OBSTACLE_SPAN, StaticKind, Statics, same_level};
 use super::{GRAVITY, MovingBody, PartnerKind};
 use rapier3d::prelude::*;
 use std::collections::BTreeMap;
@@ -22,10 +22,6 @@ pub(super) const KERB: Group = Group::GROUP_2;
 pub(super) const OBSTACLE: Group = Group::GROUP_3;
 pub(super) const EGO: Group = Group::GROUP_4;
 pub(super) const WHEEL_RAY: Group = Group::GROUP_5;
-
-/// Obstacles reach from here to there (m), however high they are: a collision is then always pushed
-/// out sideways, never up or down.
-pub(super) const OBSTACLE_SPAN: (f64, f64) = (-5.0, 10.0);
 
 /// Whom a collider belongs to, kept in its user data.
 #[derive(Clone, Copy, Debug, PartialEq)]
