@@ -1,6 +1,6 @@
 //! What a camera is, and where it sits.
 
-use super::CameraError;
+use super::error::CameraError;
 use serde::{Deserialize, Serialize};
 
 /// Where a camera sits on a vehicle: relative to the centre of the footprint, in its frame.

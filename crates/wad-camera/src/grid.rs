@@ -1,6 +1,5 @@
 //! The town's chunks by place, so that a frame's cost does not grow with the town.
 
-use super::model::Chunk;
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -19,14 +18,12 @@ fn cell(x: f64) -> i32 {
 }
 
 impl Grid {
-    /// The grid of `chunks`.
-    pub fn new(chunks: &[Chunk]) -> Self {
+    /// The grid of chunks by their middles (m, world), in order.
+    pub fn new(middles: impl Iterator<Item = [f64; 2]>) -> Self {
         let mut cells: HashMap<(i32, i32), Vec<u32>> = HashMap::new();
-        for (number, chunk) in chunks.iter().enumerate() {
+        for (number, [x, y]) in middles.enumerate() {
             // Each chunk stands in one cell, its middle's; queries are widened by half a cell.
-            let middle = |axis: usize| 0.5 * f64::from(chunk.bounds[0][axis] + chunk.bounds[1][axis]);
-            let at = (cell(chunk.origin.x + middle(0)), cell(chunk.origin.y + middle(1)));
-            cells.entry(at).or_default().push(number as u32);
+            cells.entry((cell(x), cell(y))).or_default().push(number as u32);
         }
         static STAMPS: AtomicU64 = AtomicU64::new(1);
         Self { cells, stamp: STAMPS.fetch_add(1, Ordering::Relaxed) }

@@ -14,17 +14,20 @@ pub mod actors;
 mod config;
 mod cpu;
 mod effects;
-mod faces;
+mod error;
 mod frame;
 mod gather;
-pub mod grid;
+mod grid;
 mod ground_marks;
 mod lanes;
 mod large;
+mod material;
+mod mesh;
 pub mod model;
 mod noise;
 mod picture;
 mod raster;
+mod row;
 pub mod scene;
 mod shade;
 mod shade_ground;
@@ -42,6 +45,7 @@ mod tests;
 
 pub use config::{CameraConfig, MAX_PIXELS, Mount};
 pub use cpu::CpuRenderer;
+pub use error::CameraError;
 pub use frame::{Frame, ObjectTruth, Outputs};
 pub use picture::Picture;
 pub use stages::Stages;
@@ -52,20 +56,6 @@ pub use weather::{Preset, Weather};
 
 use model::{ActorFrame, Scene};
 use sumo_network::geometry::Pose;
-
-/// Why there is no camera or no weather.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum CameraError {
-    #[error(
-        "a picture of {width}x{height} pixels cannot be made: expected 1 to {max_side} along each side and \
-         at most {max_pixels} in all"
-    )]
-    Size { width: usize, height: usize, max_side: usize, max_pixels: usize },
-    #[error("a field of view of {found} degrees cannot be drawn: expected 1 to 170")]
-    FieldOfView { found: f64 },
-    #[error("no weather is called `{found}`; near names: {near}")]
-    Weather { found: String, near: String },
-}
 
 /// All that a picture is made from.
 #[derive(Clone, Copy)]

@@ -1,7 +1,38 @@
-//! A mesh as it is drawn: flat convex pieces of three or four corners, which cost less than triangles.
+//! Triangles over shared vertices, and the faces that are drawn of them: flat convex pieces of three or
+//! four corners, which cost less than triangles.
 
-use super::model::{Material, Mesh, Texture, Triangle};
+use super::material::{Material, MaterialId, Texture};
 use super::view::{cross, dot, sub};
+
+/// A corner of a triangle.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Vertex {
+    /// m, in the chunk's or the model's frame.
+    pub position: [f32; 3],
+    /// Unit outward normal.
+    pub normal: [f32; 3],
+    /// Texture coordinates (m); what they mean is the [`Texture`]'s.
+    pub uv: [f32; 2],
+    /// Index into [`Model::bones`]; 0 where the model has none, and in chunks.
+    pub bone: u8,
+}
+
+/// Three corners, counter-clockwise seen from outside, and what they are made of.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Triangle {
+    /// Indices into [`Mesh::vertices`].
+    pub corners: [u32; 3],
+    pub material: MaterialId,
+}
+
+/// Triangles over shared vertices.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Mesh {
+    pub vertices: Vec<Vertex>,
+    pub triangles: Vec<Triangle>,
+    /// What the renderer draws; made of the triangles by [`Scene::index`].
+    pub(super) faces: Faces,
+}
 
 /// Three or four corners in one plane, counter-clockwise seen from outside.
 #[derive(Clone, Copy, Debug, PartialEq)]

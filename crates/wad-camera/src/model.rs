@@ -4,184 +4,20 @@
 //! y north, z up, metres. Model frame: x forward, y left, z up, the origin on the ground in the middle
 //! of the footprint. Front faces are counter-clockwise seen from outside.
 
-use super::faces::Faces;
+pub use super::material::{
+    Channel, Facade, GroundFloor, Material, MaterialId, Rgb, SemanticTag, Texture, Tint, Wall, srgb,
+};
+pub use super::mesh::{Mesh, Triangle, Vertex};
+
+use super::grid::Grid;
+use super::mesh::Faces;
 use nalgebra::Point3;
 use sumo_network::geometry::Pose;
 use sumo_network::network::SignalIndex;
 
-/// Linear-light colour or reflectance, 0..1 per channel (red, green, blue).
-pub type Rgb = [f32; 3];
-
-/// A linear colour from 8-bit sRGB, as colour pickers show it.
-pub fn srgb(red: u8, green: u8, blue: u8) -> Rgb {
-    [red, green, blue].map(|c| (f32::from(c) / 255.0).powf(2.2))
-}
-
-/// A corner of a triangle.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Vertex {
-    /// m, in the chunk's or the model's frame.
-    pub position: [f32; 3],
-    /// Unit outward normal.
-    pub normal: [f32; 3],
-    /// Texture coordinates (m); what they mean is the [`Texture`]'s.
-    pub uv: [f32; 2],
-    /// Index into [`Model::bones`]; 0 where the model has none, and in chunks.
-    pub bone: u8,
-}
-
-/// Index into [`Library::materials`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub struct MaterialId(pub u16);
-
 /// Index into [`Library::models`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct ModelId(pub u16);
-
-/// Three corners, counter-clockwise seen from outside, and what they are made of.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Triangle {
-    /// Indices into [`Mesh::vertices`].
-    pub corners: [u32; 3],
-    pub material: MaterialId,
-}
-
-/// Triangles over shared vertices.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Mesh {
-    pub vertices: Vec<Vertex>,
-    pub triangles: Vec<Triangle>,
-    /// What the renderer draws; made of the triangles by [`Scene::index`].
-    pub(super) faces: Faces,
-}
-
-/// CARLA's semantic tags, by its numbers (0.9.14 and later).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
-#[repr(u8)]
-pub enum SemanticTag {
-    #[default]
-    Unlabeled = 0,
-    Road = 1,
-    SideWalk = 2,
-    Building = 3,
-    Wall = 4,
-    Fence = 5,
-    Pole = 6,
-    TrafficLight = 7,
-    TrafficSign = 8,
-    Vegetation = 9,
-    Terrain = 10,
-    Sky = 11,
-    Pedestrian = 12,
-    Rider = 13,
-    Car = 14,
-    Truck = 15,
-    Bus = 16,
-    Train = 17,
-    Motorcycle = 18,
-    Bicycle = 19,
-    Static = 20,
-    Dynamic = 21,
-    Other = 22,
-    Water = 23,
-    RoadLine = 24,
-    Ground = 25,
-    Bridge = 26,
-    RailTrack = 27,
-    GuardRail = 28,
-}
-
-/// What a building's wall is made of between its windows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Wall {
-    Plaster,
-    Brick,
-    Concrete,
-    /// A curtain wall: glass with a thin grid.
-    Glass,
-}
-
-/// What the ground floor of a facade shows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum GroundFloor {
-    /// Windows as above, with a door in every `door_every`-th bay.
-    Homes,
-    /// Wide shop windows with a fascia above.
-    Shops,
-    /// No openings.
-    Blank,
-}
-
-/// A grid of windows over a wall; `uv` = (m along the wall, m above the ground).
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Facade {
-    pub wall: Wall,
-    pub ground_floor: GroundFloor,
-    /// Height of a storey and width of a bay (m). A bay holds one window in its middle.
-    pub storey: f32,
-    pub bay: f32,
-    /// Width and height of a window (m); 0 for a wall without windows.
-    pub window: [f32; 2],
-    /// Height of the sill above the storey's floor (m).
-    pub sill: f32,
-    /// A door in every n-th bay of the ground floor (0: none).
-    pub door_every: u32,
-    /// Colour of frames, doors and fascias.
-    pub trim: Rgb,
-    /// Share of windows lit when lamps are on.
-    pub lit_share: f32,
-    /// Varies which windows have curtains or light.
-    pub seed: u32,
-}
-
-/// The procedural pattern over a surface. Those that say `world` ignore uv and use the world's x, y.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Texture {
-    /// One colour, lit per vertex (smooth over shared normals). For actors and small things.
-    Plain,
-    /// World. Grain, patches and cracks by `wear` 0..1. Where `tracks`, uv = (m along the lane, m left
-    /// of the lane's centre) and the wheels' tracks show.
-    Asphalt { wear: f32, tracks: bool },
-    /// Slabs of `size` (m) with joints; uv = (m along, m across).
-    Paving { size: [f32; 2] },
-    /// World. Fine grain, stains.
-    Concrete,
-    /// World. Blades and patches.
-    Grass,
-    /// World. Earth or gravel.
-    Soil,
-    /// Windows, doors, storeys.
-    Facade(Facade),
-    /// World. Tiles or tar.
-    Roof,
-    /// Leaves: light and dark clumps; uv in metres on the surface.
-    Foliage,
-    /// Brick without openings; uv in metres.
-    Brick,
-    /// A licence plate or a sign's small print: dark marks on the albedo; uv 0..1 over the plate.
-    Plate,
-}
-
-/// What makes a surface shine by itself.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-#[repr(u8)]
-pub enum Channel {
-    /// Never.
-    #[default]
-    None = 0,
-    /// Always.
-    Always = 1,
-    Brake = 2,
-    /// Rear lamps: on with [`Lamps::HEAD`].
-    Head = 3,
-    Tail = 4,
-    BlinkLeft = 5,
-    BlinkRight = 6,
-    SignalRed = 7,
-    SignalYellow = 8,
-    SignalGreen = 9,
-    StreetLamp = 10,
-}
 
 /// The channels that shine on one instance (a bit set by [`Channel`]).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -196,54 +32,6 @@ impl Lamps {
     /// Whether `channel` shines.
     pub fn has(self, channel: Channel) -> bool {
         self.0 >> channel as u32 & 1 == 1
-    }
-}
-
-/// Where a material's colour comes from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Tint {
-    /// The material's albedo.
-    #[default]
-    Own,
-    /// The albedo times the instance's colour of this index (0..4).
-    Instance(u8),
-}
-
-/// What a triangle is made of.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Material {
-    /// For people who read a dump.
-    pub name: String,
-    /// Share of light reflected diffusely.
-    pub albedo: Rgb,
-    pub tint: Tint,
-    pub texture: Texture,
-    pub tag: SemanticTag,
-    /// Mirror-like reflection of sky and sun, 0 (chalk) .. 1 (glass, chrome).
-    pub gloss: f32,
-    /// How much the surface darkens and mirrors when wet, 0 (leaves) .. 1 (asphalt, where puddles form).
-    pub wetness: f32,
-    /// Colour emitted while `channel` shines (1 = as bright as sunlit white).
-    pub emission: Rgb,
-    pub channel: Channel,
-    /// Seen from both sides (leaves, sheets).
-    pub double_sided: bool,
-}
-
-impl Default for Material {
-    fn default() -> Self {
-        Self {
-            name: String::new(),
-            albedo: [0.5; 3],
-            tint: Tint::Own,
-            texture: Texture::Plain,
-            tag: SemanticTag::Unlabeled,
-            gloss: 0.0,
-            wetness: 0.3,
-            emission: [0.0; 3],
-            channel: Channel::None,
-            double_sided: false,
-        }
     }
 }
 
@@ -435,6 +223,14 @@ pub struct Chunk {
     pub lights: Vec<PointLight>,
 }
 
+impl Chunk {
+    /// The middle of its box (x, y in m, world).
+    fn middle(&self) -> [f64; 2] {
+        let middle = |axis: usize| 0.5 * f64::from(self.bounds[0][axis] + self.bounds[1][axis]);
+        [self.origin.x + middle(0), self.origin.y + middle(1)]
+    }
+}
+
 /// Width of a chunk of the town (m).
 pub const CHUNK_SIZE: f64 = 32.0;
 
@@ -446,13 +242,13 @@ pub struct Scene {
     pub ground: Option<(MaterialId, f64)>,
     /// Fill and then call [`Scene::index`].
     pub chunks: Vec<Chunk>,
-    pub(super) grid: super::grid::Grid,
+    pub(super) grid: Grid,
 }
 
 impl Scene {
     /// Rebuilds the spatial index and what is drawn after `chunks` or the library changed.
     pub fn index(&mut self) {
-        self.grid = super::grid::Grid::new(&self.chunks);
+        self.grid = Grid::new(self.chunks.iter().map(Chunk::middle));
         let materials = &self.library.materials;
         let models = self.library.models.iter_mut().flat_map(|m| &mut m.levels).map(|level| &mut level.mesh);
         let chunks = self.chunks.iter_mut().flat_map(|c| &mut c.levels).map(|(_, mesh)| mesh);

@@ -3,9 +3,9 @@
 //! Scanlines with exact edges: two triangles that share an edge compute it from the same numbers, so
 //! that no pixel between them is missed or drawn twice. 1 / depth is linear over the picture.
 
-use super::faces::Face;
 use super::lanes::{Lane, lanes};
 use super::large::Large;
+use super::mesh::Face;
 use super::simd::{first_centre, multiversion};
 use super::view::{NEAR, cross, dot, sub};
 

@@ -6,13 +6,11 @@
 use super::lanes::{Lane, lanes};
 use super::noise::{Tile, Tiles, tiles};
 use super::raster::PAD;
-use super::shade::{Linear, Row, Run, fade, grain};
+use super::row::{Linear, POST, Row, Run, fade, grain};
 use super::shadow_map::{Texels, sample};
 use super::surface::{GroundNumbers, Kind, Surface};
 use super::weather::Weather;
 
-/// Pixels from post to post.
-pub(super) const POST: usize = 8;
 /// Runs shorter than this are not worth posts.
 const POSTED: usize = 16;
 

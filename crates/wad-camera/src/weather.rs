@@ -3,7 +3,7 @@
 //! The numbers that name the weather (clouds, rain, wetness, the sun's place) are CARLA's presets';
 //! colours and strengths of light are ours, on a scale where sunlit white at noon is about 1.
 
-use super::CameraError;
+use super::error::CameraError;
 use super::model::Rgb;
 use serde::{Deserialize, Serialize};
 use std::fmt;

@@ -1,6 +1,6 @@
 //! Eight lanes: AVX2.
 
-use super::Lane;
+use super::lane::Lane;
 use std::arch::x86_64::*;
 use std::ops::{Add, Div, Mul, Sub};
 

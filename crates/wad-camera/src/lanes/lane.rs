@@ -1,5 +1,4 @@
-//! Several pixels at once: the shading is written once over [`Lane`], and runs on 8 lanes of AVX2 where
-//! the processor has them and on single numbers elsewhere, with the same bits.
+//! One or more numbers that are worked on together; here single numbers.
 
 use std::ops::{Add, Div, Mul, Sub};
 
@@ -156,7 +155,7 @@ impl Lane for f32 {
     }
     #[inline(always)]
     fn texel(table: &[u32], bits: u32, x: Self, y: Self) -> Self {
-        let ((ix, fx), (iy, fy)) = (super::simd::split(x), super::simd::split(y));
+        let ((ix, fx), (iy, fy)) = (crate::simd::split(x), crate::simd::split(y));
         let mask = (1 << bits) - 1;
         let word = table[((iy & mask) << bits | ix & mask) as usize];
         let corner = |shift: u32| (word >> shift & 0xff) as f32;
@@ -202,46 +201,6 @@ impl Lane for f32 {
     #[inline(always)]
     fn random(x: Self, y: Self, seed: u32) -> Self {
         let magic = 12_582_912.0_f32;
-        super::simd::unit(seed ^ (x + magic).to_bits() << 8 ^ (y + magic).to_bits() << 20)
+        crate::simd::unit(seed ^ (x + magic).to_bits() << 8 ^ (y + magic).to_bits() << 20)
     }
 }
-
-#[cfg(target_arch = "x86_64")]
-pub use avx::Eight;
-
-#[cfg(target_arch = "x86_64")]
-mod avx;
-
-/// Defines a function over [`Lane`]s that picks the lanes at run time.
-macro_rules! lanes {
-    ($(#[$meta:meta])* $vis:vis fn $name:ident<$lane:ident>($($arg:ident: $ty:ty),* $(,)?) $body:block) => {
-        $(#[$meta])*
-        $vis fn $name($($arg: $ty),*) {
-            #[inline(always)]
-            fn body<$lane: $crate::lanes::Lane>($($arg: $ty),*) $body
-            #[cfg(target_arch = "x86_64")]
-            {
-                #[target_feature(enable = "avx512f,avx512vl,avx512bw,avx512dq,avx2,fma,bmi1,bmi2")]
-                fn fastest($($arg: $ty),*) {
-                    body::<$crate::lanes::Eight>($($arg),*)
-                }
-                #[target_feature(enable = "avx2,fma,bmi1,bmi2")]
-                fn fast($($arg: $ty),*) {
-                    body::<$crate::lanes::Eight>($($arg),*)
-                }
-                match $crate::simd::instructions() {
-                    // SAFETY: the processor has what the function was compiled for.
-                    $crate::simd::Instructions::Avx512 => return unsafe { fastest($($arg),*) },
-                    // SAFETY: as above.
-                    $crate::simd::Instructions::Avx2 => return unsafe { fast($($arg),*) },
-                    $crate::simd::Instructions::Plain => {}
-                }
-            }
-            body::<f32>($($arg),*)
-        }
-    };
-}
-pub(super) use lanes;
-
-#[cfg(all(test, target_arch = "x86_64"))]
-mod tests;
