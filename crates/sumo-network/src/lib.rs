@@ -4,3 +4,7 @@ pub mod geometry;
 pub mod network;
 pub mod seeds;
 pub mod world;
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -86,3 +86,7 @@ pub use subscription::{Filter, ObjectResults, Subscriptions};
 pub use types::{Color, GeoPosition, Position2D, Position3D, RoadPosition};
 pub use value::Value;
 pub use variable::{Domain, Query, Setter, Variable, VariableId};
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -145,3 +145,7 @@ impl Camera {
         &self.frame
     }
 }
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -132,3 +132,7 @@ pub struct Contact {
     /// Where on the ego: x forward, y left of its centre (m).
     pub point: Vector,
 }
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;
