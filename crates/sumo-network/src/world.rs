@@ -8,12 +8,19 @@ use std::sync::Arc;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ActorKind {
+    /// A passenger car.
     Car,
+    /// A delivery van.
     Van,
+    /// A lorry.
     Truck,
+    /// A bus or coach.
     Bus,
+    /// A motorcycle or moped, with its rider.
     Motorcycle,
+    /// A bicycle with its rider.
     Bicycle,
+    /// Somebody on foot.
     Pedestrian,
     /// No road user: a barrier or a cone that stands in a lane.
     Object,
@@ -22,12 +29,17 @@ pub enum ActorKind {
 /// What SUMO says of a vehicle type, asked once.
 #[derive(Clone, Debug)]
 pub struct ActorType {
+    /// SUMO's vehicle-type id.
     pub id: String,
+    /// By class and shape.
     pub kind: ActorKind,
     /// m.
     pub length: f64,
+    /// m.
     pub width: f64,
+    /// m.
     pub height: f64,
+    /// Gap that it keeps when it stands behind another (m).
     pub min_gap: f64,
 }
 
@@ -36,8 +48,11 @@ pub struct ActorType {
 pub struct VehicleSignals(pub u32);
 
 impl VehicleSignals {
+    /// Blinks on the right.
     pub const BLINKER_RIGHT: u32 = 1;
+    /// Blinks on the left.
     pub const BLINKER_LEFT: u32 = 2;
+    /// Brakes.
     pub const BRAKE_LIGHT: u32 = 8;
     /// Whether all of `bits` are on.
     pub fn has(self, bits: u32) -> bool {
@@ -52,11 +67,13 @@ pub struct Actor {
     pub id: Arc<str>,
     /// Stable small number for this id over the run.
     pub key: u64,
+    /// Its type.
     pub actor_type: Arc<ActorType>,
     /// Centre of the footprint.
     pub pose: Pose,
     /// m/s along the heading: the way since the last tick over its length.
     pub speed: f64,
+    /// Blinkers and brake lights.
     pub signals: VehicleSignals,
     /// Lane (crossing or walkingarea for pedestrians there), where SUMO maps it to one.
     pub lane: Option<LaneId>,
@@ -68,8 +85,11 @@ pub struct Actor {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SignalState {
+    /// Stop.
     Red,
+    /// Green follows.
     RedYellow,
+    /// Red follows.
     Yellow,
     /// Green without right of way (`g`).
     GreenMinor,

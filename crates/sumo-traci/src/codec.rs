@@ -8,20 +8,35 @@ use super::types::{Color, GeoPosition, Position2D, Position3D, RoadPosition};
 
 /// The tag bytes of TraCI's data types.
 pub mod tag {
+    /// Longitude and latitude.
     pub const POSITION_LON_LAT: u8 = 0x00;
+    /// Position in the plane.
     pub const POSITION_2D: u8 = 0x01;
+    /// Longitude, latitude and height.
     pub const POSITION_LON_LAT_ALT: u8 = 0x02;
+    /// Position with height.
     pub const POSITION_3D: u8 = 0x03;
+    /// Edge, lane position and lane index.
     pub const POSITION_ROADMAP: u8 = 0x04;
+    /// A line or area in the plane.
     pub const POLYGON: u8 = 0x06;
+    /// 8 bits without sign.
     pub const UBYTE: u8 = 0x07;
+    /// 8 bits with sign.
     pub const BYTE: u8 = 0x08;
+    /// 32 bits with sign.
     pub const INTEGER: u8 = 0x09;
+    /// 64-bit floating-point number.
     pub const DOUBLE: u8 = 0x0B;
+    /// Text.
     pub const STRING: u8 = 0x0C;
+    /// Texts.
     pub const STRING_LIST: u8 = 0x0E;
+    /// Several typed values.
     pub const COMPOUND: u8 = 0x0F;
+    /// 64-bit floating-point numbers.
     pub const DOUBLE_LIST: u8 = 0x10;
+    /// Red, green, blue, opacity.
     pub const COLOR: u8 = 0x11;
 }
 
@@ -31,24 +46,78 @@ pub(super) const MAX_DEPTH: u8 = 16;
 /// Why bytes are not the value that was expected.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum DecodeError {
+    /// The bytes end within the value.
     #[error("ended at byte {at}: {needed} more bytes expected, {left} found")]
-    Truncated { needed: usize, left: usize, at: usize },
+    Truncated {
+        /// How many more bytes it needs.
+        needed: usize,
+        /// How many there are.
+        left: usize,
+        /// Offset (bytes).
+        at: usize,
+    },
+    /// Another type than asked for.
     #[error(
         "expected {expected} (type 0x{expected_tag:02x}), found {found} (type 0x{found_tag:02x}) at byte {at}"
     )]
-    Type { expected: &'static str, expected_tag: u8, found: &'static str, found_tag: u8, at: usize },
+    Type {
+        /// The type asked for, in words.
+        expected: &'static str,
+        /// Its TraCI number.
+        expected_tag: u8,
+        /// The type found, in words.
+        found: &'static str,
+        /// Its TraCI number.
+        found_tag: u8,
+        /// Offset (bytes).
+        at: usize,
+    },
+    /// A type number that TraCI does not have.
     #[error("unknown data type 0x{tag:02x} at byte {at}")]
-    UnknownType { tag: u8, at: usize },
+    UnknownType {
+        /// The number.
+        tag: u8,
+        /// Offset (bytes).
+        at: usize,
+    },
+    /// A list of less than nothing.
     #[error("negative count {count} at byte {at}")]
-    NegativeCount { count: i32, at: usize },
+    NegativeCount {
+        /// The count.
+        count: i32,
+        /// Offset (bytes).
+        at: usize,
+    },
+    /// Text that is not UTF-8.
     #[error("text at byte {at} is not UTF-8")]
-    Utf8 { at: usize },
+    Utf8 {
+        /// Offset (bytes).
+        at: usize,
+    },
+    /// A compound with too few or too many items.
     #[error("compound with {found} items at byte {at}, {expected} expected")]
-    Items { expected: usize, found: usize, at: usize },
+    Items {
+        /// How many it should have.
+        expected: usize,
+        /// How many it has.
+        found: usize,
+        /// Offset (bytes).
+        at: usize,
+    },
+    /// Compounds within compounds beyond the limit.
     #[error("compounds nested more than {MAX_DEPTH} deep at byte {at}")]
-    TooDeep { at: usize },
+    TooDeep {
+        /// Offset (bytes).
+        at: usize,
+    },
+    /// Bytes after the value's end.
     #[error("{left} unread bytes after the value that ended at byte {at}")]
-    Trailing { left: usize, at: usize },
+    Trailing {
+        /// How many.
+        left: usize,
+        /// Offset of the value's end (bytes).
+        at: usize,
+    },
 }
 
 /// Name of a data type for messages.

@@ -26,24 +26,51 @@ fn quoted(object: &str) -> String {
 pub enum Error {
     /// Nobody answers at this address.
     #[error("no TraCI server at {address}: {source}. Start SUMO with --remote-port, or check host and port")]
-    Connect { address: String, source: io::Error },
+    Connect {
+        /// Host and port.
+        address: String,
+        /// The system's error.
+        source: io::Error,
+    },
     /// The connection broke.
     #[error("SUMO closed the connection during {pending}: {source}")]
-    Closed { pending: String, source: io::Error },
+    Closed {
+        /// The commands of the message, in words.
+        pending: String,
+        /// The system's error.
+        source: io::Error,
+    },
     /// The other side does not speak TraCI as it should.
     #[error("not a TraCI reply to {pending}: {what}. Is the other side SUMO 1.28 or newer?")]
-    Protocol { pending: String, what: String },
+    Protocol {
+        /// The commands of the message, in words.
+        pending: String,
+        /// What is wrong with it.
+        what: String,
+    },
     /// No answer within the time limit.
     #[error(
         "SUMO hangs: no answer within {:.1} s to {pending}. A larger time limit helps where a step may take longer",
         limit.as_secs_f64()
     )]
-    Timeout { limit: Duration, pending: String },
+    Timeout {
+        /// The time limit.
+        limit: Duration,
+        /// The commands of the message, in words.
+        pending: String,
+    },
     /// An API version that this client does not know.
     #[error(
         "TraCI API version {found} ({server}) where {expected} or newer is needed: use SUMO 1.28.0 (scripts/setup installs it)"
     )]
-    Version { expected: i32, found: i32, server: String },
+    Version {
+        /// The oldest version that is good enough.
+        expected: i32,
+        /// The server's.
+        found: i32,
+        /// What the server calls itself.
+        server: String,
+    },
     /// An earlier message failed or was cancelled half way: replies can no longer be told apart.
     #[error("this TraCI connection broke off in the middle of an earlier message: connect anew")]
     Unusable,
@@ -55,7 +82,12 @@ pub enum Error {
     Command(#[from] CommandError),
     /// SUMO, our own child process, is dead.
     #[error("{source}\n{post_mortem}")]
-    Died { post_mortem: PostMortem, source: Box<Error> },
+    Died {
+        /// How it ended.
+        post_mortem: PostMortem,
+        /// The error by which it was noticed.
+        source: Box<Error>,
+    },
 }
 
 impl Error {

@@ -16,13 +16,28 @@ pub enum InstallError {
         "no SUMO found; looked at {}. Run scripts/setup, or set WAD_COSIM_SUMO_HOME or SUMO_HOME to a SUMO 1.28.0",
         looked.join(", ")
     )]
-    NotFound { looked: Vec<String> },
+    NotFound {
+        /// Every place, in order.
+        looked: Vec<String>,
+    },
     /// It is there and does not run.
     #[error("{} does not run: {why}. Run scripts/setup to install SUMO 1.28.0 and the system packages it needs", program.display())]
-    Broken { program: PathBuf, why: String },
+    Broken {
+        /// SUMO's program.
+        program: PathBuf,
+        /// What it said, or why it did not start.
+        why: String,
+    },
     /// It is too old.
     #[error("{} is SUMO {found}, and {}.{}.{} or newer is needed: run scripts/setup", program.display(), needed.0, needed.1, needed.2)]
-    TooOld { program: PathBuf, found: String, needed: (u32, u32, u32) },
+    TooOld {
+        /// SUMO's program.
+        program: PathBuf,
+        /// Its version.
+        found: String,
+        /// The oldest version that is good enough.
+        needed: (u32, u32, u32),
+    },
 }
 
 /// A SUMO on this machine.

@@ -32,6 +32,7 @@ pub enum Input {
 /// How to launch SUMO.
 #[derive(Clone, Debug)]
 pub struct LaunchOptions {
+    /// The configuration or the network.
     pub input: Input,
     /// sumo-gui, playing at once and closing at the end, in place of sumo.
     pub gui: bool,
@@ -121,13 +122,23 @@ pub enum LaunchError {
     Install(#[from] InstallError),
     /// What it should load is not there.
     #[error("{} {what}: check the path", path.display())]
-    Input { path: PathBuf, what: String },
+    Input {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        what: String,
+    },
     /// An option that the launcher sets itself.
     #[error("SUMO's option --{0} is set by the launcher: use its own field in LaunchOptions")]
     OwnOption(String),
     /// The log file cannot be written.
     #[error("cannot write SUMO's log {}: {source}", path.display())]
-    Log { path: PathBuf, source: io::Error },
+    Log {
+        /// The file.
+        path: PathBuf,
+        /// The system's error.
+        source: io::Error,
+    },
     /// The program could not be started.
     #[error("cannot start SUMO: {0}")]
     Spawn(io::Error),
@@ -136,7 +147,12 @@ pub enum LaunchError {
     Exited(PostMortem),
     /// It neither listened nor ended.
     #[error("SUMO was not ready within {:.0} s; its log ends with\n{log}", limit.as_secs_f64())]
-    Startup { limit: Duration, log: String },
+    Startup {
+        /// The time limit.
+        limit: Duration,
+        /// The log's last lines.
+        log: String,
+    },
     /// It came up and does not speak TraCI as it should.
     #[error(transparent)]
     Traci(#[from] Error),

@@ -6,19 +6,33 @@ use super::types::{Color, GeoPosition, Position2D, Position3D, RoadPosition};
 /// Any typed value, for data whose type is only known when it arrives.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Value {
+    /// 8 bits without sign.
     UByte(u8),
+    /// 8 bits with sign.
     Byte(i8),
+    /// 32 bits with sign.
     Integer(i32),
+    /// A floating-point number.
     Double(f64),
+    /// Text.
     String(String),
+    /// Texts.
     StringList(Vec<String>),
+    /// Floating-point numbers.
     DoubleList(Vec<f64>),
+    /// A colour.
     Color(Color),
+    /// A position in the plane (m).
     Position2D(Position2D),
+    /// A position with height (m).
     Position3D(Position3D),
+    /// Longitude and latitude.
     Geo(GeoPosition),
+    /// A position on the road network.
     Road(RoadPosition),
+    /// A line or area (m).
     Polygon(Vec<Position2D>),
+    /// Several values.
     Compound(Vec<Value>),
 }
 

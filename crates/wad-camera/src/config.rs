@@ -32,9 +32,11 @@ impl Default for Mount {
 pub struct CameraConfig {
     /// Pixels.
     pub width: usize,
+    /// Pixels.
     pub height: usize,
     /// Horizontal field of view (degrees).
     pub fov_deg: f64,
+    /// Where it sits on the vehicle.
     pub mount: Mount,
 }
 

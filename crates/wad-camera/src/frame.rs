@@ -5,10 +5,15 @@ use super::model::{Box3, ObjectClass};
 /// What a frame is to hold beside the picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Outputs {
+    /// [`Frame::rgb`].
     pub rgb: bool,
+    /// [`Frame::depth`].
     pub depth: bool,
+    /// [`Frame::semantic`].
     pub semantic: bool,
+    /// [`Frame::instance`].
     pub instance: bool,
+    /// [`Frame::objects`].
     pub boxes: bool,
 }
 
@@ -22,6 +27,7 @@ impl Outputs {
 /// An object of the eight classes that at least one pixel shows.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ObjectTruth {
+    /// What it is.
     pub class: ObjectClass,
     /// As in [`Frame::instance`].
     pub id: u32,
@@ -40,7 +46,9 @@ pub struct ObjectTruth {
 /// A frame. Rows run from the top, pixels from the left, without padding. What was not asked for is empty.
 #[derive(Clone, Debug, Default)]
 pub struct Frame {
+    /// Pixels.
     pub width: usize,
+    /// Pixels.
     pub height: usize,
     /// sRGB bytes: red, green, blue.
     pub rgb: Vec<u8>,

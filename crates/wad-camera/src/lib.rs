@@ -60,10 +60,15 @@ use sumo_network::geometry::Pose;
 /// All that a picture is made from.
 #[derive(Clone, Copy)]
 pub struct Shot<'a> {
+    /// The town.
     pub scene: &'a Scene,
+    /// The road users.
     pub actors: &'a ActorFrame,
+    /// From where.
     pub view: &'a View,
+    /// In what weather.
     pub weather: &'a Weather,
+    /// What the frame is to hold.
     pub outputs: Outputs,
     /// [`ActorFrame::ego`] is in the picture.
     pub shows_ego: bool,

@@ -16,43 +16,75 @@ pub struct MaterialId(pub u16);
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
 #[repr(u8)]
 pub enum SemanticTag {
+    /// Nothing of the others.
     #[default]
     Unlabeled = 0,
+    /// Where vehicles drive.
     Road = 1,
+    /// Where people walk beside the road.
     SideWalk = 2,
+    /// Houses.
     Building = 3,
+    /// Walls that stand alone.
     Wall = 4,
+    /// Fences.
     Fence = 5,
+    /// Poles of lamps, signs and signals.
     Pole = 6,
+    /// Signal heads.
     TrafficLight = 7,
+    /// Signs.
     TrafficSign = 8,
+    /// Trees, hedges, bushes.
     Vegetation = 9,
+    /// Grass, soil, sand.
     Terrain = 10,
+    /// The sky.
     Sky = 11,
+    /// People on foot.
     Pedestrian = 12,
+    /// People on cycles.
     Rider = 13,
+    /// Cars and vans.
     Car = 14,
+    /// Lorries.
     Truck = 15,
+    /// Buses.
     Bus = 16,
+    /// Trains.
     Train = 17,
+    /// Motorcycles.
     Motorcycle = 18,
+    /// Bicycles.
     Bicycle = 19,
+    /// Things that stand still: benches, bins.
     Static = 20,
+    /// Things that can move: barriers, cones.
     Dynamic = 21,
+    /// Anything else.
     Other = 22,
+    /// Lakes, rivers.
     Water = 23,
+    /// Paint on the road.
     RoadLine = 24,
+    /// Ground of no other kind.
     Ground = 25,
+    /// Bridges.
     Bridge = 26,
+    /// Rails.
     RailTrack = 27,
+    /// Guard rails.
     GuardRail = 28,
 }
 
 /// What a building's wall is made of between its windows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Wall {
+    /// Plaster.
     Plaster,
+    /// Brick.
     Brick,
+    /// Concrete.
     Concrete,
     /// A curtain wall: glass with a thin grid.
     Glass,
@@ -72,10 +104,13 @@ pub enum GroundFloor {
 /// A grid of windows over a wall; `uv` = (m along the wall, m above the ground).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Facade {
+    /// What is between the windows.
     pub wall: Wall,
+    /// What the ground floor shows.
     pub ground_floor: GroundFloor,
     /// Height of a storey and width of a bay (m). A bay holds one window in its middle.
     pub storey: f32,
+    /// Width of a bay (m).
     pub bay: f32,
     /// Width and height of a window (m); 0 for a wall without windows.
     pub window: [f32; 2],
@@ -98,9 +133,17 @@ pub enum Texture {
     Plain,
     /// World. Grain, patches and cracks by `wear` 0..1. Where `tracks`, uv = (m along the lane, m left
     /// of the lane's centre) and the wheels' tracks show.
-    Asphalt { wear: f32, tracks: bool },
+    Asphalt {
+        /// 0 new .. 1 worn.
+        wear: f32,
+        /// Whether wheels have left tracks.
+        tracks: bool,
+    },
     /// Slabs of `size` (m) with joints; uv = (m along, m across).
-    Paving { size: [f32; 2] },
+    Paving {
+        /// Along and across (m).
+        size: [f32; 2],
+    },
     /// World. Fine grain, stains.
     Concrete,
     /// World. Blades and patches.
@@ -128,15 +171,23 @@ pub enum Channel {
     None = 0,
     /// Always.
     Always = 1,
+    /// Brake lamps.
     Brake = 2,
     /// Rear lamps: on with [`Lamps::HEAD`].
     Head = 3,
+    /// Rear lamps.
     Tail = 4,
+    /// Left blinkers.
     BlinkLeft = 5,
+    /// Right blinkers.
     BlinkRight = 6,
+    /// Red of a signal.
     SignalRed = 7,
+    /// Yellow of a signal.
     SignalYellow = 8,
+    /// Green of a signal.
     SignalGreen = 9,
+    /// Street lamps.
     StreetLamp = 10,
 }
 
@@ -157,8 +208,11 @@ pub struct Material {
     pub name: String,
     /// Share of light reflected diffusely.
     pub albedo: Rgb,
+    /// Whether an instance colours it.
     pub tint: Tint,
+    /// The pattern over it.
     pub texture: Texture,
+    /// What ground truth calls it.
     pub tag: SemanticTag,
     /// Mirror-like reflection of sky and sun, 0 (chalk) .. 1 (glass, chrome).
     pub gloss: f32,
@@ -166,6 +220,7 @@ pub struct Material {
     pub wetness: f32,
     /// Colour emitted while `channel` shines (1 = as bright as sunlit white).
     pub emission: Rgb,
+    /// When `emission` shines.
     pub channel: Channel,
     /// Seen from both sides (leaves, sheets).
     pub double_sided: bool,

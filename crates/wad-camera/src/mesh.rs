@@ -22,13 +22,16 @@ pub struct Vertex {
 pub struct Triangle {
     /// Indices into [`Mesh::vertices`].
     pub corners: [u32; 3],
+    /// What it is made of.
     pub material: MaterialId,
 }
 
 /// Triangles over shared vertices.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mesh {
+    /// Corners of the triangles.
     pub vertices: Vec<Vertex>,
+    /// In any order.
     pub triangles: Vec<Triangle>,
     /// What the renderer draws; made of the triangles by [`Scene::index`].
     pub(super) faces: Faces,

@@ -38,6 +38,7 @@ impl Lamps {
 /// A mesh and how large it must appear to be worth its triangles.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Level {
+    /// The triangles.
     pub mesh: Mesh,
     /// Used while the model's bounding sphere is at least this many pixels in radius.
     pub min_pixels: f32,
@@ -52,6 +53,7 @@ pub struct Bone {
     pub axis: [f32; 3],
     /// The turn is `amplitude` x sin(phase + `offset`) (rad); an amplitude of 0 stays.
     pub amplitude: f32,
+    /// Shift of the phase (rad).
     pub offset: f32,
     /// Turns with the whole phase instead (wheels).
     pub spins: bool,
@@ -62,9 +64,11 @@ pub struct Bone {
 /// Something that is placed many times: a car, a person, a tree, a lamp.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Model {
+    /// For people who read a dump.
     pub name: String,
     /// Finest first, `min_pixels` falling. Below the last one's nothing is drawn.
     pub levels: Vec<Level>,
+    /// What swings; may be empty.
     pub bones: Vec<Bone>,
     /// Corners of the bounding box (m, model frame).
     pub bounds: [[f32; 3]; 2],
@@ -79,7 +83,9 @@ pub struct Model {
 /// All materials and models of a scene.
 #[derive(Clone, Debug, Default)]
 pub struct Library {
+    /// By [`MaterialId`].
     pub materials: Vec<Material>,
+    /// By [`ModelId`].
     pub models: Vec<Model>,
 }
 
@@ -100,13 +106,21 @@ impl Library {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ObjectClass {
+    /// Cars and vans.
     Car,
+    /// Motorcycles.
     Motorcycle,
+    /// Bicycles.
     Bicycle,
+    /// People.
     Person,
+    /// Buses.
     Bus,
+    /// Lorries.
     Truck,
+    /// Signal heads.
     TrafficLight,
+    /// Benches.
     Bench,
 }
 
@@ -122,10 +136,12 @@ pub struct Box3 {
 /// What the ground truth tells of an instance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Object {
+    /// What it is.
     pub class: ObjectClass,
     /// Instance id, not 0, unique in the frame. A road user's is its place in the world + 1, vehicles before
     /// pedestrians; who rides it has [`RIDER_IDS`] more. Static objects count from [`STATIC_IDS`].
     pub id: u32,
+    /// The box round it.
     pub bounds: Box3,
 }
 
@@ -137,6 +153,7 @@ pub const RIDER_IDS: u32 = 1 << 23;
 /// A model put somewhere for one frame, or for good.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Instance {
+    /// Which model.
     pub model: ModelId,
     /// Where the model's origin is.
     pub pose: Pose,
@@ -144,6 +161,7 @@ pub struct Instance {
     pub scale: [f32; 3],
     /// Colours for [`Tint::Instance`].
     pub tints: [Rgb; 4],
+    /// What shines on it.
     pub lamps: Lamps,
     /// Phase of the walk or of the wheels (rad).
     pub phase: f32,
@@ -173,9 +191,13 @@ impl Instance {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum PaintColour {
+    /// Lane lines.
     White = 0,
+    /// Lines of road works, kerbs.
     Yellow = 1,
+    /// Cycle lanes, no-parking.
     Red = 2,
+    /// Parking.
     Blue = 3,
     /// Patches and seams of tar.
     Tar = 4,
@@ -189,11 +211,13 @@ pub enum PaintColour {
 pub struct Paint {
     /// Counter-clockwise seen from above (m, chunk frame), on the surface (no offset needed).
     pub corners: [[f32; 3]; 4],
+    /// What colour.
     pub colour: PaintColour,
     /// 0 worn off .. 1 fresh.
     pub strength: f32,
     /// Whether the front end (1-2) and the rear end (3-0) are the line's own ends.
     pub front_end: bool,
+    /// See `front_end`.
     pub rear_end: bool,
 }
 
@@ -202,6 +226,7 @@ pub struct Paint {
 pub struct PointLight {
     /// m, chunk frame.
     pub position: [f32; 3],
+    /// Light of its lamp.
     pub colour: Rgb,
     /// How far it lights the ground (m).
     pub radius: f32,
@@ -218,8 +243,11 @@ pub struct Chunk {
     /// Roads, sidewalks, lawns, buildings. Finest first; a level is used to its distance (m) from the
     /// camera to the chunk's box; the last one's is usually infinite.
     pub levels: Vec<(f32, Mesh)>,
+    /// Lines and marks on the ground.
     pub paint: Vec<Paint>,
+    /// What is placed in it.
     pub instances: Vec<Instance>,
+    /// Street lamps.
     pub lights: Vec<PointLight>,
 }
 
@@ -237,6 +265,7 @@ pub const CHUNK_SIZE: f64 = 32.0;
 /// The town without its road users.
 #[derive(Clone, Debug, Default)]
 pub struct Scene {
+    /// Materials and models.
     pub library: Library,
     /// Lies under everything, to the horizon: its material and height (m).
     pub ground: Option<(MaterialId, f64)>,
@@ -283,6 +312,7 @@ impl Scene {
 pub struct ActorFrame {
     /// The scene's time (s): rain falls and blinkers blink by it.
     pub time: f64,
+    /// In the order of the world's vehicles and pedestrians.
     pub instances: Vec<Instance>,
     /// The ego itself, seen only by cameras outside it.
     pub ego: Option<Instance>,

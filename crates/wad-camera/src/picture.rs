@@ -8,7 +8,9 @@ use std::path::Path;
 /// An RGB picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Picture {
+    /// Pixels.
     pub width: usize,
+    /// Pixels.
     pub height: usize,
     /// sRGB bytes, row by row.
     pub rgb: Vec<u8>,

@@ -17,12 +17,17 @@ pub struct View {
     pub eye: Point3<f64>,
     /// Unit axes in the world frame.
     pub right: [f32; 3],
+    /// Up in the picture.
     pub up: [f32; 3],
+    /// Along the optical axis.
     pub ahead: [f32; 3],
+    /// Pixels.
     pub width: usize,
+    /// Pixels.
     pub height: usize,
     /// Focal length and principal point (pixels).
     pub focal: f32,
+    /// Principal point (pixels).
     pub centre: [f32; 2],
     /// Heading of the optical axis (rad).
     pub heading: f64,

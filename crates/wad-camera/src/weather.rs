@@ -12,20 +12,34 @@ use std::str::FromStr;
 /// A kind of weather by CARLA's name.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Preset {
+    /// High sun, few clouds, dry.
     #[default]
     ClearNoon,
+    /// High sun behind clouds, dry.
     CloudyNoon,
+    /// High sun, wet road.
     WetNoon,
+    /// High sun behind clouds, wet road.
     WetCloudyNoon,
+    /// Light rain by day.
     SoftRainNoon,
+    /// Rain by day.
     MidRainyNoon,
+    /// A downpour by day.
     HardRainNoon,
+    /// Low sun, few clouds, dry.
     ClearSunset,
+    /// Low sun, cloudy, dry.
     CloudySunset,
+    /// Low sun, wet road.
     WetSunset,
+    /// Low sun, cloudy, wet road.
     WetCloudySunset,
+    /// Light rain at sunset.
     SoftRainSunset,
+    /// Rain at sunset.
     MidRainSunset,
+    /// A downpour at sunset.
     HardRainSunset,
 }
 
@@ -139,13 +153,17 @@ pub struct Weather {
     pub sun_light: Rgb,
     /// Light from the sky on a surface that faces up, and from below on one that faces down.
     pub sky_light: Rgb,
+    /// Light from below on a surface that faces down.
     pub ground_light: Rgb,
     /// Colour of the sky overhead and at the horizon.
     pub zenith: Rgb,
+    /// Colour of the sky at the horizon.
     pub horizon: Rgb,
     /// Share of the sky behind clouds (0..1), their lit and shaded colour.
     pub clouds: f32,
+    /// Colour of clouds where the sun lights them.
     pub cloud_light: Rgb,
+    /// Colour of clouds in their shade.
     pub cloud_shade: Rgb,
     /// Strength of shadows the sun casts (0..1).
     pub shadows: f32,

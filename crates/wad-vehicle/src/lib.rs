@@ -54,6 +54,7 @@ pub struct EgoState {
     pub pose: Pose,
     /// Roll and pitch of the body (rad): leaning right and nose down are positive.
     pub roll: f64,
+    /// Nose down is positive (rad).
     pub pitch: f64,
     /// Velocity (m/s), world frame.
     pub velocity: Vector,
@@ -73,8 +74,11 @@ pub struct EgoState {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PartnerKind {
+    /// A moving vehicle of any kind.
     Vehicle,
+    /// Somebody on foot.
     Pedestrian,
+    /// Something that stands still.
     Static,
 }
 
@@ -84,6 +88,7 @@ pub enum PartnerKind {
 pub struct MovingBody {
     /// The caller's own number for it, stable over ticks.
     pub key: u64,
+    /// Vehicle or pedestrian.
     pub kind: PartnerKind,
     /// Centre of the footprint at the tick's begin.
     pub pose: Pose,
@@ -91,10 +96,13 @@ pub struct MovingBody {
     pub speed: f64,
     /// m/s2 along the heading, and rad/s to the left.
     pub acceleration: f64,
+    /// Yaw rate at the tick's begin (rad/s, left positive).
     pub turn_rate: f64,
     /// Footprint and height (m).
     pub length: f64,
+    /// m.
     pub width: f64,
+    /// m.
     pub height: f64,
 }
 
@@ -124,6 +132,7 @@ impl MovingBody {
 /// A contact of the ego's body over one tick.
 #[derive(Clone, Copy, Debug)]
 pub struct Contact {
+    /// What it was with.
     pub kind: PartnerKind,
     /// [`MovingBody::key`], or the static body's own number.
     pub key: u64,

@@ -16,7 +16,9 @@ pub struct EgoParams {
     pub mass: f64,
     /// Footprint and height (m). Default 4.7 x 1.85 x 1.45. The body that collides.
     pub length: f64,
+    /// m.
     pub width: f64,
+    /// m.
     pub height: f64,
     /// Height of the body's underside above the ground (m). Default 0.2. Kerbs pass below it.
     pub ground_clearance: f64,
@@ -63,6 +65,7 @@ pub struct EgoParams {
     /// Cornering stiffness as a share of the wheel load (1/rad), front and rear. Default 10 and 12:
     /// the front slips a little more, so the saloon understeers.
     pub cornering_stiffness_front: f64,
+    /// The same of the rear tyres (1/rad).
     pub cornering_stiffness_rear: f64,
 
     /// Natural frequency of the body on its springs (Hz). Default 1.6. Softer sags and pitches more.
@@ -120,9 +123,13 @@ impl Default for EgoParams {
     "the ego's {name} cannot be {found}: expected {low} to {high}{unit}; correct it, or leave it out for {usual}"
 )]
 pub struct ParamsError {
+    /// Which measure.
     pub name: &'static str,
+    /// What was asked for, in its own unit.
     pub found: f64,
+    /// Smallest that is allowed.
     pub low: f64,
+    /// Largest that is allowed.
     pub high: f64,
     unit: &'static str,
     usual: f64,

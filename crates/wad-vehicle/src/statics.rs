@@ -11,8 +11,11 @@ use sumo_network::geometry::Point;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StaticKind {
+    /// A house or another large body.
     Building,
+    /// A lamp, a sign, a tree's trunk.
     Pole,
+    /// A wall, a fence, a guard rail.
     Barrier,
     /// Low: wheels climb it, the body passes over it, and it is no contact.
     Kerb,
@@ -25,11 +28,13 @@ pub struct StaticBody {
     pub key: u64,
     /// What a report calls it.
     pub label: String,
+    /// What it is.
     pub kind: StaticKind,
     /// Footprint (m): any simple polygon, in either direction. One without area is passed over.
     pub outline: Vec<Point>,
     /// Heights of the underside and the top above the road (m).
     pub bottom: f64,
+    /// m above the road.
     pub top: f64,
     /// Height of the road it stands at, world frame (m). Where it is known, the body is left out
     /// while the ego drives on another level; None is there on every level.

@@ -49,12 +49,15 @@ pub enum EdgeKind {
 pub struct Edge {
     /// SUMO's id; may begin with `-` or `:`.
     pub id: String,
+    /// What it is for.
     pub kind: EdgeKind,
     /// None for internal edges, crossings and walkingareas.
     pub from: Option<JunctionId>,
+    /// Junction at its end.
     pub to: Option<JunctionId>,
     /// The junction that an internal edge, crossing or walkingarea lies in.
     pub junction: Option<JunctionId>,
+    /// SUMO's priority: who has the right of way where edges meet.
     pub priority: i32,
     /// SUMO edge type, empty where none was given.
     pub edge_type: String,
@@ -69,6 +72,7 @@ pub struct Edge {
 pub struct Lane {
     /// SUMO's id, e.g. `A0B0_1`.
     pub id: String,
+    /// The edge that it belongs to.
     pub edge: EdgeId,
     /// 0 is the outermost lane.
     pub index: usize,
@@ -78,11 +82,13 @@ pub struct Lane {
     pub length: f64,
     /// m; 3.2 where the file says nothing.
     pub width: f64,
+    /// Who may drive (or walk) on it.
     pub permissions: Permissions,
     /// Who may change from here to the lane with the next higher index (SUMO's `changeLeft`).
     pub change_up: Permissions,
     /// Who may change from here to the lane with the next lower index (SUMO's `changeRight`).
     pub change_down: Permissions,
+    /// Centre line (m); for a walkingarea its outline.
     pub shape: Polyline,
     /// Links that leave this lane.
     pub outgoing: Vec<LinkId>,
@@ -93,18 +99,26 @@ pub struct Lane {
 /// Which way a link turns (SUMO's `dir`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LinkDirection {
+    /// On over the junction.
     Straight,
+    /// Back on the same road.
     TurnAround,
+    /// To the left.
     Left,
+    /// To the right.
     Right,
+    /// Half left.
     PartLeft,
+    /// Half right.
     PartRight,
+    /// SUMO names none.
     Invalid,
 }
 
 /// A signal head: one character of a traffic light's state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SignalIndex {
+    /// The traffic light.
     pub traffic_light: TrafficLightId,
     /// Position in the state string.
     pub index: usize,
@@ -113,14 +127,19 @@ pub struct SignalIndex {
 /// A way over a junction from one lane to another (SUMO's connection between normal edges).
 #[derive(Clone, Debug)]
 pub struct Link {
+    /// Lane that it leaves.
     pub from: LaneId,
+    /// Lane that it enters.
     pub to: LaneId,
     /// Internal lanes on the way, in order; empty in nets without internal lanes.
     pub via: Vec<LaneId>,
+    /// Which way it turns.
     pub direction: LinkDirection,
     /// SUMO's `state`: `M` major, `m` minor, `=` equal, `s` stop, `o` uncontrolled by a signal that is off, ...
     pub state: char,
+    /// The signal that controls it.
     pub signal: Option<SignalIndex>,
+    /// The junction that it lies in.
     pub junction: JunctionId,
     /// Index in the junction's request matrix, where it has one.
     pub request_index: Option<usize>,
@@ -139,12 +158,15 @@ pub struct Link {
 pub struct Crossing {
     /// Its one lane, shape = centre line from kerb to kerb.
     pub lane: LaneId,
+    /// Its edge, of kind [`EdgeKind::Crossing`].
     pub edge: EdgeId,
+    /// The junction that it belongs to.
     pub junction: JunctionId,
     /// The edges it lies over.
     pub crossed_edges: Vec<EdgeId>,
     /// Outline polygon (m): the file's `outlineShape`, or made from shape and width.
     pub outline: Vec<Point>,
+    /// The signal for those who walk.
     pub signal: Option<SignalIndex>,
     /// Pedestrians have priority over vehicles.
     pub priority: bool,
@@ -153,14 +175,19 @@ pub struct Crossing {
 /// A junction (SUMO's, internal ones left out).
 #[derive(Clone, Debug)]
 pub struct Junction {
+    /// SUMO's id.
     pub id: String,
     /// SUMO's type: `priority`, `traffic_light`, `right_before_left`, ...
     pub kind: String,
+    /// Its centre (m).
     pub position: Point,
     /// Outline polygon (m).
     pub shape: Vec<Point>,
+    /// Normal edges that end here.
     pub incoming_edges: Vec<EdgeId>,
+    /// Normal edges that begin here.
     pub outgoing_edges: Vec<EdgeId>,
+    /// Crossings over its arms.
     pub crossings: Vec<CrossingId>,
     /// Walkingarea lanes (shape = polygon).
     pub walkingareas: Vec<LaneId>,
@@ -169,6 +196,7 @@ pub struct Junction {
 /// A traffic light (tlLogic id) and what it controls.
 #[derive(Clone, Debug)]
 pub struct TrafficLight {
+    /// SUMO's id of the tlLogic.
     pub id: String,
     /// Number of characters in its state.
     pub signals: usize,
@@ -178,12 +206,14 @@ pub struct TrafficLight {
     pub crossings: Vec<CrossingId>,
     /// Centre of what it controls (m), and the radius around it that holds all stop lines (m).
     pub position: Point,
+    /// Radius (m), see `position`.
     pub radius: f64,
 }
 
 /// A place on a lane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LanePosition {
+    /// The lane.
     pub lane: LaneId,
     /// Arc length along the lane's shape (m).
     pub s: f64,
@@ -192,6 +222,7 @@ pub struct LanePosition {
 /// A lane near a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NearLane {
+    /// The lane.
     pub lane: LaneId,
     /// Arc length along the lane's shape (m).
     pub s: f64,

@@ -42,11 +42,17 @@ use std::collections::HashMap;
 /// The whole network.
 #[derive(Clone, Debug)]
 pub struct Network {
+    /// By [`EdgeId`].
     pub edges: Vec<Edge>,
+    /// By [`LaneId`].
     pub lanes: Vec<Lane>,
+    /// By [`JunctionId`].
     pub junctions: Vec<Junction>,
+    /// By [`LinkId`].
     pub links: Vec<Link>,
+    /// By [`CrossingId`].
     pub crossings: Vec<Crossing>,
+    /// By [`TrafficLightId`].
     pub traffic_lights: Vec<TrafficLight>,
     /// The edges of each roundabout's ring, in file order.
     pub roundabouts: Vec<Vec<EdgeId>>,
@@ -132,21 +138,27 @@ impl Network {
         }
         Ok(lanes)
     }
+    /// The edge with this id.
     pub fn edge(&self, id: EdgeId) -> &Edge {
         &self.edges[id.index()]
     }
+    /// The lane with this id.
     pub fn lane(&self, id: LaneId) -> &Lane {
         &self.lanes[id.index()]
     }
+    /// The link with this id.
     pub fn link(&self, id: LinkId) -> &Link {
         &self.links[id.index()]
     }
+    /// The junction with this id.
     pub fn junction(&self, id: JunctionId) -> &Junction {
         &self.junctions[id.index()]
     }
+    /// The crossing with this id.
     pub fn crossing(&self, id: CrossingId) -> &Crossing {
         &self.crossings[id.index()]
     }
+    /// The traffic light with this id.
     pub fn traffic_light(&self, id: TrafficLightId) -> &TrafficLight {
         &self.traffic_lights[id.index()]
     }

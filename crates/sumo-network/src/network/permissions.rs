@@ -90,12 +90,19 @@ impl Permissions {
 /// SUMO's abstract vehicle classes that the bridge tells apart.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum VehicleClass {
+    /// Cars.
     Passenger,
+    /// Delivery vans.
     Delivery,
+    /// Lorries.
     Truck,
+    /// Buses.
     Bus,
+    /// Motorcycles.
     Motorcycle,
+    /// Bicycles.
     Bicycle,
+    /// Those who walk.
     Pedestrian,
 }
 

@@ -9,6 +9,7 @@ use std::path::Path;
 /// A `<poly>`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Polygon {
+    /// SUMO's id.
     pub id: String,
     /// SUMO's `type`, e.g. `building`; empty where none was given.
     pub kind: String,
@@ -27,11 +28,13 @@ pub struct Polygon {
 /// A `<poi>`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PointOfInterest {
+    /// SUMO's id.
     pub id: String,
     /// SUMO's `type`; empty where none was given.
     pub kind: String,
     /// Red, green, blue, opacity.
     pub colour: [u8; 4],
+    /// Higher layers lie over lower ones.
     pub layer: f64,
     /// m.
     pub position: Point,
@@ -40,7 +43,9 @@ pub struct PointOfInterest {
 /// The shapes of an additional file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Shapes {
+    /// Lines and areas, in the file's order.
     pub polygons: Vec<Polygon>,
+    /// Points of interest, in the file's order.
     pub points: Vec<PointOfInterest>,
     /// How many shapes were passed over: without usable coordinates, or in longitude and latitude.
     pub skipped: usize,

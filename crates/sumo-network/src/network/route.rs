@@ -16,11 +16,17 @@ const LONGEST: f64 = 500_000.0;
 /// What the driver is to do at a waypoint (CARLA's RoadOption).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum RoadOption {
+    /// Along the lane, or over a junction without a choice.
     LaneFollow,
+    /// A left turn.
     Left,
+    /// A right turn.
     Right,
+    /// Straight on where one could turn.
     Straight,
+    /// To the lane on the left.
     ChangeLaneLeft,
+    /// To the lane on the right.
     ChangeLaneRight,
 }
 
@@ -29,6 +35,7 @@ pub enum RoadOption {
 pub struct RouteSection {
     /// Where it begins and ends on the route (m).
     pub s_start: f64,
+    /// Where it ends (m).
     pub s_end: f64,
     /// The lane at its end; for a link the first internal lane (or the link's `to` lane without internal lanes).
     pub lane: LaneId,
@@ -36,6 +43,7 @@ pub struct RouteSection {
     pub from_lane: Option<LaneId>,
     /// The link, inside a junction.
     pub link: Option<LinkId>,
+    /// What to do on it.
     pub option: RoadOption,
     /// m/s.
     pub speed_limit: f64,
@@ -46,6 +54,7 @@ pub struct RouteSection {
 /// A link on the route.
 #[derive(Clone, Copy, Debug)]
 pub struct RouteLink {
+    /// The link.
     pub link: LinkId,
     /// Where its stop line lies on the route (m); negative where the route begins inside the junction.
     pub stop_s: f64,
@@ -56,6 +65,7 @@ pub struct RouteLink {
 /// The route's centre line at one place.
 #[derive(Clone, Copy, Debug)]
 pub struct RoutePoint {
+    /// On the centre line, heading along it.
     pub pose: Pose,
     /// 1/m, left positive; cut off at 1.
     pub curvature: f64,
@@ -63,7 +73,9 @@ pub struct RoutePoint {
     pub speed_limit: f64,
     /// Lane width (m).
     pub width: f64,
+    /// What to do here.
     pub option: RoadOption,
+    /// The lane here.
     pub lane: LaneId,
 }
 
@@ -75,12 +87,15 @@ pub struct Route {
     pub edges: Vec<EdgeId>,
     /// They follow each other without a gap from 0 to the route's length.
     pub sections: Vec<RouteSection>,
+    /// Links in the order of the way.
     pub links: Vec<RouteLink>,
     /// The smooth centre line, sampled about every metre.
     pub centre_line: Polyline,
     /// Where the route begins and ends on the net, and for whom it is.
     pub from: LanePosition,
+    /// Where it ends on the net.
     pub to: LanePosition,
+    /// For whom it is.
     pub class: VehicleClass,
     /// Where each of `edges` is entered (m).
     edge_starts: Vec<f64>,
@@ -95,24 +110,49 @@ pub enum RouteError {
     #[error(
         "no route from edge `{from}` to edge `{to}` for class {class}: no connections lead there; choose edges of the same connected part of the net, or another vehicle class"
     )]
-    Unreachable { from: String, to: String, class: VehicleClass },
+    Unreachable {
+        /// Edge that was started from.
+        from: String,
+        /// Edge of the destination.
+        to: String,
+        /// For whom.
+        class: VehicleClass,
+    },
     /// The class may not use the lane.
     #[error("lane `{lane}` is not open to class {class}; choose one that is")]
-    NotForClass { lane: String, class: VehicleClass },
+    NotForClass {
+        /// The lane.
+        lane: String,
+        /// For whom.
+        class: VehicleClass,
+    },
     /// The position lies beyond the lane's ends.
     #[error(
         "position {s:.2} m is off lane `{lane}`, which is {length:.2} m long; choose one from 0 to its length"
     )]
-    OffLane { lane: String, s: f64, length: f64 },
+    OffLane {
+        /// The lane.
+        lane: String,
+        /// The position asked for (m).
+        s: f64,
+        /// The lane's length (m).
+        length: f64,
+    },
     /// Longer than anything that is driven.
     #[error(
         "the route is {kilometres:.0} km long, more than the {} km that are supported; choose a nearer destination",
         LONGEST / 1000.0
     )]
-    TooLong { kilometres: f64 },
+    TooLong {
+        /// The route's length (km).
+        kilometres: f64,
+    },
     /// A crossing or walkingarea, or, as a destination, a lane inside a junction.
     #[error("lane `{lane}` is no lane of a road; choose a lane of a normal edge")]
-    NotARoad { lane: String },
+    NotARoad {
+        /// The lane.
+        lane: String,
+    },
 }
 
 impl Network {

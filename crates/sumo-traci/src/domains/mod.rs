@@ -48,6 +48,7 @@ macro_rules! variables {
     ($domain:ident: $($(#[$doc:meta])* $name:ident: $type:ty = $code:literal;)*) => {
         $(
             $(#[$doc])*
+            #[doc = concat!("TraCI's variable `", stringify!($code), "`.")]
             pub const $name: $crate::Variable<$domain, $type> =
                 $crate::Variable::new($code, stringify!($name));
         )*
@@ -59,6 +60,7 @@ macro_rules! setters {
     ($domain:ident: $($(#[$doc:meta])* $name:ident: $type:ty = $code:literal;)*) => {
         $(
             $(#[$doc])*
+            #[doc = concat!("TraCI's setter `", stringify!($code), "`.")]
             pub const $name: $crate::Setter<$domain, $type> =
                 $crate::Setter::new($code, stringify!($name));
         )*
@@ -93,19 +95,25 @@ pub const INVALID_INT: i32 = -1_073_741_824;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(i8)]
 pub enum RemoveReason {
+    /// It was teleported.
     Teleport = 0,
+    /// It parks.
     Parking = 1,
+    /// It reached its destination.
     Arrived = 2,
     /// Counted nowhere: the one for objects that a program manages.
     #[default]
     Vaporized = 3,
+    /// It was teleported and arrived.
     TeleportArrived = 4,
 }
 
 /// A generic parameter.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct KeyValue {
+    /// Its name.
     pub key: String,
+    /// Its value.
     pub value: String,
 }
 

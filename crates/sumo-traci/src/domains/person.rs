@@ -93,10 +93,15 @@ pub const fn walking_distance(to: &RoadPosition) -> Query<Person, f64, (&RoadPos
 /// A ride that persons ask for.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TaxiReservation {
+    /// The reservation's own id.
     pub id: String,
+    /// Ids of those who ride.
     pub persons: Vec<String>,
+    /// Persons of one group share a vehicle.
     pub group: String,
+    /// Edge where the ride begins.
     pub from_edge: String,
+    /// Edge where it ends.
     pub to_edge: String,
     /// m.
     pub depart_position: f64,
@@ -106,6 +111,7 @@ pub struct TaxiReservation {
     pub depart: f64,
     /// s.
     pub reservation_time: f64,
+    /// Bit set: 1 new, 2 known before, 4 assigned, 8 picked up.
     pub state: i32,
 }
 
@@ -139,11 +145,13 @@ pub const fn taxi_reservations(states: i32) -> Query<Person, Vec<TaxiReservation
 /// A new person. It needs a stage before the next step.
 #[derive(Clone, Copy, Debug)]
 pub struct Add<'a> {
+    /// Edge where it begins.
     pub edge: &'a str,
     /// On the edge (m).
     pub position: f64,
     /// s of simulation time; -3 is now.
     pub depart: f64,
+    /// Vehicle-type id.
     pub person_type: &'a str,
 }
 

@@ -34,10 +34,15 @@ setters! { Poi:
 /// A new point of interest.
 #[derive(Clone, Copy, Debug)]
 pub struct Add<'a> {
+    /// SUMO's `type`: any text.
     pub kind: &'a str,
+    /// Fill colour.
     pub color: Color,
+    /// Higher layers are drawn over lower ones.
     pub layer: i32,
+    /// Centre (m).
     pub position: Position2D,
+    /// Picture to draw in its place; "" for none.
     pub image_file: &'a str,
     /// m.
     pub width: f64,
@@ -45,6 +50,7 @@ pub struct Add<'a> {
     pub height: f64,
     /// Degrees.
     pub angle_deg: f64,
+    /// Name of a symbol that SUMO has; "" for none.
     pub icon: &'a str,
 }
 

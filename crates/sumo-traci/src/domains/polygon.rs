@@ -28,10 +28,15 @@ setters! { Polygon:
 /// A new polygon.
 #[derive(Clone, Copy, Debug)]
 pub struct Add<'a> {
+    /// SUMO's `type`: any text.
     pub kind: &'a str,
+    /// Colour of the line or area.
     pub color: Color,
+    /// An area, not a line.
     pub fill: bool,
+    /// Higher layers are drawn over lower ones.
     pub layer: i32,
+    /// Corners (m).
     pub shape: &'a [Position2D],
     /// m.
     pub line_width: f64,

@@ -78,9 +78,13 @@ setters! { Simulation:
 /// A collision that lasts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Collision {
+    /// Id of the vehicle that drove into the other.
     pub collider: String,
+    /// Id of the other.
     pub victim: String,
+    /// The collider's vehicle type.
     pub collider_type: String,
+    /// The victim's vehicle or person type.
     pub victim_type: String,
     /// m/s.
     pub collider_speed: f64,
@@ -88,6 +92,7 @@ pub struct Collision {
     pub victim_speed: f64,
     /// "collision", "junction", "frontal", "sharing".
     pub kind: String,
+    /// Lane where it happened.
     pub lane: String,
     /// On the lane (m).
     pub position: f64,

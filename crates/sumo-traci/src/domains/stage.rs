@@ -7,12 +7,19 @@ use crate::variable::Argument;
 /// What is done in a stage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StageKind {
+    /// Before its departure.
     WaitingForDepart,
+    /// Standing for a time.
     Waiting,
+    /// On foot.
     Walking,
+    /// Riding a vehicle.
     Driving,
+    /// Between a stop and the road.
     Access,
+    /// Not yet routed.
     Trip,
+    /// Goods changing vehicles.
     Tranship,
     /// A number that this client does not know; a found route has none of the above.
     Other(i32),
@@ -51,15 +58,19 @@ impl StageKind {
 /// A stage. SUMO's "no value" is below -1e9.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stage {
+    /// What is done.
     pub kind: StageKind,
+    /// Type of the vehicle that is ridden.
     pub vehicle_type: String,
     /// Line or vehicle id.
     pub line: String,
     /// Bus stop at the end.
     pub destination_stop: String,
+    /// Edges on the way.
     pub edges: Vec<String>,
     /// s.
     pub travel_time: f64,
+    /// What the router took it to cost.
     pub cost: f64,
     /// m.
     pub length: f64,
@@ -71,6 +82,7 @@ pub struct Stage {
     pub depart_position: f64,
     /// m.
     pub arrival_position: f64,
+    /// SUMO's own words for it.
     pub description: String,
 }
 

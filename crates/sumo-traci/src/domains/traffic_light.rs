@@ -55,8 +55,11 @@ pub const fn waiting_persons(link_index: i32) -> Query<TrafficLight, i32, i32> {
 /// A link over a signalled junction.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ControlledLink {
+    /// Lane that leads to it.
     pub from_lane: String,
+    /// Lane that it leads to.
     pub to_lane: String,
+    /// Internal lane over the junction.
     pub via_lane: String,
 }
 
@@ -82,23 +85,32 @@ impl Decode for Vec<Vec<ControlledLink>> {
 /// A signal program.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Program {
+    /// Program id.
     pub id: String,
     /// 0 static, 3 actuated, 4 NEMA, 5 delay-based.
     pub kind: i32,
+    /// Index of the running phase.
     pub current_phase: i32,
+    /// In their order.
     pub phases: Vec<Phase>,
+    /// Keys and values of generic parameters.
     pub parameters: Vec<(String, String)>,
 }
 
 /// A phase of a signal program; times in s.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Phase {
+    /// How long it lasts (s).
     pub duration: f64,
+    /// State string: one character for each signal.
     pub state: String,
+    /// Shortest duration (s), where it is actuated.
     pub min_duration: f64,
+    /// Longest duration (s), where it is actuated.
     pub max_duration: f64,
     /// Phases that may follow; empty for the next one.
     pub next: Vec<i32>,
+    /// Its name; may be empty.
     pub name: String,
 }
 

@@ -7,6 +7,7 @@ use crate::variable::Argument;
 /// A vehicle ahead or behind.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Leader {
+    /// Vehicle id.
     pub id: String,
     /// Bumper to bumper, less the follower's min_gap (m).
     pub gap: f64,
@@ -32,6 +33,7 @@ impl Decode for Vec<Leader> {
 /// How good a lane of the current edge is for the route.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BestLane {
+    /// Lane id.
     pub lane: String,
     /// How far it can be driven without a change (m).
     pub length: f64,
@@ -66,6 +68,7 @@ impl Decode for Vec<BestLane> {
 /// A traffic light on the way.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NextTrafficLight {
+    /// Traffic light's id.
     pub id: String,
     /// Index into the light's state string.
     pub link_index: i32,
@@ -98,6 +101,7 @@ pub struct NextLink {
     pub approached_lane: String,
     /// The internal lane over the junction; may be empty.
     pub via: String,
+    /// Others must wait for it.
     pub has_priority: bool,
     /// Free right now.
     pub is_open: bool,
@@ -133,17 +137,23 @@ impl Decode for Vec<NextLink> {
 /// A vehicle whose way crosses this one's.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JunctionFoe {
+    /// The foe's vehicle id.
     pub id: String,
     /// This vehicle's and the foe's distance to the conflict (m).
     pub ego_distance: f64,
+    /// The foe's distance to the conflict (m).
     pub foe_distance: f64,
     /// Distances to leaving the conflict (m).
     pub ego_exit_distance: f64,
+    /// The foe's distance to leaving it (m).
     pub foe_exit_distance: f64,
+    /// Internal lane of this vehicle.
     pub ego_lane: String,
+    /// Internal lane of the foe.
     pub foe_lane: String,
     /// Who must wait.
     pub ego_response: bool,
+    /// Whether the foe must wait.
     pub foe_response: bool,
 }
 
@@ -171,22 +181,37 @@ impl Decode for Vec<JunctionFoe> {
 /// A stop on the way. Times in s, positions in m; SUMO's "no value" is below -1e9.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stop {
+    /// Lane id.
     pub lane: String,
+    /// Where the stop ends on the lane (m).
     pub end_position: f64,
     /// Id of the bus stop, parking area, ... where it is one.
     pub stopping_place: String,
+    /// Bits, as in [`SetStop::flags`].
     pub flags: i32,
+    /// How long to stand (s).
     pub duration: f64,
+    /// Not to leave before (s of simulation time).
     pub until: f64,
+    /// Where the stop begins on the lane (m).
     pub start_position: f64,
+    /// Arrival by the timetable (s).
     pub intended_arrival: f64,
+    /// When it arrived (s).
     pub arrival: f64,
+    /// When it departed (s).
     pub depart: f64,
+    /// Train that is split off here.
     pub split: String,
+    /// Train that is joined here.
     pub join: String,
+    /// Activity, for outputs.
     pub act_type: String,
+    /// Trip id, for outputs.
     pub trip_id: String,
+    /// Public transport line from here on.
     pub line: String,
+    /// Speed while passing, where the stop is a waypoint (m/s).
     pub speed: f64,
 }
 
@@ -249,6 +274,7 @@ impl Argument for DrivingDistance {
 pub struct Add<'a> {
     /// Route id; "" puts it on a random edge.
     pub route: &'a str,
+    /// Vehicle-type id.
     pub vehicle_type: &'a str,
     /// s, or "now", "triggered".
     pub depart: &'a str,
@@ -258,13 +284,21 @@ pub struct Add<'a> {
     pub depart_pos: &'a str,
     /// m/s, "max", "random", "desired", "speedLimit".
     pub depart_speed: &'a str,
+    /// Index, "current", "random", "first".
     pub arrival_lane: &'a str,
+    /// m, "max", "random".
     pub arrival_pos: &'a str,
+    /// m/s, "current".
     pub arrival_speed: &'a str,
+    /// District to start in; "" for none.
     pub from_taz: &'a str,
+    /// District to arrive in; "" for none.
     pub to_taz: &'a str,
+    /// Public transport line; "" for none.
     pub line: &'a str,
+    /// Seats.
     pub person_capacity: i32,
+    /// Persons on board from the start.
     pub person_number: i32,
 }
 
@@ -294,6 +328,7 @@ impl Default for Add<'_> {
 pub struct MoveToXy<'a> {
     /// A hint which edge and lane is meant; "" and -1 for none.
     pub edge: &'a str,
+    /// Index of that lane; -1 for none.
     pub lane_index: i32,
     /// m.
     pub x: f64,
@@ -328,6 +363,7 @@ pub struct SetStop<'a> {
     pub place: &'a str,
     /// Where to stop on the lane (m).
     pub position: f64,
+    /// 0 is the rightmost lane.
     pub lane_index: i8,
     /// s; 0 takes the stop away.
     pub duration: f64,

@@ -93,25 +93,30 @@ impl Lane for Eight {
     type Mask = __m256;
     #[inline(always)]
     fn splat(v: f32) -> Self {
+        // SAFETY: see the impl.
         unsafe { Self(_mm256_set1_ps(v)) }
     }
     #[inline(always)]
     fn ramp() -> Self {
+        // SAFETY: see the impl.
         unsafe { Self(_mm256_setr_ps(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0)) }
     }
     #[inline(always)]
     fn load(from: &[f32]) -> Self {
         let from = &from[..8];
+        // SAFETY: see the impl.
         unsafe { Self(_mm256_loadu_ps(from.as_ptr())) }
     }
     #[inline(always)]
     fn store(self, to: &mut [f32]) {
         let to = &mut to[..8];
+        // SAFETY: see the impl.
         unsafe { _mm256_storeu_ps(to.as_mut_ptr(), self.0) }
     }
     #[inline(always)]
     fn load_bytes(from: &[u16]) -> (Self, Self) {
         let from = &from[..8];
+        // SAFETY: see the impl.
         unsafe {
             let wide = _mm256_cvtepu16_epi32(_mm_loadu_si128(from.as_ptr().cast()));
             let low = _mm256_and_si256(wide, _mm256_set1_epi32(0xff));
@@ -122,6 +127,7 @@ impl Lane for Eight {
     #[inline(always)]
     fn store_bytes(self, to: &mut [u8]) {
         let to = &mut to[..8];
+        // SAFETY: see the impl.
         unsafe {
             let whole = _mm256_cvttps_epi32(self.0);
             let (low, high) = (_mm256_castsi256_si128(whole), _mm256_extracti128_si256::<1>(whole));
@@ -133,6 +139,7 @@ impl Lane for Eight {
     fn pack(r: Self, g: Self, b: Self, to: &mut [u32], keep: __m256) {
         let to = &mut to[..8];
         let (r, g, b) = (byte(r), byte(g), byte(b));
+        // SAFETY: see the impl.
         unsafe {
             let gb = _mm256_or_si256(_mm256_slli_epi32::<8>(g), _mm256_slli_epi32::<16>(b));
             let new = _mm256_or_si256(r, gb);
@@ -144,22 +151,27 @@ impl Lane for Eight {
     }
     #[inline(always)]
     fn min(self, other: Self) -> Self {
+        // SAFETY: see the impl.
         unsafe { Self(_mm256_min_ps(self.0, other.0)) }
     }
     #[inline(always)]
     fn max(self, other: Self) -> Self {
+        // SAFETY: see the impl.
         unsafe { Self(_mm256_max_ps(self.0, other.0)) }
     }
     #[inline(always)]
     fn abs(self) -> Self {
+        // SAFETY: see the impl.
         unsafe { Self(_mm256_andnot_ps(_mm256_set1_ps(-0.0), self.0)) }
     }
     #[inline(always)]
     fn fma(self, a: Self, b: Self) -> Self {
+        // SAFETY: see the impl.
         unsafe { Self(_mm256_fmadd_ps(self.0, a.0, b.0)) }
     }
     #[inline(always)]
     fn root(self) -> Self {
+        // SAFETY: see the impl.
         let guess = unsafe {
             let half = _mm256_srli_epi32::<1>(_mm256_castps_si256(self.0));
             Self(_mm256_castsi256_ps(_mm256_sub_epi32(_mm256_set1_epi32(0x5f1f_fff9), half)))
@@ -169,20 +181,24 @@ impl Lane for Eight {
     }
     #[inline(always)]
     fn less(self, other: Self) -> __m256 {
+        // SAFETY: see the impl.
         unsafe { _mm256_cmp_ps::<_CMP_LT_OQ>(self.0, other.0) }
     }
     #[inline(always)]
     fn both(a: __m256, b: __m256) -> __m256 {
+        // SAFETY: see the impl.
         unsafe { _mm256_and_ps(a, b) }
     }
     #[inline(always)]
     fn select(mask: __m256, yes: Self, no: Self) -> Self {
+        // SAFETY: see the impl.
         unsafe { Self(_mm256_blendv_ps(no.0, yes.0, mask)) }
     }
     #[inline(always)]
     fn texel(table: &[u32], bits: u32, x: Self, y: Self) -> Self {
         let table = &table[..1 << (2 * bits)];
         let ((ix, fx), (iy, fy)) = (split(x), split(y));
+        // SAFETY: see the impl.
         unsafe {
             let mask = _mm256_set1_epi32((1 << bits) - 1);
             let row = _mm256_sll_epi32(_mm256_and_si256(iy, mask), _mm_cvtsi32_si128(bits as i32));
@@ -200,6 +216,7 @@ impl Lane for Eight {
         let to = &mut to[..8];
         assert!(!table.is_empty() && table.len() < 1 << 24);
         let index = index.max(Self::splat(0.0)).min(Self::splat((table.len() - 1) as f32));
+        // SAFETY: see the impl.
         unsafe {
             let index = _mm256_cvttps_epi32(index.0);
             // A hint only: it may lie outside.
@@ -213,6 +230,7 @@ impl Lane for Eight {
     }
     #[inline(always)]
     fn nearer(self, count: i32, depth: &mut [f32], ids: &mut [u32], id: u32) -> bool {
+        // SAFETY: see the impl.
         let within = unsafe {
             let ramp = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
             _mm256_castsi256_ps(_mm256_cmpgt_epi32(_mm256_set1_epi32(count), ramp))
@@ -222,6 +240,7 @@ impl Lane for Eight {
     #[inline(always)]
     fn nearer_between(self, begin: __m256, end: __m256, depth: &mut [f32], ids: &mut [u32], id: u32) -> bool {
         let (depth, ids) = (&mut depth[..8], &mut ids[..8]);
+        // SAFETY: see the impl.
         unsafe {
             let new = _mm256_and_ps(self.0, _mm256_andnot_ps(begin, end));
             let old = _mm256_loadu_ps(depth.as_ptr());
@@ -238,6 +257,7 @@ impl Lane for Eight {
     #[inline(always)]
     fn fill_empty(self, far: f32, depth: &mut [f32], ids: &mut [u32], id: u32) {
         let (depth, ids) = (&mut depth[..8], &mut ids[..8]);
+        // SAFETY: see the impl.
         unsafe {
             let old = _mm256_loadu_ps(depth.as_ptr());
             let empty = _mm256_cmp_ps::<_CMP_EQ_OQ>(old, _mm256_setzero_ps());
@@ -255,6 +275,7 @@ impl Lane for Eight {
     }
     #[inline(always)]
     fn differ(a: &[u32], b: &[u32]) -> u32 {
+        // SAFETY: see the impl.
         unsafe {
             let same = _mm256_cmpeq_epi32(load_words(a), load_words(b));
             _mm256_movemask_ps(_mm256_castsi256_ps(same)) as u32 ^ 0xff
@@ -263,6 +284,7 @@ impl Lane for Eight {
     #[inline(always)]
     fn places(bits: u32, x: usize, to: &mut [u32], count: usize) -> usize {
         let (places, to) = (&PLACES[(bits & 0xff) as usize], &mut to[count..count + 8]);
+        // SAFETY: see the impl.
         unsafe {
             let places = _mm256_cvtepu8_epi32(_mm_loadl_epi64(places.as_ptr().cast()));
             let places = _mm256_add_epi32(places, _mm256_set1_epi32(x as i32));
@@ -274,6 +296,7 @@ impl Lane for Eight {
     fn borders(a: (&[u32], &[u32]), b: (&[u32], &[u32])) -> u32 {
         let (ids, colours) = (load_words(a.0), load_words(a.1));
         let (other_ids, others) = (load_words(b.0), load_words(b.1));
+        // SAFETY: see the impl.
         unsafe {
             let gaps = _mm256_or_si256(_mm256_subs_epu8(colours, others), _mm256_subs_epu8(others, colours));
             let pairs = _mm256_maddubs_epi16(gaps, _mm256_set1_epi8(1));
@@ -286,6 +309,7 @@ impl Lane for Eight {
     #[inline(always)]
     fn random(x: Self, y: Self, seed: u32) -> Self {
         let magic = Self::splat(12_582_912.0);
+        // SAFETY: see the impl.
         unsafe {
             let x = _mm256_slli_epi32::<8>(_mm256_castps_si256((x + magic).0));
             let y = _mm256_slli_epi32::<20>(_mm256_castps_si256((y + magic).0));
