@@ -1,8 +1,8 @@
 //! The towns and scenarios that travel with the binary, and how a name on the command line becomes a file.
 
 use include_dir::{Dir, DirEntry, include_dir};
-use std::ffi::OsString;
 use std::path::{Path, PathBuf};
+pub use sumo_traci::cache::{cache_dir, cache_in};
 
 static TOWNS: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/sumo_nets");
 static SCENARIOS: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/scenarios");
@@ -76,21 +76,6 @@ pub fn agent(name: &str) -> Option<&'static [u8]> {
 /// The bundled detector of that name (`models/detector/NAME.safetensors`).
 pub fn detector(name: &str) -> Option<&'static [u8]> {
     DETECTORS.get_file(format!("{name}.safetensors")).map(|file| file.contents())
-}
-
-/// The user's cache folder of this project: `$XDG_CACHE_HOME/wad-cosim` or `~/.cache/wad-cosim`.
-pub fn cache_dir() -> PathBuf {
-    cache_in(|name| std::env::var_os(name)).unwrap_or_else(|| std::env::temp_dir().join("wad-cosim"))
-}
-
-/// The same with these variables; None where neither names a folder. A relative `XDG_CACHE_HOME` is
-/// passed over, as the XDG base directory specification asks.
-pub(crate) fn cache_in(variable: impl Fn(&str) -> Option<OsString>) -> Option<PathBuf> {
-    let named = |name: &str| variable(name).map(PathBuf::from);
-    let base = named("XDG_CACHE_HOME").filter(|path| path.is_absolute());
-    let base =
-        base.or_else(|| named("HOME").filter(|home| !home.as_os_str().is_empty()).map(|h| h.join(".cache")));
-    Some(base?.join("wad-cosim"))
 }
 
 /// The file that `name` means: a path that exists wins (a folder means the one .sumocfg in it),

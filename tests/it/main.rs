@@ -7,6 +7,7 @@ mod autopilot;
 mod bridge;
 #[cfg(feature = "vision")]
 mod camera;
+mod crates;
 mod dataset;
 mod doctor;
 #[cfg(feature = "vision")]

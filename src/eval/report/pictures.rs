@@ -82,11 +82,7 @@ pub fn thumbnails(section: &Section, most: usize) -> Result<Vec<Thumbnail>, Came
     Ok(all)
 }
 
-/// JPEG where this build can make one, else PNG, which is three times as large.
+/// A JPEG file as a data address.
 fn data_address(picture: &Picture) -> Option<String> {
-    let (kind, bytes) = match picture.jpeg() {
-        Ok(bytes) => ("jpeg", bytes),
-        Err(_) => ("png", picture.png().ok()?),
-    };
-    Some(format!("data:image/{kind};base64,{}", base64(&bytes)))
+    Some(format!("data:image/jpeg;base64,{}", base64(&picture.jpeg().ok()?)))
 }

@@ -1,0 +1,321 @@
+//! What a picture is made of: meshes, materials, models, chunks of the town, and the actors of a frame.
+//!
+//! The scene and actor builders fill these types; the renderer only reads them. World frame: x east,
+//! y north, z up, metres. Model frame: x forward, y left, z up, the origin on the ground in the middle
+//! of the footprint. Front faces are counter-clockwise seen from outside.
+
+pub use super::material::{
+    Channel, Facade, GroundFloor, Material, MaterialId, Rgb, SemanticTag, Texture, Tint, Wall, srgb,
+};
+pub use super::mesh::{Mesh, Triangle, Vertex};
+
+use super::grid::Grid;
+use super::mesh::Faces;
+use nalgebra::Point3;
+use sumo_network::geometry::Pose;
+use sumo_network::network::SignalIndex;
+
+/// Index into [`Library::models`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct ModelId(pub u16);
+
+/// The channels that shine on one instance (a bit set by [`Channel`]).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Lamps(pub u32);
+
+impl Lamps {
+    /// This set with `channel` in it.
+    #[must_use]
+    pub fn with(self, channel: Channel) -> Self {
+        Self(self.0 | 1 << channel as u32)
+    }
+    /// Whether `channel` shines.
+    pub fn has(self, channel: Channel) -> bool {
+        self.0 >> channel as u32 & 1 == 1
+    }
+}
+
+/// A mesh and how large it must appear to be worth its triangles.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Level {
+    /// The triangles.
+    pub mesh: Mesh,
+    /// Used while the model's bounding sphere is at least this many pixels in radius.
+    pub min_pixels: f32,
+}
+
+/// A part of a model that swings about an axis through `pivot`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Bone {
+    /// m, model frame.
+    pub pivot: [f32; 3],
+    /// Unit axis of the turn, model frame.
+    pub axis: [f32; 3],
+    /// The turn is `amplitude` x sin(phase + `offset`) (rad); an amplitude of 0 stays.
+    pub amplitude: f32,
+    /// Shift of the phase (rad).
+    pub offset: f32,
+    /// Turns with the whole phase instead (wheels).
+    pub spins: bool,
+    /// Bone that this one hangs on (a shin on its thigh); must be smaller than its own index.
+    pub parent: Option<u8>,
+}
+
+/// Something that is placed many times: a car, a person, a tree, a lamp.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Model {
+    /// For people who read a dump.
+    pub name: String,
+    /// Finest first, `min_pixels` falling. Below the last one's nothing is drawn.
+    pub levels: Vec<Level>,
+    /// What swings; may be empty.
+    pub bones: Vec<Bone>,
+    /// Corners of the bounding box (m, model frame).
+    pub bounds: [[f32; 3]; 2],
+    /// Casts a sun shadow of its shape (static) or of its boxes (actors).
+    pub casts_shadow: bool,
+    /// Boxes (m, model frame) whose shadow stands for an actor's; empty: `bounds`.
+    pub shadow_boxes: Vec<[[f32; 3]; 2]>,
+    /// Where lamps dazzle: centre (m, model frame), channel. Drawn as a glow at night and in rain.
+    pub glows: Vec<([f32; 3], Channel)>,
+}
+
+/// All materials and models of a scene.
+#[derive(Clone, Debug, Default)]
+pub struct Library {
+    /// By [`MaterialId`].
+    pub materials: Vec<Material>,
+    /// By [`ModelId`].
+    pub models: Vec<Model>,
+}
+
+impl Library {
+    /// Adds a material.
+    pub fn material(&mut self, material: Material) -> MaterialId {
+        self.materials.push(material);
+        MaterialId(self.materials.len() as u16 - 1)
+    }
+    /// Adds a model.
+    pub fn model(&mut self, model: Model) -> ModelId {
+        self.models.push(model);
+        ModelId(self.models.len() as u16 - 1)
+    }
+}
+
+/// The eight classes that detectors know.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ObjectClass {
+    /// Cars and vans.
+    Car,
+    /// Motorcycles.
+    Motorcycle,
+    /// Bicycles.
+    Bicycle,
+    /// People.
+    Person,
+    /// Buses.
+    Bus,
+    /// Lorries.
+    Truck,
+    /// Signal heads.
+    TrafficLight,
+    /// Benches.
+    Bench,
+}
+
+/// A box with one heading, upright.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Box3 {
+    /// Centre of the footprint on the ground and heading.
+    pub pose: Pose,
+    /// Length along the heading, width, height (m).
+    pub size: [f64; 3],
+}
+
+/// What the ground truth tells of an instance.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Object {
+    /// What it is.
+    pub class: ObjectClass,
+    /// Instance id, not 0, unique in the frame. A road user's is its place in the world + 1, vehicles before
+    /// pedestrians; who rides it has [`RIDER_IDS`] more. Static objects count from [`STATIC_IDS`].
+    pub id: u32,
+    /// The box round it.
+    pub bounds: Box3,
+}
+
+/// The first instance id of static objects; actors stay below.
+pub const STATIC_IDS: u32 = 1 << 24;
+/// What a rider's id is above its vehicle's.
+pub const RIDER_IDS: u32 = 1 << 23;
+
+/// A model put somewhere for one frame, or for good.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Instance {
+    /// Which model.
+    pub model: ModelId,
+    /// Where the model's origin is.
+    pub pose: Pose,
+    /// Size of the model, 1 as built: x, y, z.
+    pub scale: [f32; 3],
+    /// Colours for [`Tint::Instance`].
+    pub tints: [Rgb; 4],
+    /// What shines on it.
+    pub lamps: Lamps,
+    /// Phase of the walk or of the wheels (rad).
+    pub phase: f32,
+    /// A signal head's lamps follow this (static instances).
+    pub signal: Option<SignalIndex>,
+    /// Ground truth; None for what no detector looks for.
+    pub object: Option<Object>,
+}
+
+impl Instance {
+    /// `model` at `pose` as it was built.
+    pub fn new(model: ModelId, pose: Pose) -> Self {
+        Self {
+            model,
+            pose,
+            scale: [1.0; 3],
+            tints: [[0.5; 3]; 4],
+            lamps: Lamps::default(),
+            phase: 0.0,
+            signal: None,
+            object: None,
+        }
+    }
+}
+
+/// What paint on the ground looks like.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum PaintColour {
+    /// Lane lines.
+    White = 0,
+    /// Lines of road works, kerbs.
+    Yellow = 1,
+    /// Cycle lanes, no-parking.
+    Red = 2,
+    /// Parking.
+    Blue = 3,
+    /// Patches and seams of tar.
+    Tar = 4,
+}
+
+/// Paint on the road: a convex quadrilateral, drawn with exact coverage however thin it is.
+///
+/// A bent line is a chain of quads: corners 0-1 and 2-3 are its sides, 1-2 its front end, 3-0 its rear
+/// end. Ends shared with the next quad of the chain are not softened.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Paint {
+    /// Counter-clockwise seen from above (m, chunk frame), on the surface (no offset needed).
+    pub corners: [[f32; 3]; 4],
+    /// What colour.
+    pub colour: PaintColour,
+    /// 0 worn off .. 1 fresh.
+    pub strength: f32,
+    /// Whether the front end (1-2) and the rear end (3-0) are the line's own ends.
+    pub front_end: bool,
+    /// See `front_end`.
+    pub rear_end: bool,
+}
+
+/// A street lamp's light.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PointLight {
+    /// m, chunk frame.
+    pub position: [f32; 3],
+    /// Light of its lamp.
+    pub colour: Rgb,
+    /// How far it lights the ground (m).
+    pub radius: f32,
+}
+
+/// A piece of the town, about [`CHUNK_SIZE`] wide. Everything in it that is not instanced is baked into
+/// its meshes.
+#[derive(Clone, Debug, Default)]
+pub struct Chunk {
+    /// Origin of its frame (m, world).
+    pub origin: Point3<f64>,
+    /// Corners of the box that holds all of it, instances included (m, chunk frame).
+    pub bounds: [[f32; 3]; 2],
+    /// Roads, sidewalks, lawns, buildings. Finest first; a level is used to its distance (m) from the
+    /// camera to the chunk's box; the last one's is usually infinite.
+    pub levels: Vec<(f32, Mesh)>,
+    /// Lines and marks on the ground.
+    pub paint: Vec<Paint>,
+    /// What is placed in it.
+    pub instances: Vec<Instance>,
+    /// Street lamps.
+    pub lights: Vec<PointLight>,
+}
+
+impl Chunk {
+    /// The middle of its box (x, y in m, world).
+    fn middle(&self) -> [f64; 2] {
+        let middle = |axis: usize| 0.5 * f64::from(self.bounds[0][axis] + self.bounds[1][axis]);
+        [self.origin.x + middle(0), self.origin.y + middle(1)]
+    }
+}
+
+/// Width of a chunk of the town (m).
+pub const CHUNK_SIZE: f64 = 32.0;
+
+/// The town without its road users.
+#[derive(Clone, Debug, Default)]
+pub struct Scene {
+    /// Materials and models.
+    pub library: Library,
+    /// Lies under everything, to the horizon: its material and height (m).
+    pub ground: Option<(MaterialId, f64)>,
+    /// Fill and then call [`Scene::index`].
+    pub chunks: Vec<Chunk>,
+    pub(super) grid: Grid,
+}
+
+impl Scene {
+    /// Rebuilds the spatial index and what is drawn after `chunks` or the library changed.
+    pub fn index(&mut self) {
+        self.grid = Grid::new(self.chunks.iter().map(Chunk::middle));
+        let materials = &self.library.materials;
+        let models = self.library.models.iter_mut().flat_map(|m| &mut m.levels).map(|level| &mut level.mesh);
+        let chunks = self.chunks.iter_mut().flat_map(|c| &mut c.levels).map(|(_, mesh)| mesh);
+        for mesh in models.chain(chunks) {
+            mesh.faces = Faces::of(mesh, materials);
+        }
+    }
+
+    /// The town `times` times, side by side to the east: for measuring what a larger town costs.
+    #[must_use]
+    pub fn repeated(&self, times: usize) -> Self {
+        let ends = |f: fn(f64, f64) -> f64, start: f64, corner: usize| {
+            self.chunks.iter().map(|c| c.origin.x + f64::from(c.bounds[corner][0])).fold(start, f)
+        };
+        let width = ends(f64::max, f64::MIN, 1) - ends(f64::min, f64::MAX, 0);
+        let mut town = Self { chunks: Vec::with_capacity(self.chunks.len() * times), ..self.clone() };
+        for copy in 0..times {
+            let shift = width * copy as f64;
+            town.chunks.extend(self.chunks.iter().cloned().map(|mut chunk| {
+                chunk.origin.x += shift;
+                chunk.instances.iter_mut().for_each(|i| i.pose.position.x += shift);
+                chunk
+            }));
+        }
+        town.index();
+        town
+    }
+}
+
+/// The road users of one tick.
+#[derive(Clone, Debug, Default)]
+pub struct ActorFrame {
+    /// The scene's time (s): rain falls and blinkers blink by it.
+    pub time: f64,
+    /// In the order of the world's vehicles and pedestrians.
+    pub instances: Vec<Instance>,
+    /// The ego itself, seen only by cameras outside it.
+    pub ego: Option<Instance>,
+    /// State strings of the traffic lights, as [`sumo_network::world::WorldState::traffic_lights`] has them.
+    pub traffic_lights: Vec<Option<std::sync::Arc<str>>>,
+}
