@@ -3,13 +3,13 @@
 //! The loop is that of `run` with the front camera: the autopilot decides, the ego's physics moves it,
 //! SUMO steps, the reply is decoded, the camera renders what the ego sees, perception looks at it.
 
-use crate::bench::{median, quantile};
 use crate::camera::{CameraConfig, Outputs, Preset};
 use crate::cpu_time;
 use crate::drive::{Drive, DriveError, DriveOptions, Status};
 use crate::eyes::{Eyes, EyesError};
 use crate::latent::Encoder;
 use crate::perception::{Detector, EgoFacts};
+use crate::stats::{median, quantile};
 use serde::Serialize;
 use serde::ser::{SerializeMap, Serializer};
 use std::collections::BTreeMap;

@@ -41,43 +41,23 @@
 //! east. Speeds in m/s, times in s, impulses in N s. SUMO's own angles and bumper positions exist in
 //! [`geometry`] only.
 
-pub mod agent;
-pub mod assets;
-pub mod autopilot;
 pub mod bench;
 pub mod bench_tick;
-pub mod bridge;
-pub mod bundled;
+mod bundle;
 pub mod clock;
-pub mod cores;
-pub mod cpu_time;
-pub mod criteria;
-pub mod dataset;
-pub mod destination;
-pub mod drive;
-pub mod driver;
-pub mod end;
-pub mod env;
-pub mod eval;
-pub mod eyes;
 pub mod interrupt;
-pub mod latent;
-pub mod nets;
-pub mod observation;
-pub mod perception;
-pub mod record;
-pub mod replay;
-pub mod reward;
-pub mod scenario;
-pub mod session;
-pub mod sumo_config;
-pub mod tasks;
-pub mod telemetry;
-pub mod traffic;
-pub mod train;
 pub mod view;
 
+pub use bundle::register as register_bundled;
 pub use sumo_network::{geometry, network, seeds, world};
 pub use sumo_traci as traci;
 pub use wad_camera as camera;
+#[cfg(feature = "learn")]
+pub use wad_learn::train;
+pub use wad_learn::{agent, dataset, drive, driver, encoder_score, env, eval, reward, tour};
+pub use wad_see::{eyes, latent, observation, perception, record};
+pub use wad_sim::{
+    assets, autopilot, bridge, bundled, cores, cpu_time, criteria, destination, end, nets, program, replay,
+    scenario, session, stats, sumo_config, tasks, telemetry, traffic,
+};
 pub use wad_vehicle as vehicle;

@@ -4,10 +4,10 @@ use super::{Exit, print, run};
 use anyhow::Context;
 use serde::Serialize;
 use std::time::Instant;
-use wad_cosim::bench::median;
 use wad_cosim::bundled;
 use wad_cosim::camera::{Camera, CameraConfig, Outputs, Preset, Stages, Town, Weather};
 use wad_cosim::drive::{Drive, DriveOptions};
+use wad_cosim::stats::median;
 use wad_cosim::traffic::TrafficSpec;
 
 const EXAMPLES: &str = "\

@@ -6,11 +6,11 @@ use super::{Exit, print};
 use anyhow::Context;
 use serde::Serialize;
 use std::time::Instant;
-use wad_cosim::bench::{median, quantile};
 use wad_cosim::bundled;
 use wad_cosim::camera::Preset;
 use wad_cosim::drive::{Drive, DriveOptions};
 use wad_cosim::perception::DETECTORS;
+use wad_cosim::stats::{median, quantile};
 use wad_cosim::traffic::TrafficSpec;
 use wad_cosim::view::{Crowd, Listener, ViewAddress};
 

@@ -74,6 +74,7 @@ enum Command {
 
 /// Parse the command line, run the command, and turn its result into an exit code.
 pub fn main() -> ExitCode {
+    wad_cosim::register_bundled();
     let cli = Cli::parse();
     start_log(cli.verbose, cli.quiet);
     let result = match cli.command {

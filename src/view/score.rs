@@ -1,7 +1,6 @@
 //! The paper's reward for whoever drives: terms of each tick, and their sums.
 
 use crate::criteria::{EgoOnRoute, Event};
-use crate::env::episode::bends;
 use crate::network::{Network, Route};
 use crate::observation::LeadState;
 use crate::perception::{EgoFacts, LightAhead};
@@ -63,7 +62,7 @@ impl Score {
             steer: tick.control.steer,
             previous_steer: self.steer,
             speed_limit: here.speed_limit,
-            curve_speed: reward::curve_speed(&self.params, bends(route, at.s, state.speed)),
+            curve_speed: reward::curve_speed(&self.params, reward::bends(route, at.s, state.speed)),
             curve_steer: bend.clamp(-1.0, 1.0),
             offset: route.corridor_offset(at.s, at.d),
             lead: tick.leader.map(|l| LeadState { gap: l.gap, closing_speed: state.speed - l.speed }),

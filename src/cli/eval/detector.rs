@@ -17,7 +17,8 @@ use wad_cosim::drive::DriveOptions;
 use wad_cosim::perception::score::{
     BELIEVED, FALSE_ALARM_GOAL, GROUPS, Precision, Realism, View, precision, realism,
 };
-use wad_cosim::perception::{DETECTORS, Detection, Detector, Tour, detector};
+use wad_cosim::perception::{DETECTORS, Detection, Detector, detector};
+use wad_cosim::tour::Tour;
 use wad_cosim::traffic::TrafficSpec;
 
 const EXAMPLES: &str = "\

@@ -6,8 +6,8 @@ use anyhow::Context;
 use clap::ValueHint;
 use std::path::PathBuf;
 use wad_cosim::dataset::{Dataset, Role};
+use wad_cosim::encoder_score::judge::{JudgeError, Judgement, LinearScore, ProbeScore, judge};
 use wad_cosim::latent::TchEncoder;
-use wad_cosim::latent::judge::{JudgeError, Judgement, LinearScore, ProbeScore, judge};
 
 const EXAMPLES: &str = "\
 Examples:

@@ -6,8 +6,8 @@ use clap::ValueHint;
 use std::path::PathBuf;
 use wad_cosim::camera::Picture;
 use wad_cosim::dataset::Dataset;
+use wad_cosim::encoder_score::judge::{JudgeError, pairs};
 use wad_cosim::latent::TchEncoder;
-use wad_cosim::latent::judge::{JudgeError, pairs};
 use wad_cosim::perception::{TRANSFORMED_SIZE, TransformedImage};
 
 /// Transformed images above, their reconstructions below.

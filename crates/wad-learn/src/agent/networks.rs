@@ -1,0 +1,431 @@
+//! WAD-T's and WAD-S' networks (paper, section "Network Architectures").
+//!
+//! ```text
+//! WAD-T actor   latent 200 - 150 - 100 \
+//!               raw 15 - 50             > 150 - 100 - 75 - 3   steer tanh, throttle and brake sigmoid
+//! WAD-T critics observation + action 218 - 256 - 128 - 1       two of them; sigmoid at the end, or linear
+//! WAD-S policy  observation 215 - 256 - 128 - 64 - (3 means, 3 log standard deviations)
+//! WAD-S critics observation + action 218 - 256 - 128 - 64 - 1  two of them
+//! WAD-S value   observation 215 - 256 - 128 - 64 - 1
+//! ```
+//!
+//! Everything between is ReLU. The paper does not tell the sizes of WAD-T's critics.
+//!
+//! Shapes: B is the batch. All of a network's parameters lie in one flat tensor ([`Params`]); a pair of
+//! critics is one network whose weights have a leading dimension of two.
+
+use rand::{Rng, RngExt};
+use serde::{Deserialize, Serialize};
+use tch::{Device, Kind, Tensor, no_grad};
+
+/// Sizes of what goes in and out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Dims {
+    pub latent: i64,
+    pub raw: i64,
+    pub actions: i64,
+}
+
+impl Dims {
+    /// The driving agents' sizes.
+    pub const DRIVING: Self = Self {
+        latent: wad_see::observation::LATENT_SIZE as i64,
+        raw: wad_see::observation::RAW_SIZE as i64,
+        actions: super::action::ACTION_SIZE as i64,
+    };
+
+    /// Numbers in an observation.
+    pub fn observation(&self) -> i64 {
+        self.latent + self.raw
+    }
+}
+
+/// A network's parameters: one flat tensor, and the weights and biases as leaves that share its memory.
+#[derive(Debug)]
+pub struct Params {
+    flat: Tensor,
+    leaves: Vec<Tensor>,
+    shapes: Vec<Vec<i64>>,
+}
+
+impl Params {
+    fn new(values: &[f32], shapes: Vec<Vec<i64>>, device: Device) -> Self {
+        let flat = Tensor::from_slice(values).to_device(device);
+        let mut params = Self { flat, leaves: Vec::new(), shapes };
+        params.make_leaves();
+        params
+    }
+
+    fn make_leaves(&mut self) {
+        let mut at = 0;
+        self.leaves = self
+            .shapes
+            .iter()
+            .map(|shape| {
+                let size: i64 = shape.iter().product();
+                let leaf = no_grad(|| self.flat.narrow(0, at, size).view(shape.as_slice()).detach());
+                at += size;
+                leaf.set_requires_grad(true)
+            })
+            .collect();
+    }
+
+    /// A copy with its own memory.
+    pub fn copy(&self, device: Device) -> Self {
+        let flat = no_grad(|| self.flat.detach().to_device(device).copy());
+        let mut params = Self { flat, leaves: Vec::new(), shapes: self.shapes.clone() };
+        params.make_leaves();
+        params
+    }
+
+    /// All parameters, one after the other.
+    pub fn flat(&self) -> &Tensor {
+        &self.flat
+    }
+
+    /// For optimisers.
+    pub fn flat_mut(&mut self) -> &mut Tensor {
+        &mut self.flat
+    }
+
+    /// Number of parameters.
+    pub fn size(&self) -> i64 {
+        self.flat.size()[0]
+    }
+
+    /// Takes over other values of the same length.
+    pub fn set(&mut self, flat: &Tensor) {
+        no_grad(|| self.flat.copy_(flat));
+    }
+
+    /// All parameters, on the CPU.
+    pub fn values(&self) -> Vec<f32> {
+        let flat = self.flat.to_device(Device::Cpu).contiguous();
+        let mut values = vec![0.0; self.size() as usize];
+        flat.copy_data(&mut values, self.size() as usize);
+        values
+    }
+
+    /// The gradient of `loss`, flat.
+    pub fn gradient(&self, loss: &Tensor) -> Tensor {
+        let parts = Tensor::run_backward(&[loss], &self.leaves, false, false);
+        no_grad(|| Tensor::cat(&parts.iter().map(|part| part.reshape([-1])).collect::<Vec<_>>(), 0))
+    }
+
+    /// self = (1 - tau) self + tau other.
+    pub fn follow(&mut self, other: &Self, tau: f64) {
+        no_grad(|| {
+            let _ = self.flat.lerp_(&other.flat, tau);
+        });
+    }
+
+    /// Layer `layer` of one network: x [B, in] -> [B, out].
+    fn linear(&self, layer: usize, x: &Tensor) -> Tensor {
+        self.leaves[2 * layer + 1].addmm(x, &self.leaves[2 * layer])
+    }
+
+    /// Layer `layer` of a pair: x [2, B, in] -> [2, B, out].
+    fn linear_pair(&self, layer: usize, x: &Tensor) -> Tensor {
+        self.leaves[2 * layer + 1].baddbmm(x, &self.leaves[2 * layer], 1.0, 1.0)
+    }
+
+    /// The same for the first of the pair alone: x [B, in] -> [B, out].
+    fn linear_first(&self, layer: usize, x: &Tensor) -> Tensor {
+        self.leaves[2 * layer + 1].select(0, 0).addmm(x, &self.leaves[2 * layer].select(0, 0))
+    }
+}
+
+/// Draws a network's first parameters, uniform in +-1 / sqrt(inputs) as torch does.
+struct Draw<'a, R> {
+    rng: &'a mut R,
+    values: Vec<f32>,
+    shapes: Vec<Vec<i64>>,
+}
+
+impl<'a, R: Rng> Draw<'a, R> {
+    fn new(rng: &'a mut R) -> Self {
+        Self { rng, values: Vec::new(), shapes: Vec::new() }
+    }
+
+    fn layer(&mut self, copies: Option<i64>, inputs: i64, outputs: i64) {
+        let bound = 1.0 / (inputs as f32).sqrt();
+        let n = copies.unwrap_or(1);
+        self.uniform((n * inputs * outputs) as usize, bound);
+        self.uniform((n * outputs) as usize, bound);
+        match copies {
+            None => self.shapes.extend([vec![inputs, outputs], vec![1, outputs]]),
+            Some(n) => self.shapes.extend([vec![n, inputs, outputs], vec![n, 1, outputs]]),
+        }
+    }
+
+    /// The last layer of an actor: small weights, and biases that say where it begins.
+    fn last_layer(&mut self, inputs: i64, biases: &[f32]) {
+        self.uniform(inputs as usize * biases.len(), LAST_LAYER);
+        self.values.extend(biases);
+        self.shapes.extend([vec![inputs, biases.len() as i64], vec![1, biases.len() as i64]]);
+    }
+
+    fn chain(&mut self, copies: Option<i64>, sizes: &[i64]) {
+        for pair in sizes.windows(2) {
+            self.layer(copies, pair[0], pair[1]);
+        }
+    }
+
+    fn uniform(&mut self, n: usize, bound: f32) {
+        self.values.extend((0..n).map(|_| 0.0));
+        let from = self.values.len() - n;
+        for value in &mut self.values[from..] {
+            *value = bound * (2.0 * self.rng.random::<f32>() - 1.0);
+        }
+    }
+
+    fn finish(self, device: Device) -> Params {
+        Params::new(&self.values, self.shapes, device)
+    }
+}
+
+/// Bound of the weights of an actor's last layer: it begins with the action that its biases say.
+const LAST_LAYER: f32 = 3e-3;
+
+/// Where a driving actor begins, before the squashing: straight on, throttle sigmoid(-0.6) = 0.35, brake
+/// sigmoid(-3) = 0.05, less than the pedal's free travel. Halves stay halves: a new agent creeps forward.
+const START: [f32; 3] = [0.0, -0.6, -3.0];
+
+fn start(actions: i64) -> Vec<f32> {
+    (0..actions as usize).map(|i| START.get(i).copied().unwrap_or(0.0)).collect()
+}
+
+/// Squashes the numbers before an actor's end, x [.., A]: the first with tanh to -1..1, the others with a
+/// sigmoid to 0..1. sigmoid(x) = (1 + tanh(x / 2)) / 2, so that one tanh does for all.
+#[derive(Debug)]
+struct Squash {
+    half: Tensor,
+    offset: Tensor,
+}
+
+impl Squash {
+    fn new(actions: i64, device: Device) -> Self {
+        let pick = |steer: f32, pedal: f32| {
+            let values: Vec<f32> = (0..actions).map(|i| if i == 0 { steer } else { pedal }).collect();
+            Tensor::from_slice(&values).to_device(device)
+        };
+        Self { half: pick(1.0, 0.5), offset: pick(0.0, 0.5) }
+    }
+
+    fn sigmoid_form(&self, x: &Tensor) -> Tensor {
+        (x * &self.half).tanh() * &self.half + &self.offset
+    }
+
+    /// -1..1 to the actions' ranges.
+    fn rescale(&self, t: &Tensor) -> Tensor {
+        t * &self.half + &self.offset
+    }
+}
+
+/// WAD-T's actor.
+#[derive(Debug)]
+pub struct ActorT {
+    pub params: Params,
+    dims: Dims,
+    squash: Squash,
+}
+
+impl ActorT {
+    /// A new actor.
+    pub fn new(dims: Dims, rng: &mut impl Rng, device: Device) -> Self {
+        let mut draw = Draw::new(rng);
+        draw.chain(None, &[dims.latent, 150, 100]);
+        draw.chain(None, &[dims.raw, 50]);
+        draw.chain(None, &[150, 100, 75]);
+        draw.last_layer(75, &start(dims.actions));
+        Self { params: draw.finish(device), dims, squash: Squash::new(dims.actions, device) }
+    }
+
+    /// A copy with its own memory.
+    pub fn copy(&self, device: Device) -> Self {
+        Self {
+            params: self.params.copy(device),
+            dims: self.dims,
+            squash: Squash::new(self.dims.actions, device),
+        }
+    }
+
+    /// Actions [B, A] for observations [B, latent + raw].
+    pub fn forward(&self, observation: &Tensor) -> Tensor {
+        let p = &self.params;
+        let latent = observation.narrow(1, 0, self.dims.latent);
+        let raw = observation.narrow(1, self.dims.latent, self.dims.raw);
+        let latent = p.linear(1, &p.linear(0, &latent).relu()).relu();
+        let raw = p.linear(2, &raw).relu();
+        let joined = Tensor::cat(&[latent, raw], 1);
+        let joined = p.linear(4, &p.linear(3, &joined).relu()).relu();
+        self.squash.sigmoid_form(&p.linear(5, &joined))
+    }
+}
+
+/// What a critic's last number means.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+pub enum CriticEnd {
+    /// The paper's sigmoid: 0 is a return of `low`, 1 of `high` (in scaled rewards). Returns outside are
+    /// cut, which also bounds what overestimation can do.
+    Sigmoid { low: f64, high: f64 },
+    /// The return itself.
+    Linear,
+}
+
+/// Two critics of one form: Q1 and Q2.
+#[derive(Debug)]
+pub struct Critics {
+    pub params: Params,
+    layers: usize,
+}
+
+impl Critics {
+    /// A new pair with `hidden` layers between observation + action and the one output.
+    pub fn new(dims: Dims, hidden: &[i64], rng: &mut impl Rng, device: Device) -> Self {
+        let sizes = [&[dims.observation() + dims.actions], hidden, &[1]].concat();
+        let mut draw = Draw::new(rng);
+        draw.chain(Some(2), &sizes);
+        Self { params: draw.finish(device), layers: sizes.len() - 1 }
+    }
+
+    /// A copy with its own memory.
+    pub fn copy(&self, device: Device) -> Self {
+        Self { params: self.params.copy(device), layers: self.layers }
+    }
+
+    /// Both values [2, B], before the end's meaning.
+    pub fn forward(&self, observation: &Tensor, action: &Tensor) -> Tensor {
+        let x = Tensor::cat(&[observation, action], 1).unsqueeze(0);
+        let size = x.size();
+        let mut x = x.expand([2, size[1], size[2]], false);
+        for layer in 0..self.layers {
+            x = self.params.linear_pair(layer, &x);
+            if layer + 1 < self.layers {
+                x = x.relu();
+            }
+        }
+        x.squeeze_dim(2)
+    }
+
+    /// Q1 alone, [B]: what the actor climbs.
+    pub fn first(&self, observation: &Tensor, action: &Tensor) -> Tensor {
+        let mut x = Tensor::cat(&[observation, action], 1);
+        for layer in 0..self.layers {
+            x = self.params.linear_first(layer, &x);
+            if layer + 1 < self.layers {
+                x = x.relu();
+            }
+        }
+        x.squeeze_dim(1)
+    }
+}
+
+/// Sizes of WAD-S' hidden layers, in all its networks.
+pub const HIDDEN_S: [i64; 3] = [256, 128, 64];
+
+/// Bounds of the logarithm of WAD-S' standard deviations; a tanh moves between them.
+const LOG_STD: [f64; 2] = [-5.0, 2.0];
+
+/// Where the log standard deviations begin, before their tanh: exp(-1.0), a third of the range.
+const START_LOG_STD: f32 = 0.145;
+
+/// WAD-S' policy: a gaussian, squashed.
+#[derive(Debug)]
+pub struct PolicyS {
+    pub params: Params,
+    actions: i64,
+    squash: Squash,
+}
+
+impl PolicyS {
+    /// A new policy.
+    pub fn new(dims: Dims, rng: &mut impl Rng, device: Device) -> Self {
+        let mut draw = Draw::new(rng);
+        draw.chain(None, &[dims.observation(), HIDDEN_S[0], HIDDEN_S[1], HIDDEN_S[2]]);
+        // Pedals are tanh's here, rescaled: half of a sigmoid's argument.
+        let mut biases: Vec<f32> =
+            start(dims.actions).iter().enumerate().map(|(i, b)| if i == 0 { *b } else { 0.5 * b }).collect();
+        biases.resize(2 * dims.actions as usize, START_LOG_STD);
+        draw.last_layer(HIDDEN_S[2], &biases);
+        Self { params: draw.finish(device), actions: dims.actions, squash: Squash::new(dims.actions, device) }
+    }
+
+    /// A copy with its own memory.
+    pub fn copy(&self, device: Device) -> Self {
+        Self {
+            params: self.params.copy(device),
+            actions: self.actions,
+            squash: Squash::new(self.actions, device),
+        }
+    }
+
+    /// Means and logarithms of the standard deviations, each [B, A], before the squashing.
+    pub fn distribution(&self, observation: &Tensor) -> (Tensor, Tensor) {
+        let p = &self.params;
+        let mut x = observation.shallow_clone();
+        for layer in 0..HIDDEN_S.len() {
+            x = p.linear(layer, &x).relu();
+        }
+        let x = p.linear(HIDDEN_S.len(), &x);
+        let mean = x.narrow(1, 0, self.actions);
+        let log_std = x.narrow(1, self.actions, self.actions).tanh();
+        let [low, high] = LOG_STD;
+        (mean, log_std * (0.5 * (high - low)) + 0.5 * (high + low))
+    }
+
+    /// The action without chance, [B, A].
+    pub fn mean_action(&self, observation: &Tensor) -> Tensor {
+        self.squash.rescale(&self.distribution(observation).0.tanh())
+    }
+
+    /// The action that standard normal `noise` [B, A] draws.
+    pub fn sample(&self, observation: &Tensor, noise: &Tensor) -> Tensor {
+        let (mean, log_std) = self.distribution(observation);
+        self.squash.rescale(&(mean + log_std.exp() * noise).tanh())
+    }
+
+    /// The same with the log-probability [B], the density taken over -1..1 for all three numbers:
+    ///
+    /// u = mean + std n;  log pi = sum(log N(u) - log(1 - tanh(u)^2))
+    pub fn sample_with_log_prob(&self, observation: &Tensor, noise: &Tensor) -> (Tensor, Tensor) {
+        let (mean, log_std) = self.distribution(observation);
+        let u = mean + log_std.exp() * noise;
+        let gaussian = noise * noise * -0.5 - &log_std - 0.5 * std::f64::consts::TAU.ln();
+        // log(1 - tanh(u)^2) = 2 (log 2 - u - softplus(-2 u)), which does not lose its digits.
+        let squashed = ((&u + (&u * -2.0).softplus()) * -1.0 + std::f64::consts::LN_2) * 2.0;
+        let log_prob = (gaussian - squashed).sum_dim_intlist([1i64].as_slice(), false, Kind::Float);
+        (self.squash.rescale(&u.tanh()), log_prob)
+    }
+}
+
+/// WAD-S' value network.
+#[derive(Debug)]
+pub struct Value {
+    pub params: Params,
+}
+
+impl Value {
+    /// A new network.
+    pub fn new(dims: Dims, rng: &mut impl Rng, device: Device) -> Self {
+        let mut draw = Draw::new(rng);
+        draw.chain(None, &[dims.observation(), HIDDEN_S[0], HIDDEN_S[1], HIDDEN_S[2], 1]);
+        Self { params: draw.finish(device) }
+    }
+
+    /// A copy with its own memory.
+    pub fn copy(&self, device: Device) -> Self {
+        Self { params: self.params.copy(device) }
+    }
+
+    /// Values [B].
+    pub fn forward(&self, observation: &Tensor) -> Tensor {
+        let mut x = observation.shallow_clone();
+        for layer in 0..HIDDEN_S.len() {
+            x = self.params.linear(layer, &x).relu();
+        }
+        self.params.linear(HIDDEN_S.len(), &x).squeeze_dim(1)
+    }
+}

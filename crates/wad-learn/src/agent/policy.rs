@@ -1,0 +1,408 @@
+//! A trained actor as a file, and as an [`Agent`].
+//!
+//! The file is a `.safetensors` with the parameters in half precision and, in its header, a
+//! [`PolicyCard`]: what the agent is, what it was trained on, and how well it drove. An actor belongs to
+//! one encoder and one camera, whose hashes it carries.
+
+use super::action::to_control;
+use super::learner::{Actor, Algorithm, InputScale, Inputs};
+use super::networks::Dims;
+use super::{Agent, AgentError};
+use half::f16;
+use half::slice::HalfFloatSliceExt;
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use wad_camera::CameraConfig;
+use wad_see::latent::{Encoder, LatentError, PooledEncoder, TchEncoder};
+use wad_see::observation::{self, Observation};
+use wad_sim::bundled;
+use wad_vehicle::Control;
+
+/// What is written with an actor.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PolicyCard {
+    pub algorithm: Algorithm,
+    pub dims: Dims,
+    pub inputs: Inputs,
+    /// Identify the encoder and the camera that the actor was trained behind.
+    pub encoder_hash: String,
+    pub camera_hash: String,
+    /// What its raw states mean, [`observation::RAW_MEANING`] of its time.
+    #[serde(default = "observation::first_meaning")]
+    pub raw_meaning: u32,
+    /// The detector that it was trained with.
+    pub detector: String,
+    /// Environment steps and updates that made it.
+    pub steps: u64,
+    pub updates: u64,
+    pub seed: u64,
+    /// Demonstrations in its replay buffer (environment steps).
+    pub demonstrations: u64,
+    /// How it drove on the validation seeds, and anything else that its trainer wants known.
+    pub scores: serde_json::Value,
+    /// The whole training configuration.
+    pub config: serde_json::Value,
+}
+
+/// A trained actor.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Policy {
+    pub card: PolicyCard,
+    pub scale: InputScale,
+    /// The actor's parameters, rounded to half precision.
+    pub values: Vec<f32>,
+}
+
+/// Why there is no policy.
+#[derive(Debug, thiserror::Error)]
+pub enum PolicyError {
+    #[error("cannot {what} `{}`: {source}", path.display())]
+    File { what: &'static str, path: PathBuf, source: std::io::Error },
+    #[error("`{}` is no trained agent: {why}; expected a file that `train agent` wrote", path.display())]
+    Format { path: PathBuf, why: String },
+    #[error(
+        "the agent `{}` was trained behind the {what} {expected}, and this one is {found}; \
+         use the {what} that it was trained with, or train it anew", path.display()
+    )]
+    Other { path: PathBuf, what: &'static str, expected: String, found: String },
+    #[error("no agent is called `{0}`: expected autopilot, wad-t, wad-s or a file that `train agent` wrote")]
+    Unknown(String),
+    #[error("this build comes without the trained agent `{0}`; train one, and name its file")]
+    NotShipped(String),
+    #[error("the agent's encoder: {0}")]
+    Encoder(#[from] LatentError),
+}
+
+/// Key of the card in the file's header.
+const CARD: &str = "wad_cosim_policy";
+
+impl Policy {
+    /// Rounds `values` as the file will.
+    pub fn new(card: PolicyCard, scale: InputScale, values: &[f32]) -> Self {
+        let values = values.iter().map(|x| f16::from_f32(*x).to_f32()).collect();
+        Self { card, scale, values }
+    }
+
+    /// Writes the file; a reader never sees half of it.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn save(&self, path: &Path) -> Result<(), PolicyError> {
+        let failed = |source| PolicyError::File { what: "write", path: path.to_path_buf(), source };
+        let half: Vec<u8> =
+            self.values.iter().flat_map(|x| f16::from_f32(*x).to_bits().to_le_bytes()).collect();
+        let floats = |values: &[f32]| values.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>();
+        let (offset, factor) = (floats(&self.scale.offset), floats(&self.scale.factor));
+        let invalid =
+            |error: safetensors::SafeTensorError| failed(std::io::Error::other(format!("{error:?}")));
+        let tensors = [
+            ("actor", TensorView::new(Dtype::F16, vec![self.values.len()], &half).map_err(invalid)?),
+            (
+                "input.offset",
+                TensorView::new(Dtype::F32, vec![self.scale.offset.len()], &offset).map_err(invalid)?,
+            ),
+            (
+                "input.factor",
+                TensorView::new(Dtype::F32, vec![self.scale.factor.len()], &factor).map_err(invalid)?,
+            ),
+        ];
+        let card = serde_json::to_string(&self.card).map_err(|e| failed(e.into()))?;
+        let header = Some(HashMap::from([(CARD.to_string(), card)]));
+        let bytes = safetensors::serialize(tensors, &header).map_err(invalid)?;
+        let part = path.with_extension("part");
+        std::fs::write(&part, bytes).and_then(|()| std::fs::rename(&part, path)).map_err(failed)
+    }
+
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// It cannot be read, or holds no policy, or parameters of another form.
+    pub fn load(path: &Path) -> Result<Self, PolicyError> {
+        let bytes = std::fs::read(path).map_err(|source| PolicyError::File {
+            what: "read",
+            path: path.to_path_buf(),
+            source,
+        })?;
+        Self::parse(&bytes).map_err(|why| PolicyError::Format { path: path.to_path_buf(), why })
+    }
+
+    /// The policy that `name` means: a file, or `wad-t` or `wad-s`, which travel with the binary. And what
+    /// to call its place in messages.
+    ///
+    /// # Errors
+    /// There is none, or it is none.
+    pub fn find(name: &str) -> Result<(Self, PathBuf), PolicyError> {
+        let path = Path::new(name);
+        if path.is_file() {
+            return Ok((Self::load(path)?, path.to_path_buf()));
+        }
+        if !["wad-t", "wad-s"].contains(&name) {
+            return Err(PolicyError::Unknown(name.to_string()));
+        }
+        let bytes = bundled::agent(name).ok_or_else(|| PolicyError::NotShipped(name.to_string()))?;
+        let policy =
+            Self::parse(bytes).map_err(|why| PolicyError::Format { path: path.to_path_buf(), why })?;
+        Ok((policy, path.to_path_buf()))
+    }
+
+    fn parse(bytes: &[u8]) -> Result<Self, String> {
+        let (_, header) =
+            SafeTensors::read_metadata(bytes).map_err(|e| format!("not safetensors ({e:?})"))?;
+        let card = header
+            .metadata()
+            .as_ref()
+            .and_then(|metadata| metadata.get(CARD))
+            .ok_or_else(|| format!("its header has no `{CARD}`"))?;
+        let card: PolicyCard = serde_json::from_str(card).map_err(|e| format!("its card: {e}"))?;
+        let file = SafeTensors::deserialize(bytes).map_err(|e| format!("not safetensors ({e:?})"))?;
+        let tensor = |name: &str, dtype: Dtype| {
+            let tensor = file.tensor(name).map_err(|_| format!("it has no tensor `{name}`"))?;
+            if tensor.dtype() != dtype {
+                return Err(format!("tensor `{name}`: expected {dtype:?}, found {:?}", tensor.dtype()));
+            }
+            Ok(tensor.data().to_vec())
+        };
+        let floats = |name: &str| {
+            let data = tensor(name, Dtype::F32)?;
+            Ok::<_, String>(
+                data.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect(),
+            )
+        };
+        let scale = InputScale { offset: floats("input.offset")?, factor: floats("input.factor")? };
+        let half: Vec<f16> = tensor("actor", Dtype::F16)?
+            .chunks_exact(2)
+            .map(|b| f16::from_bits(u16::from_le_bytes([b[0], b[1]])))
+            .collect();
+        let mut values = vec![0.0; half.len()];
+        half.convert_to_f32_slice(&mut values);
+        let n = card.dims.observation() as usize;
+        if card.dims.actions > 3 || scale.offset.len() != n || scale.factor.len() != n {
+            return Err(format!(
+                "expected observations of {n} numbers, found a scale of {} and {}",
+                scale.offset.len(),
+                scale.factor.len()
+            ));
+        }
+        if values.iter().chain(&scale.offset).chain(&scale.factor).any(|x| !x.is_finite()) {
+            return Err("its parameters are not finite numbers".to_string());
+        }
+        let policy = Self { card, scale, values };
+        policy.actor().map_err(|e| e.to_string())?;
+        Ok(policy)
+    }
+
+    /// The actor.
+    ///
+    /// # Errors
+    /// The parameters are not of the form that the card says.
+    pub fn actor(&self) -> Result<Actor, super::learner::Misfit> {
+        let mut actor = Actor::new(&self.card.algorithm, self.card.dims, &self.scale);
+        actor.set(&self.values)?;
+        Ok(actor)
+    }
+
+    /// The name of the encoder that it was trained behind: the bundled one with those weights, or what its
+    /// training called it.
+    pub fn encoder(&self) -> String {
+        let called = || self.card.config.get("encoder")?.as_str().map(str::to_string);
+        TchEncoder::bundled_with(&self.card.encoder_hash).or_else(called).unwrap_or_else(|| "default".into())
+    }
+
+    /// Refuses another encoder or camera than the agent was trained behind, and raw states of another meaning.
+    ///
+    /// # Errors
+    /// They differ.
+    pub fn check(&self, path: &Path, encoder_hash: &str, camera_hash: &str) -> Result<(), PolicyError> {
+        let card = &self.card;
+        let meaning = |number: u32| number.to_string();
+        let pairs = [
+            ("encoder", &card.encoder_hash, encoder_hash),
+            ("camera", &card.camera_hash, camera_hash),
+            ("meaning of the raw states", &meaning(card.raw_meaning), &meaning(observation::RAW_MEANING)),
+        ];
+        for (what, expected, found) in pairs {
+            if expected != found {
+                return Err(PolicyError::Other {
+                    path: path.to_path_buf(),
+                    what,
+                    expected: expected.clone(),
+                    found: found.to_string(),
+                });
+            }
+        }
+        if card.dims != Dims::DRIVING {
+            return Err(PolicyError::Format {
+                path: path.to_path_buf(),
+                why: format!("expected {:?}, found {:?}", Dims::DRIVING, card.dims),
+            });
+        }
+        Ok(())
+    }
+}
+
+/// A trained agent that drives.
+pub struct PolicyAgent {
+    name: String,
+    actor: Actor,
+}
+
+impl PolicyAgent {
+    /// The agent of `policy`, called `name` in tables.
+    ///
+    /// # Errors
+    /// The parameters are not of the form that the card says.
+    pub fn new(name: &str, policy: &Policy) -> Result<Self, super::learner::Misfit> {
+        Ok(Self { name: name.to_string(), actor: policy.actor()? })
+    }
+}
+
+impl Agent for PolicyAgent {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn act(&mut self, observation: &Observation) -> Result<Control, AgentError> {
+        let observation = observation.concat();
+        let failed = |why: String| AgentError::Failed { name: self.name.clone(), why };
+        let expected = Dims::DRIVING.observation() as usize;
+        if observation.len() != expected {
+            return Err(failed(format!(
+                "expected an observation of {expected} numbers, found {}",
+                observation.len()
+            )));
+        }
+        let action = self.actor.act(&observation);
+        if action.iter().any(|x| x.is_nan()) {
+            return Err(failed(format!("its network answers {action:?}; the observation is not finite")));
+        }
+        Ok(to_control(action))
+    }
+}
+
+/// The encoder called `name`: a file, a folder, a bundled one's name, or `pooled`, which is untrained.
+///
+/// # Errors
+/// There is none, or it does not fit this program.
+pub fn find_encoder(name: &str) -> Result<Box<dyn Encoder>, LatentError> {
+    Ok(match name {
+        "pooled" => Box::new(PooledEncoder),
+        name => Box::new(TchEncoder::find(name)?),
+    })
+}
+
+/// What the agent `name` sees through: the name of its encoder. None where it is none of ours.
+pub fn encoder_of(name: &str) -> Option<String> {
+    Policy::find(name).ok().map(|(policy, _)| policy.encoder())
+}
+
+/// A trained agent, and the encoder that it sees through.
+pub type Opened = (Box<dyn Agent>, Box<dyn Encoder>);
+
+/// The trained agent that `name` means ([`Policy::find`]), and the encoder that it sees through:
+/// `encoder`, or the one that it was trained with.
+///
+/// # Errors
+/// There is no such agent or encoder, or they do not belong together or to this camera.
+pub fn open(name: &str, encoder: Option<&str>, camera: &CameraConfig) -> Result<Opened, PolicyError> {
+    tch::set_num_threads(1);
+    let (policy, path) = Policy::find(name)?;
+    let encoder = match encoder {
+        Some(encoder) => find_encoder(encoder)?,
+        // The file that it was trained with may be elsewhere by now: what counts is the hash.
+        None => find_encoder(&policy.encoder()).or_else(|_| find_encoder("default"))?,
+    };
+    policy.check(&path, encoder.hash(), &camera.hash())?;
+    let misfit = |e: super::learner::Misfit| PolicyError::Format { path: path.clone(), why: e.to_string() };
+    let agent = PolicyAgent::new(name, &policy).map_err(misfit)?;
+    Ok((Box::new(agent), encoder))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::learner::Learner;
+    use super::super::td3::Td3Params;
+    use super::*;
+
+    #[test]
+    fn shipped_agents_find_the_encoder_that_they_were_trained_with() {
+        let camera = CameraConfig::default();
+        for name in ["wad-t", "wad-s"] {
+            let (policy, _) = Policy::find(name).unwrap();
+            let (_, encoder) = open(name, None, &camera).unwrap();
+            assert_eq!(encoder.hash(), policy.card.encoder_hash);
+            assert_eq!(find_encoder(&encoder_of(name).unwrap()).unwrap().hash(), encoder.hash());
+            let error = open(name, Some("pooled"), &camera).err().unwrap().to_string();
+            assert!(error.contains(encoder.hash()) && error.contains("pooled"), "{error}");
+        }
+        assert_eq!((encoder_of("autopilot"), TchEncoder::bundled_with("nobody's")), (None, None));
+    }
+
+    fn policy() -> Policy {
+        tch::set_num_threads(1);
+        let algorithm = Algorithm::Td3(Td3Params::default());
+        let learner = Learner::new(&algorithm, Dims::DRIVING, 5, tch::Device::Cpu);
+        let card = PolicyCard {
+            algorithm,
+            dims: Dims::DRIVING,
+            inputs: Inputs::Both,
+            encoder_hash: "e1".into(),
+            camera_hash: "c1".into(),
+            raw_meaning: observation::RAW_MEANING,
+            detector: "truth".into(),
+            steps: 10,
+            updates: 9,
+            seed: 5,
+            demonstrations: 0,
+            scores: serde_json::json!({ "success_rate": 1.0 }),
+            config: serde_json::json!({}),
+        };
+        Policy::new(card, InputScale::identity(Dims::DRIVING), &learner.actor_values())
+    }
+
+    #[test]
+    fn comes_back_from_its_file_and_acts_the_same() {
+        let (policy, folder) = (policy(), tempfile::tempdir().unwrap());
+        let path = folder.path().join("agent.safetensors");
+        policy.save(&path).unwrap();
+        assert!(path.metadata().unwrap().len() < 160_000, "half precision");
+        let back = Policy::load(&path).unwrap();
+        assert_eq!(back, policy);
+        let observation = Observation { latent: vec![0.3; 200], raw: [0.1; 15] };
+        let mut agents = [&policy, &back].map(|p| PolicyAgent::new("wad-t", p).unwrap());
+        let [one, two] = agents.each_mut().map(|agent| agent.act(&observation).unwrap());
+        assert_eq!(one, two);
+        assert!(one.throttle > 0.2 && one.brake == 0.0, "a new agent creeps forward: {one:?}");
+    }
+
+    #[test]
+    fn other_encoders_other_forms_and_cut_files_are_refused() {
+        let (policy, folder) = (policy(), tempfile::tempdir().unwrap());
+        let path = folder.path().join("agent.safetensors");
+        policy.check(&path, "e1", "c1").unwrap();
+        let error = policy.check(&path, "e2", "c1").unwrap_err().to_string();
+        assert!(error.contains("encoder e1") && error.contains("e2"), "{error}");
+        assert!(policy.check(&path, "e1", "c2").unwrap_err().to_string().contains("camera c1"));
+
+        let mut other = policy.clone();
+        other.card.raw_meaning = 1;
+        let error = other.check(&path, "e1", "c1").unwrap_err().to_string();
+        assert!(error.contains("meaning of the raw states 1"), "{error}");
+
+        let mut other = policy.clone();
+        other.values.pop();
+        other.save(&path).unwrap();
+        let error = Policy::load(&path).unwrap_err().to_string();
+        assert!(error.contains("expected 68953 numbers, found 68952"), "{error}");
+
+        policy.save(&path).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        for keep in [0, 5, 200, bytes.len() / 2, bytes.len() - 1] {
+            std::fs::write(&path, &bytes[..keep]).unwrap();
+            let error = Policy::load(&path).unwrap_err().to_string();
+            assert!(error.contains("is no trained agent"), "{error}");
+        }
+        assert!(Policy::load(&folder.path().join("none")).is_err());
+    }
+}

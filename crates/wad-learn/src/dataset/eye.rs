@@ -1,0 +1,137 @@
+//! Looks at the world through camera and perception, and makes frames of what it sees.
+
+use super::error::DatasetError;
+use super::image_codec::CameraCodec;
+use super::plan::Segment;
+use super::record::{BoxRecord, Frame, FrameRecord, Labels};
+use sumo_network::network::Network;
+use sumo_network::world::Actor;
+use wad_camera::{CameraConfig, Outputs, Town, model};
+use wad_see::eyes::Eyes;
+use wad_see::perception::{EgoFacts, TruthDetector};
+use wad_sim::bridge::Ego;
+use wad_vehicle::Control;
+
+/// Half the width in front of the ego that counts as its lane (m).
+const HALF_LANE: f64 = 1.6;
+/// An object counts as seen from this many pixels of the camera on.
+const SEEN_PIXELS: u32 = 16;
+
+/// Eyes that record what they see.
+pub struct Eye {
+    segment: Segment,
+    eyes: Eyes,
+    /// How the camera's pictures are kept; None: not at all.
+    codec: Option<CameraCodec>,
+}
+
+/// What a frame says beside what is seen.
+#[derive(Clone, Copy, Debug)]
+pub struct Moment {
+    /// Simulation time, and time since the last frame (s).
+    pub time: f64,
+    pub since: f64,
+    /// What the ego was steered with.
+    pub control: Control,
+    /// See [`FrameRecord::disturbed`].
+    pub disturbed: bool,
+}
+
+impl Eye {
+    /// In the segment's weather; `keeps_camera`: with the camera's pictures.
+    ///
+    /// # Errors
+    /// This build cannot detect lanes.
+    pub fn new(town: Town, segment: Segment, keeps_camera: bool) -> Result<Self, DatasetError> {
+        let outputs = Outputs { boxes: true, ..Outputs::RGB };
+        let eyes = Eyes::new(town, CameraConfig::default(), Box::new(TruthDetector::new()))?;
+        let mut eye =
+            Self { segment, eyes: eyes.with_outputs(outputs), codec: keeps_camera.then(CameraCodec::best) };
+        eye.reset();
+        Ok(eye)
+    }
+
+    /// Forgets what it saw: the ego was put down elsewhere.
+    pub fn reset(&mut self) {
+        self.eyes.reset(self.segment.weather, self.segment.seed);
+    }
+
+    /// The town's traffic after a tick.
+    pub fn follow(&mut self, ego: &Ego) {
+        self.eyes.follow(ego.world());
+    }
+
+    /// The frame of this moment.
+    ///
+    /// # Errors
+    /// A stage of perception fails.
+    pub fn record(&mut self, network: &Network, ego: &Ego, moment: Moment) -> Result<Frame, DatasetError> {
+        self.eyes.look(&EgoFacts::of(network, ego, moment.since))?;
+        let (Some(frame), Some(percept)) = (self.eyes.frame(), self.eyes.percept()) else {
+            return Err(DatasetError::Image("the eyes are blind".to_string()));
+        };
+        let world = ego.world();
+        // The frame numbers road users by their place in the world; a shard by what they are.
+        let keys: Vec<u64> = world.vehicles.iter().chain(&world.pedestrians).map(|a| a.key).collect();
+        let key = |id: u32| {
+            let riders = id & model::RIDER_IDS;
+            match keys.get(((id - riders) as usize).wrapping_sub(1)) {
+                Some(key) if id < model::STATIC_IDS => riders + *key as u32 + 1,
+                _ => id,
+            }
+        };
+        let boxes = frame.objects.iter().map(|o| BoxRecord { id: key(o.id), ..o.into() }).collect();
+        let pixels = |place: usize| {
+            let id = place as u32 + 1;
+            frame.objects.iter().find(|o| o.id == id).map_or(0, |o| o.visible_pixels)
+        };
+        let vehicles = world.vehicles.iter().enumerate().map(|(i, a)| (a, pixels(i)));
+        let first = world.vehicles.len();
+        let people = world.pedestrians.iter().enumerate().map(|(i, a)| (a, pixels(first + i)));
+        let labels = Labels {
+            lead: nearest_in_lane(ego, vehicles),
+            pedestrian: nearest_in_lane(ego, people),
+            red: percept.light_red,
+        };
+        let record = FrameRecord {
+            time: moment.time,
+            weather: self.segment.weather,
+            ego: ego.state(),
+            control: moment.control,
+            disturbed: moment.disturbed,
+            boxes,
+            light: percept.light.map(|light| (light.state, light.distance)),
+            raw: percept.raw,
+            labels,
+            lanes: percept.lanes,
+        };
+        let camera = match &self.codec {
+            Some(codec) => codec.encode(&frame.rgb, frame.width, frame.height)?,
+            None => Vec::new(),
+        };
+        Ok(Frame { record, transformed: percept.transformed.clone(), camera })
+    }
+}
+
+/// Gap from the ego's front bumper to the nearest seen actor in its lane (m).
+fn nearest_in_lane<'w>(ego: &Ego, actors: impl Iterator<Item = (&'w Actor, u32)>) -> Option<f64> {
+    const SIGHT: f64 = 60.0;
+    let (route, at) = (ego.route(), ego.on_route());
+    let front = at.s + 0.5 * ego.params().length;
+    actors
+        .filter(|(_, pixels)| *pixels >= SEEN_PIXELS)
+        .filter_map(|(actor, _)| {
+            let place = route.project_near(actor.pose.xy(), at.s, 10.0, SIGHT);
+            let (centre, off) = (place.s, place.d);
+            let turn = actor.pose.heading - route.at(centre).pose.heading;
+            let t = &actor.actor_type;
+            let along = 0.5 * (t.length * turn.cos().abs() + t.width * turn.sin().abs());
+            let across = 0.5 * (t.length * turn.sin().abs() + t.width * turn.cos().abs());
+            let rear = centre - along - front;
+            // The projection's end is no place in the lane.
+            let beyond = (actor.pose.xy() - route.at(centre).pose.xy()).norm() > off.abs() + 3.0;
+            (!beyond && centre > front && off.abs() < HALF_LANE + across.min(1.0) && rear < SIGHT)
+                .then_some(rear.max(0.0))
+        })
+        .min_by(f64::total_cmp)
+}

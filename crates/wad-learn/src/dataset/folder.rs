@@ -1,0 +1,368 @@
+//! A dataset's folder: the manifest, the shards, and reading them back.
+
+use super::collect::CollectOptions;
+use super::error::DatasetError;
+use super::plan::Segment;
+use super::record::FrameRecord;
+use super::shard::ShardReader;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+use wad_camera::model::ObjectClass;
+use wad_camera::{CameraConfig, Preset};
+use wad_see::perception::TransformedImage;
+use wad_see::perception::coco::class_name;
+use wad_sim::telemetry;
+
+/// Of manifest and shards. Other versions are refused.
+pub const FORMAT_VERSION: u64 = 1;
+
+const MANIFEST: &str = "dataset.json";
+
+/// What a dataset may be used for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Role {
+    Training,
+    /// The new town: for measuring only.
+    Test,
+}
+
+/// The town that nothing may be trained on.
+const TEST_TOWN: &str = "town5";
+
+impl Role {
+    /// town5's is test data, every other town's may be trained on.
+    pub fn of(town: &str) -> Self {
+        if town == TEST_TOWN { Self::Test } else { Self::Training }
+    }
+}
+
+/// How far collecting came.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum State {
+    /// Under way, or broken off.
+    Collecting,
+    /// All that was wanted, or what there was time for.
+    Complete,
+}
+
+/// `dataset.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Manifest {
+    pub version: u64,
+    pub state: State,
+    pub role: Role,
+    pub town: String,
+    /// Frames wanted, and there when complete.
+    pub frames_wanted: usize,
+    pub frames: usize,
+    /// Frames to a segment.
+    pub per_segment: usize,
+    pub seed: u64,
+    pub weathers: Vec<Preset>,
+    /// [`CameraConfig::hash`].
+    pub camera: String,
+    /// The detector whose boxes are painted.
+    pub detector: String,
+    pub keeps_camera: bool,
+    pub program: String,
+    /// Recorded runs that it shows; none: the autopilot's own drives.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub runs: Vec<PathBuf>,
+    /// Every frame shows an object of one of these classes; none: all frames were kept.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub showing: Vec<ObjectClass>,
+}
+
+impl Manifest {
+    pub(super) fn new(options: &CollectOptions, town: &str) -> Self {
+        Self {
+            version: FORMAT_VERSION,
+            state: State::Collecting,
+            role: Role::of(town),
+            town: town.to_string(),
+            frames_wanted: options.frames,
+            frames: 0,
+            per_segment: options.per_segment,
+            seed: options.seed,
+            weathers: options.weathers.clone(),
+            camera: CameraConfig::default().hash(),
+            detector: "truth".to_string(),
+            keeps_camera: options.camera,
+            program: wad_sim::program::version().to_string(),
+            runs: options.runs.iter().map(|run| run.folder.clone()).collect(),
+            showing: options.showing.clone(),
+        }
+    }
+
+    /// The manifest of `folder`; None where the folder has none.
+    ///
+    /// # Errors
+    /// It cannot be read, or has another version.
+    pub fn load(folder: &Path) -> Result<Option<Self>, DatasetError> {
+        let path = folder.join(MANIFEST);
+        let text = match std::fs::read(&path) {
+            Ok(text) => text,
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+            Err(error) => return Err(DatasetError::io("read", path)(error)),
+        };
+        let torn = |e: serde_json::Error| DatasetError::Torn { path: path.clone(), why: e.to_string() };
+        let value: serde_json::Value = serde_json::from_slice(&text).map_err(torn)?;
+        let found = value.get("version").and_then(serde_json::Value::as_u64).unwrap_or(0);
+        if found != FORMAT_VERSION {
+            return Err(DatasetError::Version { path, found, expected: FORMAT_VERSION });
+        }
+        serde_json::from_value(value).map(Some).map_err(torn)
+    }
+
+    pub(super) fn save(&self, folder: &Path) -> Result<(), DatasetError> {
+        let path = folder.join(MANIFEST);
+        telemetry::write_json(&path, self).map_err(|e| DatasetError::io("write", e.path)(e.source))
+    }
+
+    /// Refuses to go on with a folder that holds something else.
+    pub(super) fn check_same(&self, asked: &Self, folder: &Path) -> Result<(), DatasetError> {
+        let text = |m: &Self| {
+            [
+                ("the town", m.town.clone()),
+                ("the seed", m.seed.to_string()),
+                ("frames per shard", m.per_segment.to_string()),
+                ("the weathers", m.weathers.iter().map(|w| w.name()).collect::<Vec<_>>().join(",")),
+                (
+                    "the recorded runs",
+                    m.runs.iter().map(|r| r.display().to_string()).collect::<Vec<_>>().join(","),
+                ),
+                ("the classes shown", m.showing.iter().map(|c| class_name(*c)).collect::<Vec<_>>().join(",")),
+                ("the camera", m.camera.clone()),
+                ("whether camera pictures are kept", m.keeps_camera.to_string()),
+            ]
+        };
+        for ((what, found), (_, asked)) in text(self).into_iter().zip(text(asked)) {
+            if found != asked {
+                return Err(DatasetError::Differs { path: folder.to_path_buf(), what, found, asked });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Where a segment's shard lies.
+pub(super) fn shard_path(folder: &Path, segment: &Segment) -> PathBuf {
+    folder.join(format!("shard-{:05}.wads", segment.index))
+}
+
+/// A dataset open for reading.
+#[derive(Clone, Debug)]
+pub struct Dataset {
+    pub manifest: Manifest,
+    pub folder: PathBuf,
+    /// Whole shards in order, with the frames in each.
+    pub shards: Vec<(PathBuf, Segment, usize)>,
+    /// Shards that are torn and were left out, with why.
+    pub torn: Vec<String>,
+}
+
+/// One shard in this many is for validation.
+const VALIDATION_EVERY: usize = 10;
+
+impl Dataset {
+    /// Opens a dataset. A torn shard loses only itself. Without `partial` one that was not collected to
+    /// its end is refused.
+    ///
+    /// # Errors
+    /// The folder is no dataset, half-written, empty, of another version or of another camera.
+    pub fn open(folder: &Path, partial: bool) -> Result<Self, DatasetError> {
+        let path = folder.to_path_buf();
+        let manifest =
+            Manifest::load(folder)?.ok_or_else(|| DatasetError::NotADataset { path: path.clone() })?;
+        let expected = CameraConfig::default().hash();
+        if manifest.camera != expected {
+            return Err(DatasetError::Camera { path, found: manifest.camera, expected });
+        }
+        let (mut shards, mut torn) = (Vec::new(), Vec::new());
+        let entries = std::fs::read_dir(folder).map_err(DatasetError::io("read", folder))?;
+        let mut files: Vec<PathBuf> = entries
+            .filter_map(|entry| Some(entry.ok()?.path()))
+            .filter(|path| path.extension().is_some_and(|e| e == "wads"))
+            .collect();
+        files.sort();
+        for file in files {
+            match ShardReader::open(&file) {
+                Ok(reader) => shards.push((file, reader.header().segment, reader.frames())),
+                Err(error @ DatasetError::Torn { .. }) => torn.push(error.to_string()),
+                Err(error) => return Err(error),
+            }
+        }
+        let dataset = Self { manifest, folder: path.clone(), shards, torn };
+        let found = dataset.frames();
+        if dataset.manifest.state != State::Complete && !partial {
+            let wanted = dataset.manifest.frames_wanted;
+            return Err(DatasetError::HalfWritten { path, found, wanted });
+        }
+        if found == 0 {
+            return Err(DatasetError::Empty { path, hint: "; collect it again" });
+        }
+        for torn in &dataset.torn {
+            tracing::warn!("{torn}; left out");
+        }
+        Ok(dataset)
+    }
+
+    /// Refuses test data.
+    ///
+    /// # Errors
+    /// It was collected in the new town.
+    pub fn require_training(&self) -> Result<(), DatasetError> {
+        match self.manifest.role {
+            Role::Training => Ok(()),
+            Role::Test => {
+                Err(DatasetError::TestData { path: self.folder.clone(), town: self.manifest.town.clone() })
+            }
+        }
+    }
+
+    /// Frames in the whole shards.
+    pub fn frames(&self) -> usize {
+        self.shards.iter().map(|(_, _, frames)| frames).sum()
+    }
+
+    /// Indices of shards for training and for validation: one in ten is for validation, at least one
+    /// where there are two.
+    pub fn split(&self) -> (Vec<usize>, Vec<usize>) {
+        let count = self.shards.len();
+        let validation = |i: usize| {
+            if count < VALIDATION_EVERY {
+                i + 1 == count
+            } else {
+                i % VALIDATION_EVERY == VALIDATION_EVERY - 1
+            }
+        };
+        (0..count).partition(|&i| count == 1 || !validation(i))
+    }
+
+    /// A reader of the shard at this index.
+    ///
+    /// # Errors
+    /// The shard went away or broke since the dataset was opened.
+    pub fn reader(&self, shard: usize) -> Result<ShardReader, DatasetError> {
+        let (path, _, _) = self
+            .shards
+            .get(shard)
+            .ok_or_else(|| DatasetError::Empty { path: self.folder.clone(), hint: " in that shard" })?;
+        ShardReader::open(path)
+    }
+
+    /// The transformed images of a shard, one after the other, in `bytes` (emptied first). A damaged
+    /// frame ends its shard with a warning.
+    ///
+    /// # Errors
+    /// The shard cannot be opened.
+    pub fn images(&self, shard: usize, bytes: &mut Vec<u8>) -> Result<usize, DatasetError> {
+        self.read(shard, bytes, |reader, image| reader.next_image(image))
+    }
+
+    /// The same, and each image's record to `take`.
+    ///
+    /// # Errors
+    /// The shard cannot be opened.
+    pub fn images_with_records(
+        &self,
+        shard: usize,
+        bytes: &mut Vec<u8>,
+        mut take: impl FnMut(FrameRecord),
+    ) -> Result<usize, DatasetError> {
+        self.read(shard, bytes, |reader, image| {
+            let Some(frame) = reader.next_frame()? else { return Ok(false) };
+            image.copy_from_slice(frame.transformed.bytes());
+            take(frame.record);
+            Ok(true)
+        })
+    }
+
+    /// Fills `bytes` image by image with what `next` reads, until it says false or fails.
+    fn read(
+        &self,
+        shard: usize,
+        bytes: &mut Vec<u8>,
+        mut next: impl FnMut(&mut ShardReader, &mut [u8]) -> Result<bool, DatasetError>,
+    ) -> Result<usize, DatasetError> {
+        let mut reader = self.reader(shard)?;
+        bytes.clear();
+        for frame in 0..reader.frames() {
+            let at = frame * TransformedImage::BYTES;
+            bytes.resize(at + TransformedImage::BYTES, 0);
+            let read = next(&mut reader, &mut bytes[at..]).unwrap_or_else(|error| {
+                tracing::warn!("{error}; the rest of the shard is left out");
+                false
+            });
+            if !read {
+                bytes.truncate(at);
+                break;
+            }
+        }
+        Ok(bytes.len() / TransformedImage::BYTES)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::testing::{Picture, write};
+
+    fn data(folder: &Path, town: &str) {
+        write(folder, town, &[3, 3, 2], Preset::ClearNoon, |n| Picture {
+            red: false,
+            object: [10 + n, 50, 8, 8],
+        });
+    }
+
+    #[test]
+    fn images_are_those_of_the_frames() {
+        let folder = tempfile::tempdir().unwrap();
+        data(folder.path(), "town3");
+        let dataset = Dataset::open(folder.path(), false).unwrap();
+        assert_eq!((dataset.frames(), dataset.split()), (8, (vec![0, 1], vec![2])));
+        dataset.require_training().unwrap();
+        let mut bytes = Vec::new();
+        assert_eq!(dataset.images(1, &mut bytes).unwrap(), 3);
+        let mut reader = dataset.reader(1).unwrap();
+        for image in bytes.chunks(TransformedImage::BYTES) {
+            assert_eq!(reader.next_frame().unwrap().unwrap().transformed.bytes(), image);
+        }
+    }
+
+    #[test]
+    fn a_torn_shard_loses_only_itself() {
+        let folder = tempfile::tempdir().unwrap();
+        data(folder.path(), "town3");
+        let last = folder.path().join("shard-00002.wads");
+        let bytes = std::fs::read(&last).unwrap();
+        std::fs::write(&last, &bytes[..bytes.len() / 2]).unwrap();
+        let dataset = Dataset::open(folder.path(), false).unwrap();
+        assert_eq!((dataset.frames(), dataset.torn.len()), (6, 1));
+        assert!(dataset.torn[0].contains("shard-00002"), "{:?}", dataset.torn);
+    }
+
+    #[test]
+    fn folders_that_are_no_good_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path();
+        let error = |partial| Dataset::open(path, partial).unwrap_err().to_string();
+        assert!(error(false).contains("no dataset"), "{}", error(false));
+        data(path, "town5");
+        let dataset = Dataset::open(path, false).unwrap();
+        assert!(matches!(dataset.require_training(), Err(DatasetError::TestData { .. })));
+        let mut manifest = dataset.manifest.clone();
+        (manifest.state, manifest.frames_wanted) = (State::Collecting, 100);
+        manifest.save(path).unwrap();
+        assert!(error(false).contains("8 of 100"), "{}", error(false));
+        assert_eq!(Dataset::open(path, true).unwrap().frames(), 8);
+        (manifest.state, manifest.camera) = (State::Complete, "other".to_string());
+        manifest.save(path).unwrap();
+        assert!(error(false).contains("camera other"), "{}", error(false));
+        manifest.version = 9;
+        manifest.save(path).unwrap();
+        assert!(error(false).contains("format 9"), "{}", error(false));
+    }
+}

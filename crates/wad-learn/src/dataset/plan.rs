@@ -1,0 +1,71 @@
+//! Which drives make a dataset: weathers and traffic in turn, a seed for each.
+
+use serde::{Deserialize, Serialize};
+use sumo_network::seeds;
+use wad_camera::Preset;
+use wad_sim::traffic::Counts;
+
+/// One SUMO run and one shard.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Segment {
+    /// Number in the dataset.
+    pub index: usize,
+    pub seed: u64,
+    pub weather: Preset,
+    pub traffic: Counts,
+    /// Frames to collect.
+    pub frames: usize,
+}
+
+/// Shares of the dense population, in percent, in turn.
+const DENSITY: [usize; 5] = [100, 60, 25, 100, 130];
+
+/// The segments of a dataset of `frames` frames, `per_segment` each. `dense` is the town's dense
+/// population. Five densities and the weathers (whose number five must not divide) meet in every pair.
+pub fn plan(
+    frames: usize,
+    per_segment: usize,
+    weathers: &[Preset],
+    dense: Counts,
+    seed: u64,
+) -> Vec<Segment> {
+    let per_segment = per_segment.max(1);
+    (0..frames.div_ceil(per_segment))
+        .map(|index| {
+            let share = |count: usize| count * DENSITY[index % DENSITY.len()] / 100;
+            Segment {
+                index,
+                seed: seeds::derive(seed, &format!("segment {index}")),
+                weather: weathers.get(index % weathers.len().max(1)).copied().unwrap_or_default(),
+                traffic: Counts::new(share(dense.vehicles), share(dense.pedestrians)),
+                frames: per_segment.min(frames - index * per_segment),
+            }
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::HashSet;
+
+    #[test]
+    fn every_weather_meets_every_density_and_the_frames_add_up() {
+        let weathers = [Preset::ClearNoon, Preset::CloudyNoon, Preset::SoftRainNoon];
+        let segments = plan(7_490, 500, &weathers, Counts::new(100, 250), 7);
+        assert_eq!(segments.iter().map(|s| s.frames).sum::<usize>(), 7_490);
+        let pairs: HashSet<_> = segments.iter().map(|s| (s.weather, s.traffic.vehicles)).collect();
+        // 100 % comes twice among the five.
+        assert_eq!(pairs.len(), 3 * 4);
+        let seeds: HashSet<_> = segments.iter().map(|s| s.seed).collect();
+        assert_eq!(seeds.len(), segments.len());
+    }
+
+    #[test]
+    fn a_longer_dataset_begins_with_the_shorter_one() {
+        let weathers = [Preset::ClearNoon];
+        let long = plan(5_000, 500, &weathers, Counts::new(10, 10), 1);
+        let short = plan(2_000, 500, &weathers, Counts::new(10, 10), 1);
+        assert_eq!(long[..4], short[..]);
+    }
+}

@@ -1,0 +1,126 @@
+//! What came of a run: counts while it goes, the summary at its end.
+
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+use wad_sim::autopilot::Decision;
+use wad_sim::criteria::{Cause, Event};
+use wad_sim::end::End;
+use wad_vehicle::{EgoState, PartnerKind};
+
+/// Counts by partner.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CollisionCounts {
+    pub vehicle: u64,
+    pub pedestrian: u64,
+    #[serde(rename = "static")]
+    pub fixed: u64,
+}
+
+impl CollisionCounts {
+    fn add(&mut self, kind: PartnerKind) {
+        match kind {
+            PartnerKind::Vehicle => self.vehicle += 1,
+            PartnerKind::Pedestrian => self.pedestrian += 1,
+            PartnerKind::Static => self.fixed += 1,
+        }
+    }
+}
+
+/// `summary.json`, and the last line of `run --json`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Summary {
+    pub town: String,
+    pub seed: u64,
+    pub ticks: u64,
+    pub tick_ms: f64,
+    pub sim_seconds: f64,
+    pub wall_seconds: f64,
+    pub ticks_per_second: f64,
+    pub distance_m: f64,
+    pub mean_speed_mps: f64,
+    /// Mean speed over the ticks in which neither a light nor other traffic held the ego.
+    pub mean_free_speed_mps: f64,
+    /// Ticks in which a light or other traffic held the ego.
+    pub held_ticks: u64,
+    pub top_speed_mps: f64,
+    pub destinations_reached: u64,
+    pub collisions: CollisionCounts,
+    /// Those that the ego caused.
+    pub collisions_caused: CollisionCounts,
+    pub red_lights_run: u64,
+    pub outside_lane_ticks: u64,
+    pub sidewalk_events: u64,
+    pub vehicle_blocked: u64,
+    /// Times the ego was put down elsewhere because it was blocked or had nowhere to go on.
+    pub respawns: u64,
+    pub vehicles_mean: f64,
+    pub pedestrians_mean: f64,
+    pub end: End,
+    /// Of a scenario: whether its task counts the end as a success, and why it ended.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub success: Option<bool>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cause: Option<String>,
+    pub interrupted: bool,
+    /// The run's folder.
+    pub out: PathBuf,
+}
+
+/// What is counted while driving.
+#[derive(Debug, Default)]
+pub(super) struct Totals {
+    pub ticks: u64,
+    pub distance: f64,
+    pub free: (u64, f64),
+    pub top_speed: f64,
+    pub destinations: u64,
+    pub collisions: CollisionCounts,
+    pub caused: CollisionCounts,
+    pub red_lights: u64,
+    pub outside_ticks: u64,
+    pub sidewalk: u64,
+    pub blocked: u64,
+    pub respawns: u64,
+    pub vehicles: u64,
+    pub pedestrians: u64,
+}
+
+impl Totals {
+    pub fn add(
+        &mut self,
+        decision: &Decision,
+        before: &EgoState,
+        after: &EgoState,
+        tick: f64,
+        counts: (usize, usize),
+    ) {
+        let step = (after.pose.position - before.pose.position).xy().norm();
+        self.ticks += 1;
+        self.distance += step;
+        if !decision.held {
+            self.free.0 += 1;
+            self.free.1 += step / tick;
+        }
+        self.top_speed = self.top_speed.max(after.speed);
+        self.vehicles += counts.0 as u64;
+        self.pedestrians += counts.1 as u64;
+    }
+
+    pub fn judge(&mut self, events: &[Event]) {
+        for event in events {
+            match event {
+                Event::Collision { kind, cause, .. } => {
+                    self.collisions.add(*kind);
+                    if *cause == Cause::Ego {
+                        self.caused.add(*kind);
+                    }
+                }
+                Event::RedLight { .. } => self.red_lights += 1,
+                Event::OutsideLane { .. } => {}
+                Event::Sidewalk => self.sidewalk += 1,
+                Event::VehicleBlocked => self.blocked += 1,
+                Event::Arrival => self.destinations += 1,
+            }
+        }
+    }
+}

@@ -1,0 +1,298 @@
+//! Who drives: one list of drivers for `run`, `eval`, scenarios and the live view.
+
+use crate::agent::{Agent, AgentError, Seen};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use std::fmt;
+use std::str::FromStr;
+use sumo_network::seeds;
+use wad_camera::{CameraConfig, Preset};
+use wad_see::eyes::{Eyes, EyesError};
+use wad_see::latent::Encoder;
+use wad_see::observation::ObservationMode;
+use wad_sim::assets::Assets;
+use wad_sim::session::Act;
+use wad_vehicle::Control;
+
+/// A driver by name: `autopilot`, `manual`, `random`, `constant`, `constant:THROTTLE,STEER,BRAKE`, `exec:COMMAND`, or
+/// an agent's name or file.
+#[derive(Clone, Debug, PartialEq)]
+pub enum DriverSpec {
+    /// The rule-based expert, which sees the whole world.
+    Autopilot,
+    /// A person at the live view's wheel.
+    Manual,
+    /// Every pedal anywhere, every tick.
+    Random,
+    /// The same control for ever.
+    Constant(Control),
+    /// Another process, started by this shell command ([`crate::agent::external`]).
+    Exec(String),
+    /// A learned agent by name or file.
+    Agent(String),
+}
+
+/// Why there is no such driver.
+#[derive(Debug, thiserror::Error)]
+pub enum DriverError {
+    #[error(
+        "`{found}` is no constant control: expected constant:THROTTLE,STEER,BRAKE, e.g. constant:0.5,0,0"
+    )]
+    Constant { found: String },
+    #[error(
+        "no agent is called `{found}`: expected autopilot, random or constant; this build cannot open trained ones"
+    )]
+    Unknown { found: String },
+    /// A trained agent or its encoder that cannot be opened.
+    #[cfg(feature = "learn")]
+    #[error(transparent)]
+    Policy(#[from] crate::agent::policy::PolicyError),
+    #[cfg(feature = "learn")]
+    #[error(transparent)]
+    Encoder(#[from] wad_see::latent::LatentError),
+    #[error(transparent)]
+    Agent(#[from] AgentError),
+    #[error(transparent)]
+    Eyes(#[from] EyesError),
+    #[error("`manual` drives only in the live view: expected another driver here, or `run --view`")]
+    Manual,
+}
+
+/// An agent with the encoder that it sees through.
+pub struct Made {
+    pub agent: Box<dyn Agent>,
+    pub encoder: Box<dyn Encoder>,
+    /// Stands for the weights of both.
+    pub id: String,
+}
+
+/// Half throttle, straight on.
+const CONSTANT: Control = Control { throttle: 0.5, steer: 0.0, brake: 0.0 };
+
+impl FromStr for DriverSpec {
+    type Err = DriverError;
+
+    fn from_str(text: &str) -> Result<Self, DriverError> {
+        match text {
+            "autopilot" => Ok(Self::Autopilot),
+            "manual" => Ok(Self::Manual),
+            "random" => Ok(Self::Random),
+            "constant" => Ok(Self::Constant(CONSTANT)),
+            _ => match text.strip_prefix("constant:") {
+                Some(numbers) => {
+                    let parsed: Option<Vec<f64>> =
+                        numbers.split(',').map(|n| n.trim().parse().ok()).collect();
+                    match parsed.as_deref() {
+                        Some(&[throttle, steer, brake]) => {
+                            Ok(Self::Constant(Control { throttle, steer, brake }.clamped()))
+                        }
+                        _ => Err(DriverError::Constant { found: text.to_string() }),
+                    }
+                }
+                None => Ok(match text.strip_prefix("exec:") {
+                    Some(command) => Self::Exec(command.to_string()),
+                    None => Self::Agent(text.to_string()),
+                }),
+            },
+        }
+    }
+}
+
+impl fmt::Display for DriverSpec {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Autopilot => f.write_str("autopilot"),
+            Self::Manual => f.write_str("manual"),
+            Self::Random => f.write_str("random"),
+            Self::Constant(c) if *c == CONSTANT => f.write_str("constant"),
+            Self::Constant(c) => write!(f, "constant:{},{},{}", c.throttle, c.steer, c.brake),
+            Self::Exec(command) => write!(f, "exec:{command}"),
+            Self::Agent(name) => f.write_str(name),
+        }
+    }
+}
+
+impl Serialize for DriverSpec {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+impl<'de> Deserialize<'de> for DriverSpec {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        String::deserialize(deserializer)?.parse().map_err(serde::de::Error::custom)
+    }
+}
+
+impl DriverSpec {
+    /// Whether it looks at observations.
+    pub fn looks(&self) -> bool {
+        matches!(self, Self::Agent(_) | Self::Exec(_))
+    }
+}
+
+/// A driver at work.
+pub enum Driver {
+    /// The rule-based expert, which sees the whole world.
+    Autopilot,
+    /// A person: what the wheel and the pedals are at.
+    Manual(Control),
+    /// Every pedal anywhere, every tick.
+    Random(Box<ChaCha8Rng>),
+    /// The same control for ever.
+    Constant(Control),
+    /// A trained agent, or another process.
+    Agent(Box<dyn Agent>),
+}
+
+/// Brakes: a person who is not there yet.
+const PARKED: Control = Control { throttle: 0.0, steer: 0.0, brake: 1.0 };
+
+impl Driver {
+    /// The driver of a specification that names no agent; None where it names one.
+    pub fn blind(spec: &DriverSpec) -> Option<Self> {
+        match spec {
+            DriverSpec::Autopilot => Some(Self::Autopilot),
+            DriverSpec::Manual => Some(Self::Manual(PARKED)),
+            DriverSpec::Random => Some(Self::Random(Box::new(seeds::rng(0, "driver")))),
+            DriverSpec::Constant(control) => Some(Self::Constant(*control)),
+            DriverSpec::Exec(_) | DriverSpec::Agent(_) => None,
+        }
+    }
+
+    /// Begins an episode.
+    pub fn reset(&mut self, seed: u64) {
+        match self {
+            Self::Random(rng) => **rng = seeds::rng(seed, "driver"),
+            Self::Agent(agent) => agent.reset(seed),
+            Self::Autopilot | Self::Manual(_) | Self::Constant(_) => {}
+        }
+    }
+
+    /// Whether the expert drives.
+    pub fn is_autopilot(&self) -> bool {
+        matches!(self, Self::Autopilot)
+    }
+
+    /// Whether it must be shown what the ego sees.
+    pub fn looks(&self) -> bool {
+        matches!(self, Self::Agent(_))
+    }
+
+    /// What to do in the next tick, from what `eyes` saw last.
+    ///
+    /// # Errors
+    /// The agent fails.
+    pub fn act(&mut self, eyes: &Eyes) -> Result<Act, AgentError> {
+        Ok(Act::Control(match self {
+            Self::Autopilot => return Ok(Act::Expert),
+            Self::Manual(control) | Self::Constant(control) => *control,
+            Self::Random(rng) => Control {
+                throttle: rng.random_range(0.0..1.0),
+                steer: rng.random_range(-1.0..1.0),
+                brake: rng.random_range(0.0..1.0),
+            },
+            Self::Agent(agent) => {
+                let observation = eyes.observation();
+                agent.act_seeing(&Seen { observation: &observation, raw: eyes.raw(), frame: eyes.frame() })?
+            }
+        }))
+    }
+}
+
+/// A driver with the eyes that it drives by.
+pub struct Pilot {
+    pub driver: Driver,
+    pub eyes: Eyes,
+    /// For the run's configuration.
+    pub record: PilotRecord,
+}
+
+/// What a run's `config.json` says of who drives.
+#[derive(Clone, Debug, Serialize)]
+pub struct PilotRecord {
+    /// As [`DriverSpec`] is written.
+    pub agent: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub encoder_hash: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub detector: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub weather: Option<Preset>,
+}
+
+impl Pilot {
+    /// A driver that does not look; None where the specification names an agent.
+    pub fn blind(spec: &DriverSpec) -> Option<Self> {
+        let driver = Driver::blind(spec)?;
+        let record =
+            PilotRecord { agent: spec.to_string(), encoder_hash: None, detector: None, weather: None };
+        Some(Self { driver, eyes: Eyes::blind(), record })
+    }
+
+    /// The expert.
+    pub fn autopilot() -> Self {
+        let agent = DriverSpec::Autopilot.to_string();
+        let record = PilotRecord { agent, encoder_hash: None, detector: None, weather: None };
+        Self { driver: Driver::Autopilot, eyes: Eyes::blind(), record }
+    }
+
+    /// A person.
+    pub fn manual() -> Self {
+        let record = PilotRecord { agent: DriverSpec::Manual.to_string(), ..Self::autopilot().record };
+        Self { driver: Driver::Manual(PARKED), record, ..Self::autopilot() }
+    }
+
+    /// `agent` behind `encoder` in the town of `assets`, with the detector of that name.
+    ///
+    /// # Errors
+    /// The camera or the detector cannot be made.
+    pub fn of_agent(
+        assets: &Assets,
+        agent: Box<dyn Agent>,
+        encoder: Box<dyn Encoder>,
+        detector: &str,
+        camera: CameraConfig,
+    ) -> Result<Self, EyesError> {
+        let record = PilotRecord {
+            agent: agent.name().to_string(),
+            encoder_hash: Some(encoder.hash().to_string()),
+            detector: Some(detector.to_string()),
+            weather: None,
+        };
+        let eyes = Eyes::of_agent(assets, ObservationMode::default(), detector, camera, encoder)?;
+        Ok(Self { driver: Driver::Agent(agent), eyes, record })
+    }
+
+    /// Begins a drive in a weather: forgets everything. `seed` is the run's.
+    pub fn reset(&mut self, weather: Preset, seed: u64) {
+        self.eyes.reset(weather, seed);
+        self.driver.reset(seed);
+        if self.driver.looks() {
+            self.record.weather = Some(weather);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn drivers_are_read_as_they_are_written() {
+        for text in [
+            "autopilot",
+            "manual",
+            "random",
+            "constant",
+            "constant:0.3,-0.1,0",
+            "wad-t",
+            "exec:python3 a.py --x",
+        ] {
+            assert_eq!(text.parse::<DriverSpec>().unwrap().to_string(), text);
+        }
+        let error = "constant:1,2".parse::<DriverSpec>().unwrap_err().to_string();
+        assert!(error.contains("constant:1,2") && error.contains("THROTTLE"), "{error}");
+    }
+}

@@ -1,0 +1,240 @@
+//! The environment: SUMO, the ego, the camera, perception and the encoder as `reset` and `step`.
+//!
+//! ```text
+//! reset(task, seed) -> Observation
+//! step(Control)     -> Step { observation, reward, terminated, truncated, info }
+//! ```
+//!
+//! An [`Env`] is blocking and belongs to one thread: it owns a runtime of its own and shares its core
+//! with its SUMO, so make it on the thread that uses it. Any number of them run in parallel; what does
+//! not change is shared between them ([`Assets`]).
+//!
+//! ```no_run
+//! # fn example() -> Result<(), Box<dyn std::error::Error>> {
+//! use wad_cosim::env::{Assets, Env, EnvOptions};
+//! use wad_cosim::latent::PooledEncoder;
+//! use wad_cosim::tasks::{TaskKind, TaskSpec};
+//! use wad_cosim::vehicle::Control;
+//!
+//! let assets = Assets::load("town3")?;
+//! let mut env = Env::new(assets, EnvOptions::training(), Box::new(PooledEncoder::default()))?;
+//! let observation = env.reset(&TaskSpec::new(TaskKind::Straight), 7)?;
+//! assert_eq!(observation.concat().len(), 215);
+//! loop {
+//!     let step = env.step(Control { throttle: 0.4, ..Control::default() })?;
+//!     if step.terminated || step.truncated {
+//!         println!("{:?}", step.info.ending);
+//!         break;
+//!     }
+//! }
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! **Transitions.** Store `terminated`, not `done`: a truncated episode still bootstraps. When SUMO dies
+//! in the middle of an episode, `step` answers `truncated` with [`End::Error`], reward 0 and the last
+//! observation; drop that transition, and call `reset`, which builds a new SUMO.
+
+mod episode;
+mod error;
+mod green;
+mod obstacle;
+mod options;
+mod world;
+
+pub use error::EnvError;
+pub use options::{EnvOptions, StartOffset, WorldMode};
+pub use wad_see::observation::ObservationMode;
+pub use wad_sim::assets::Assets;
+pub use wad_sim::end::{End, Ending, Termination};
+
+use crate::reward::RewardTerms;
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+use std::time::Duration;
+use wad_see::eyes::Eyes;
+use wad_see::latent::Encoder;
+use wad_see::observation::{Observation, RawState};
+use wad_sim::criteria::Event;
+use wad_sim::session::Act;
+use wad_sim::tasks::{Placement, TaskSpec};
+use wad_vehicle::{Control, EgoState};
+use world::World;
+
+/// What came of a control.
+#[derive(Clone, Debug)]
+pub struct Step {
+    pub observation: Observation,
+    /// What was driven.
+    pub control: Control,
+    /// Sum of `info.reward`.
+    pub reward: f64,
+    /// The episode ended by what the ego did: the value of what follows is 0.
+    pub terminated: bool,
+    /// The episode ended otherwise (arrival, the clock): what follows would have had a value.
+    pub truncated: bool,
+    pub info: Info,
+}
+
+/// Beside the observation: for logs, tables and people, never for the agent.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Info {
+    /// Ticks of the episode so far.
+    pub tick: u64,
+    /// SUMO's clock (s).
+    pub time: f64,
+    /// The named reward terms.
+    pub reward: RewardTerms,
+    /// What happened in the tick.
+    pub events: Vec<Event>,
+    /// How the episode ended, where it did.
+    pub ending: Option<Ending>,
+    /// The six raw states by name, in units.
+    pub raw: RawState,
+    pub ego: EgoState,
+    /// Way along the route since the start, and the route's length (m).
+    pub driven: f64,
+    pub route_length: f64,
+    /// Background vehicles and pedestrians in the net.
+    pub traffic: (usize, usize),
+}
+
+/// Where the wall time of an environment went, summed over its life (s).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Stages {
+    pub steps: u64,
+    /// Message out, SUMO's step, the new world decoded.
+    pub sumo: f64,
+    pub physics: f64,
+    pub camera: f64,
+    /// Detection, lanes, painting, raw states.
+    pub perception: f64,
+    pub encoder: f64,
+    pub resets: u64,
+    pub reset: f64,
+}
+
+/// One environment: see the module.
+pub struct Env {
+    runtime: tokio::runtime::Runtime,
+    world: World,
+}
+
+impl Env {
+    /// An environment in the town of `assets`. SUMO starts with the first reset.
+    ///
+    /// # Errors
+    /// The detector or the camera cannot be made.
+    pub fn new(
+        assets: Arc<Assets>,
+        options: EnvOptions,
+        encoder: Box<dyn Encoder>,
+    ) -> Result<Self, EnvError> {
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()
+            .map_err(|source| EnvError::Runtime { source })?;
+        Ok(Self { runtime, world: World::new(assets, options, encoder)? })
+    }
+
+    /// Begins an episode of `task`; everything that is drawn (place, traffic, weather where several are
+    /// given, the detector's faults) comes from `seed`. In [`WorldMode::Fresh`] equal calls give equal
+    /// episodes bit for bit. A SUMO that died is replaced.
+    ///
+    /// # Errors
+    /// The task cannot be placed on this net, or SUMO cannot be started.
+    pub fn reset(&mut self, task: &TaskSpec, seed: u64) -> Result<Observation, EnvError> {
+        self.runtime.block_on(self.world.reset(task, seed))
+    }
+
+    /// Drives one tick.
+    ///
+    /// # Errors
+    /// There is no episode under way, or perception or encoder fail. SUMO's death is no error here: see
+    /// the module.
+    pub fn step(&mut self, control: Control) -> Result<Step, EnvError> {
+        self.runtime.block_on(self.world.step(control))
+    }
+
+    /// Drives one tick as a driver wants: the expert itself, or a control.
+    ///
+    /// # Errors
+    /// As [`Env::step`].
+    pub fn act(&mut self, act: Act) -> Result<Step, EnvError> {
+        self.runtime.block_on(self.world.act(act))
+    }
+
+    /// What the rule-based expert would do now (it sees the whole world). To be asked at every tick of
+    /// an episode that it drives, and once a tick: it has a memory.
+    ///
+    /// # Errors
+    /// There is no episode under way.
+    pub fn expert(&mut self) -> Result<Control, EnvError> {
+        self.world.expert()
+    }
+
+    /// Where the episode takes place: enough to drive it again.
+    pub fn placement(&self) -> Option<&Placement> {
+        self.world.placement()
+    }
+
+    /// The ego, for cameras that look from outside.
+    pub fn ego(&self) -> Option<&wad_sim::bridge::Ego> {
+        self.world.ego()
+    }
+
+    /// The ego's speed (m/s), 0 before the first reset.
+    pub fn speed(&self) -> f64 {
+        self.world.ego().map_or(0.0, |ego| ego.state().speed)
+    }
+
+    /// Id of SUMO's process, None before the first reset.
+    pub fn sumo_pid(&self) -> Option<u32> {
+        self.world.sumo_pid()
+    }
+
+    /// The ego's eyes, as they looked last.
+    pub fn eyes(&self) -> &Eyes {
+        self.world.eyes()
+    }
+
+    /// The six raw states of the last observation by name, in units.
+    pub fn raw(&self) -> &RawState {
+        self.world.eyes().raw()
+    }
+
+    /// What the observation is made from, for people and data sets: the camera's last frame.
+    pub fn frame(&self) -> Option<&wad_camera::Frame> {
+        self.world.eyes().frame()
+    }
+
+    /// The last transformed image.
+    pub fn image(&self) -> Option<&wad_see::perception::TransformedImage> {
+        self.world.eyes().image()
+    }
+
+    /// Length of a tick.
+    pub fn tick(&self) -> Duration {
+        self.world.tick()
+    }
+
+    /// Where the time went.
+    pub fn stages(&self) -> Stages {
+        self.world.stages
+    }
+
+    /// The town.
+    pub fn assets(&self) -> &Arc<Assets> {
+        self.world.assets()
+    }
+
+    /// The options.
+    pub fn options(&self) -> &EnvOptions {
+        self.world.options()
+    }
+
+    /// Ends SUMO in an orderly way; dropping an environment kills it.
+    pub fn close(mut self) {
+        self.runtime.block_on(self.world.close());
+    }
+}

@@ -1,0 +1,115 @@
+//! What an environment is made of; saved with every result.
+
+use crate::reward::RewardParams;
+use rand::RngExt;
+use serde::{Deserialize, Serialize};
+use sumo_network::seeds;
+use wad_camera::CameraConfig;
+use wad_see::observation::ObservationMode;
+use wad_sim::criteria::CriteriaParams;
+use wad_sim::end::Termination;
+use wad_vehicle::EgoParams;
+
+/// What becomes of SUMO between episodes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum WorldMode {
+    /// A new SUMO per episode: reproducible from task and seed alone. For evaluation.
+    #[default]
+    Fresh,
+    /// SUMO and its traffic run on; the ego is put down elsewhere, at a place that is free. For training.
+    Running,
+}
+
+/// How askew the ego stands at the start: each is drawn from the seed, evenly to both sides. Nobody parks
+/// perfectly, and a driver that does not look must not get down a straight road by luck.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct StartOffset {
+    /// Beside the lane's middle (m). Default 0.25.
+    pub lateral: f64,
+    /// Off the lane's heading (degrees). Default 2.5.
+    pub heading_deg: f64,
+}
+
+impl Default for StartOffset {
+    fn default() -> Self {
+        Self { lateral: 0.25, heading_deg: 2.5 }
+    }
+}
+
+impl StartOffset {
+    /// To the left (m), and turned to the left (rad).
+    pub fn draw(&self, seed: u64) -> (f64, f64) {
+        let mut rng = seeds::rng(seed, "start");
+        let mut even = |most: f64| if most > 0.0 { rng.random_range(-most..most) } else { 0.0 };
+        (even(self.lateral), even(self.heading_deg.to_radians()))
+    }
+}
+
+/// What an environment is made of.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EnvOptions {
+    pub world: WorldMode,
+    pub observation: ObservationMode,
+    /// Detector by name, e.g. `truth`.
+    pub detector: String,
+    pub camera: CameraConfig,
+    /// Tick length (ms). Default 167, the paper's six a second.
+    pub tick_ms: f64,
+    /// How far the ego's world reaches (m). Default 100.
+    pub sight: f64,
+    pub ego: EgoParams,
+    pub start: StartOffset,
+    /// Thresholds of the events.
+    pub criteria: CriteriaParams,
+    /// Which events end an episode.
+    pub termination: Termination,
+    pub reward: RewardParams,
+    /// In [`WorldMode::Running`]: episodes after which SUMO is started anew all the same, so that jams
+    /// dissolve and the traffic's seed changes. Default 200.
+    pub episodes_per_sumo: u64,
+    /// Longest time a tick may take before SUMO counts as hung (s). Default 60.
+    pub tick_timeout: f64,
+    /// Show SUMO's window. It changes nothing of what happens, so it is not kept with results.
+    #[serde(skip)]
+    pub gui: bool,
+}
+
+impl Default for EnvOptions {
+    fn default() -> Self {
+        Self {
+            world: WorldMode::Fresh,
+            observation: ObservationMode::default(),
+            detector: "truth".to_string(),
+            camera: CameraConfig::default(),
+            tick_ms: wad_sim::bridge::DEFAULT_TICK_MS,
+            sight: 100.0,
+            ego: EgoParams::default(),
+            start: StartOffset::default(),
+            criteria: CriteriaParams::default(),
+            termination: Termination::default(),
+            reward: RewardParams::default(),
+            episodes_per_sumo: 200,
+            tick_timeout: 60.0,
+            gui: false,
+        }
+    }
+}
+
+impl EnvOptions {
+    /// For evaluation: fresh worlds, the spec's thresholds.
+    pub fn evaluation() -> Self {
+        Self::default()
+    }
+
+    /// For training: running traffic, and standing for no reason ends an episode after 30 s, not 90.
+    pub fn training() -> Self {
+        Self {
+            world: WorldMode::Running,
+            criteria: CriteriaParams { blocked_after: 30.0, ..CriteriaParams::default() },
+            ..Self::default()
+        }
+    }
+}

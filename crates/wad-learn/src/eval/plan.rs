@@ -1,0 +1,368 @@
+//! From a suite and what the user wants of it to the episodes to be driven.
+
+use super::routes::Routes;
+use super::{DriverSpec, Suite, SuiteError};
+use crate::env::Assets;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::fmt;
+use std::path::PathBuf;
+use std::str::FromStr;
+use std::sync::Arc;
+use sumo_network::seeds;
+use wad_camera::Preset;
+use wad_sim::tasks::TaskSpec;
+use wad_sim::traffic::TrafficSpec;
+
+/// Which part of a suite is driven; what is empty or None is the suite's own.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Selection {
+    pub agents: Vec<DriverSpec>,
+    pub tasks: Vec<String>,
+    pub conditions: Vec<String>,
+    pub towns: Vec<String>,
+    pub weathers: Vec<Preset>,
+    pub traffic: Vec<TrafficSpec>,
+    pub seeds: Vec<u64>,
+    pub episodes: Option<u64>,
+    /// Route file for a town that brings none.
+    pub routes: Option<PathBuf>,
+}
+
+/// One episode to be driven.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Case {
+    pub suite: String,
+    /// The suite's condition; `other` for a town and weather that are none.
+    pub condition: String,
+    pub agent: DriverSpec,
+    pub town: String,
+    /// The suite's name for the task.
+    pub task: String,
+    pub spec: TaskSpec,
+    /// The evaluation's seed, and the number of the episode in its row.
+    pub seed: u64,
+    pub episode: u64,
+}
+
+impl Case {
+    /// The seed of the episode itself. It does not hang on agent or weather: all drive the same places in
+    /// the same traffic.
+    pub fn episode_seed(&self) -> u64 {
+        seeds::derive(self.seed, &format!("{} {} {} {}", self.suite, self.town, self.task, self.episode))
+    }
+
+    /// What tells it from every other episode, as a name for a folder.
+    pub fn name(&self) -> String {
+        let text = format!(
+            "{}_{}_{}_{}_{}_s{}_{:03}",
+            self.agent,
+            self.town,
+            self.task,
+            self.spec.weather.name(),
+            self.spec.traffic(),
+            self.seed,
+            self.episode
+        );
+        let plain = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '-' };
+        let mut name: String = text.chars().map(plain).collect();
+        // `../agent.safetensors` must not become a hidden folder.
+        if name.starts_with('.') {
+            name.replace_range(..1, "_");
+        }
+        if name.len() <= 100 {
+            return name;
+        }
+        // The end tells episodes apart; what is cut off is in the number.
+        format!("{:08x}{}", crc32fast::hash(text.as_bytes()), &name[name.len() - 80..])
+    }
+}
+
+/// One of N parts of a plan that several machines share.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Shard {
+    /// From 1 to `of`.
+    pub part: usize,
+    pub of: usize,
+}
+
+impl Shard {
+    /// Whether the case number `index` of the plan is in it.
+    pub fn has(self, index: usize) -> bool {
+        index % self.of.max(1) + 1 == self.part
+    }
+}
+
+impl FromStr for Shard {
+    type Err = SuiteError;
+
+    fn from_str(text: &str) -> Result<Self, SuiteError> {
+        let parts = text.split_once('/').and_then(|(k, n)| Some((k.parse().ok()?, n.parse().ok()?)));
+        match parts {
+            Some((part, of)) if (1..=of).contains(&part) => Ok(Self { part, of }),
+            _ => Err(SuiteError::Shard { found: text.to_string() }),
+        }
+    }
+}
+
+impl fmt::Display for Shard {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.part, self.of)
+    }
+}
+
+/// A town of the plan with its weathers.
+#[derive(Clone, Debug)]
+struct Place {
+    town: String,
+    weathers: Vec<Preset>,
+}
+
+impl Selection {
+    /// The towns of the part of `suite` that is driven.
+    ///
+    /// # Errors
+    /// The suite has no such condition.
+    pub fn towns(&self, suite: &Suite) -> Result<Vec<String>, SuiteError> {
+        let mut towns: Vec<String> = self.places(suite)?.into_iter().map(|place| place.town).collect();
+        let mut seen = std::collections::BTreeSet::new();
+        towns.retain(|town| seen.insert(town.clone()));
+        Ok(towns)
+    }
+
+    /// Towns with weathers: the suite's conditions, or their weathers in the towns that were asked for.
+    fn places(&self, suite: &Suite) -> Result<Vec<Place>, SuiteError> {
+        known(suite, "condition", &self.conditions, suite.conditions.iter().map(|c| c.name.as_str()))?;
+        let wanted = |name: &String| self.conditions.is_empty() || self.conditions.contains(name);
+        let conditions: Vec<_> = suite.conditions.iter().filter(|c| wanted(&c.name)).collect();
+        let weathers = |own: &[Preset]| {
+            if self.weathers.is_empty() { own.to_vec() } else { self.weathers.clone() }
+        };
+        if self.towns.is_empty() {
+            let place =
+                |c: &&super::Condition| Place { town: c.town.clone(), weathers: weathers(&c.weathers) };
+            return Ok(conditions.iter().map(place).collect());
+        }
+        let mut places = Vec::new();
+        for town in &self.towns {
+            let own: Vec<_> = conditions.iter().filter(|c| c.town == *town).collect();
+            let mut all: Vec<Preset> = Vec::new();
+            for condition in if own.is_empty() { conditions.iter().collect() } else { own } {
+                let new: Vec<Preset> =
+                    condition.weathers.iter().copied().filter(|w| !all.contains(w)).collect();
+                all.extend(new);
+            }
+            places.push(Place { town: town.clone(), weathers: weathers(&all) });
+        }
+        Ok(places)
+    }
+
+    /// The episodes, agent by agent and town by town, so that an environment serves many. `routes` are
+    /// those of each town.
+    ///
+    /// # Errors
+    /// The suite has no such condition or task, or a town lacks routes.
+    pub fn plan(
+        &self,
+        suite: &Suite,
+        routes: &BTreeMap<String, (Routes, PathBuf)>,
+    ) -> Result<Vec<Case>, SuiteError> {
+        known(suite, "task", &self.tasks, suite.tasks.iter().map(|t| t.name.as_str()))?;
+        let tasks: Vec<_> =
+            suite.tasks.iter().filter(|t| self.tasks.is_empty() || self.tasks.contains(&t.name)).collect();
+        let agents = if self.agents.is_empty() { vec![DriverSpec::Autopilot] } else { self.agents.clone() };
+        let seeds = if self.seeds.is_empty() { vec![0] } else { self.seeds.clone() };
+        let episodes = self.episodes.unwrap_or(suite.episodes);
+        let mut plan = Vec::new();
+        for agent in &agents {
+            for Place { town, weathers } in self.places(suite)? {
+                for &task in &tasks {
+                    let traffic: Vec<Option<TrafficSpec>> = match self.traffic.as_slice() {
+                        [] => vec![task.traffic],
+                        given => given.iter().copied().map(Some).collect(),
+                    };
+                    let fixed = match (&task.routes, routes.get(&town)) {
+                        (Some(set), Some((routes, path))) => Some(routes.set(set, path)?),
+                        (Some(_), None) => {
+                            return Err(super::routes::RouteError::None { town: town.clone() }.into());
+                        }
+                        (None, _) => None,
+                    };
+                    let spec = |weather: Preset, traffic: Option<TrafficSpec>, episode: u64| TaskSpec {
+                        traffic,
+                        tick_limit: task.tick_limit,
+                        endless: task.endless,
+                        placement: fixed.map(|routes| routes[episode as usize % routes.len()].clone()),
+                        ..TaskSpec::new(task.kind).in_weather(weather)
+                    };
+                    let rows: Vec<&[Preset]> =
+                        if suite.weathers_in_turn { vec![&weathers] } else { weathers.chunks(1).collect() };
+                    for (row, traffic) in rows.iter().flat_map(|row| traffic.iter().map(move |t| (row, *t))) {
+                        for &seed in &seeds {
+                            plan.extend((0..episodes).map(|episode| {
+                                let weather = row[episode as usize % row.len()];
+                                Case {
+                                    suite: suite.name.clone(),
+                                    condition: condition_of(suite, &town, weather),
+                                    agent: agent.clone(),
+                                    town: town.clone(),
+                                    task: task.name.clone(),
+                                    spec: spec(weather, traffic, episode),
+                                    seed,
+                                    episode,
+                                }
+                            }));
+                        }
+                    }
+                }
+            }
+        }
+        Ok(plan)
+    }
+
+    /// The routes of the towns that the suite's tasks need.
+    ///
+    /// # Errors
+    /// There are none for a town.
+    pub fn routes(
+        &self,
+        suite: &Suite,
+        towns: &BTreeMap<String, Arc<Assets>>,
+    ) -> Result<BTreeMap<String, (Routes, PathBuf)>, SuiteError> {
+        let needed = |t: &super::SuiteTask| {
+            t.routes.is_some() && (self.tasks.is_empty() || self.tasks.contains(&t.name))
+        };
+        if !suite.tasks.iter().any(needed) {
+            return Ok(BTreeMap::new());
+        }
+        let mut routes = BTreeMap::new();
+        for (town, assets) in towns {
+            routes.insert(town.clone(), Routes::find(town, assets, self.routes.as_deref())?);
+        }
+        Ok(routes)
+    }
+}
+
+/// The suite's condition that a town and a weather belong to.
+fn condition_of(suite: &Suite, town: &str, weather: Preset) -> String {
+    let own = suite.conditions.iter().find(|c| c.town == town && c.weathers.contains(&weather));
+    own.map_or("other".to_string(), |c| c.name.clone())
+}
+
+fn known<'a>(
+    suite: &Suite,
+    what: &'static str,
+    asked: &[String],
+    has: impl Iterator<Item = &'a str>,
+) -> Result<(), SuiteError> {
+    let expected: Vec<String> = has.map(String::from).collect();
+    match asked.iter().find(|name| !expected.contains(name)) {
+        Some(found) => {
+            Err(SuiteError::NotIn { suite: suite.name.clone(), what, found: found.clone(), expected })
+        }
+        None => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use wad_sim::tasks::{Placement, Spot, TaskKind};
+
+    fn routes() -> BTreeMap<String, (Routes, PathBuf)> {
+        let place = |n: usize| Placement {
+            from: Spot { lane: format!("a{n}_0"), s: 1.0 },
+            to: Spot { lane: "b_0".into(), s: 2.0 },
+            obstacle: None,
+            via: Vec::new(),
+        };
+        let sets = Routes::SETS.iter().map(|k| (k.name().to_string(), (0..5).map(place).collect())).collect();
+        let of = |town: &str| {
+            let routes = Routes {
+                town: town.into(),
+                net: String::new(),
+                sets: Clone::clone(&sets),
+                missing: BTreeMap::new(),
+            };
+            (town.to_string(), (routes, PathBuf::from(town)))
+        };
+        ["town3", "town5", "my.net.xml"].map(of).into()
+    }
+
+    fn plan(selection: &Selection, suite: &str) -> Vec<Case> {
+        selection.plan(&Suite::find(suite).unwrap(), &routes()).unwrap()
+    }
+
+    #[test]
+    fn a_suite_is_all_of_its_conditions_unless_told_otherwise() {
+        assert_eq!(plan(&Selection::default(), "nocrash").len(), 450);
+        assert_eq!(plan(&Selection::default(), "tasks").len(), 5 * 5 * 25);
+        let composite = plan(&Selection::default(), "composite");
+        assert_eq!(composite.len(), 200);
+        assert_ne!(composite[0].spec.weather, composite[1].spec.weather, "weathers in turn");
+        let some = Selection {
+            tasks: vec!["dense".into()],
+            conditions: vec!["new".into()],
+            weathers: vec![Preset::WetSunset, Preset::ClearNoon],
+            seeds: vec![1, 2],
+            episodes: Some(3),
+            ..Selection::default()
+        };
+        let plan = plan(&some, "nocrash");
+        assert_eq!(plan.len(), 12);
+        assert_eq!((plan[0].condition.as_str(), plan[11].condition.as_str()), ("new", "other"));
+        let mut names: Vec<String> = plan.iter().map(Case::name).collect();
+        names.sort_unstable();
+        names.dedup();
+        assert_eq!(names.len(), 12, "each has a name of its own");
+        assert!(plan.iter().all(|case| case.spec.kind == TaskKind::Navigation && case.town == "town5"));
+    }
+
+    #[test]
+    fn names_of_episodes_are_plain_short_and_not_hidden() {
+        let plan = plan(&Selection { episodes: Some(1), ..Selection::default() }, "nocrash");
+        let named = |agent: &str| Case { agent: agent.parse().unwrap(), ..plan[0].clone() }.name();
+        let here = named("wad-t");
+        assert!(here.starts_with("wad-t_") && here.ends_with("_000"), "{here}");
+        let file = named("../runs/my agent.safetensors");
+        assert!(file.starts_with("_.-runs-my-agent.safetensors_") && file.ends_with("_000"), "{file}");
+        let long = named(&"deep/".repeat(40));
+        assert!(long.len() <= 100 && long.ends_with("_000"), "{long}");
+        assert_ne!(long, named(&"deeper/".repeat(40)));
+    }
+
+    #[test]
+    fn an_own_net_is_driven_in_the_suites_weathers() {
+        let own = Selection { towns: vec!["my.net.xml".into()], ..Selection::default() };
+        let plan = plan(&own, "nocrash");
+        assert_eq!(plan.len(), 450);
+        assert!(plan.iter().all(|case| case.condition == "other" && case.town == "my.net.xml"));
+        let unknown = Selection { towns: vec!["elsewhere".into()], ..Selection::default() };
+        let error = unknown.plan(&Suite::find("nocrash").unwrap(), &routes()).unwrap_err().to_string();
+        assert!(error.contains("eval routes elsewhere"), "{error}");
+        let unknown = Selection { conditions: vec!["newer".into()], ..Selection::default() };
+        let error = unknown.plan(&Suite::find("nocrash").unwrap(), &routes()).unwrap_err().to_string();
+        assert!(error.contains("newer") && error.contains("training, new"), "{error}");
+    }
+
+    #[test]
+    fn agents_and_weathers_drive_the_same_places() {
+        let plan = plan(&Selection { episodes: Some(1), ..Selection::default() }, "nocrash");
+        let seeds: Vec<u64> = plan.iter().map(Case::episode_seed).collect();
+        assert_eq!(seeds[..4], [seeds[0]; 4]);
+        assert_ne!(seeds[0], seeds[4], "another task");
+    }
+
+    #[test]
+    fn shards_share_a_plan_without_overlap() {
+        let shards: Vec<Shard> = ["1/3", "2/3", "3/3"].map(|s| s.parse().unwrap()).into();
+        for index in 0..20 {
+            assert_eq!(shards.iter().filter(|shard| shard.has(index)).count(), 1);
+        }
+        for bad in ["0/3", "4/3", "1", "a/b", "1/0"] {
+            let error = bad.parse::<Shard>().unwrap_err().to_string();
+            assert!(error.contains(bad) && error.contains("K/N"), "{error}");
+        }
+    }
+}

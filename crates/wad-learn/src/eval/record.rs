@@ -1,0 +1,61 @@
+//! One line of `episodes.jsonl`.
+
+use super::Case;
+use super::tally::{EventCounts, Histogram};
+use crate::env::Ending;
+use crate::reward::RewardTerms;
+use serde::{Deserialize, Serialize};
+use wad_sim::tasks::Placement;
+
+/// Whose fault it is that an episode could not be driven to its end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Fault {
+    /// It died, hung, or answered nonsense: the episode counts as failed.
+    Agent,
+    /// SUMO died, twice: the episode does not count, and is driven again on `--resume`.
+    Simulator,
+}
+
+/// What came of an episode, and everything that is needed to drive it again. It holds nothing that
+/// depends on wall time: equal cases give equal bytes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EpisodeRecord {
+    #[serde(flatten)]
+    pub case: Case,
+    pub episode_seed: u64,
+    pub placement: Placement,
+    #[serde(flatten)]
+    pub ending: Ending,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fault: Option<Fault>,
+    pub ticks: u64,
+    /// Length of a tick (s).
+    pub tick_s: f64,
+    pub route_length_m: f64,
+    /// Way along the route.
+    pub driven_m: f64,
+    /// Way of the ego's centre.
+    pub distance_m: f64,
+    /// Over all ticks, standing ones too.
+    pub mean_speed_mps: f64,
+    pub top_speed_mps: f64,
+    /// Root mean square over the ticks (m/s2, and steering per tick).
+    pub rms_acceleration: f64,
+    pub rms_steer_change: f64,
+    /// Sum of the rewards, and by term.
+    pub episodic_return: f64,
+    pub terms: RewardTerms,
+    pub vehicles_mean: f64,
+    pub pedestrians_mean: f64,
+    /// What happened on the way, whether it ended the episode or not.
+    pub events: EventCounts,
+    /// Ticks by speed, and by gap to the vehicle in front.
+    pub speeds: Histogram,
+    pub gaps: Histogram,
+    /// Where it ended: x, y (m).
+    pub end_at: [f64; 2],
+    /// The recording's folder, relative to the evaluation's, where one was kept.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub recording: Option<String>,
+}

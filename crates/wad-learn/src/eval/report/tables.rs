@@ -1,0 +1,261 @@
+//! A section's tables.
+
+use super::published::published;
+use super::{Section, Table, short};
+use crate::env::End;
+use crate::eval::{DriverSpec, EpisodeRecord, Score, grouped};
+use wad_camera::Preset;
+
+/// The weathers that encoder, detector and agents were trained in.
+const TRAINED_IN: [Preset; 3] = [Preset::ClearNoon, Preset::CloudyNoon, Preset::SoftRainNoon];
+
+/// All tables of a section, the published ones last.
+pub fn tables(section: &Section) -> Vec<Table> {
+    let mut all =
+        vec![success(section), driving(section), infractions(section), ends(section), weathers(section)];
+    if let Some(published) = published() {
+        let own = published.tables.iter().filter(|t| t.suite == section.suite.name);
+        all.extend(own.map(|table| table.table(&published.note)));
+    }
+    all
+}
+
+/// `96.0 ± 1.9 %  [91.2–98.3], n 150`.
+fn rate(group: &[&EpisodeRecord]) -> String {
+    let score = Score::of(group);
+    if score.episodes == 0 {
+        return "-".to_string();
+    }
+    let cells = grouped(group.iter().copied(), |e| (e.case.spec.weather.name(), e.case.seed));
+    let rates: Vec<f64> = cells.iter().map(|cell| Score::of(cell).success_rate).collect();
+    let spread = deviation(&rates).map_or(String::new(), |sd| format!(" ± {:.1}", 100.0 * sd));
+    format!(
+        "{:.1}{spread} % [{:.1}–{:.1}], n {}",
+        100.0 * score.success_rate,
+        100.0 * score.interval.0,
+        100.0 * score.interval.1,
+        score.episodes
+    )
+}
+
+/// Of a sample; None of fewer than two.
+fn deviation(values: &[f64]) -> Option<f64> {
+    let n = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / n;
+    (values.len() > 1).then(|| (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt())
+}
+
+fn percent_of(part: u64, all: u64) -> String {
+    if part == 0 {
+        "-".to_string()
+    } else {
+        format!("{part} ({:.0} %)", 100.0 * part as f64 / all.max(1) as f64)
+    }
+}
+
+fn success(section: &Section) -> Table {
+    let (agents, conditions) = (section.agents(), section.conditions());
+    let mut head = vec!["task".to_string()];
+    let mut groups = vec![(String::new(), 1)];
+    for condition in &conditions {
+        groups.push((condition.clone(), agents.len()));
+        head.extend(agents.iter().map(|agent| short(agent)));
+    }
+    let tasks = section.suite.tasks.iter().map(|task| task.name.clone());
+    let tasks = tasks.filter(|task| section.episodes.iter().any(|(_, e)| e.case.task == *task));
+    let row = |task: String| {
+        let cells =
+            conditions.iter().flat_map(|condition| agents.iter().map(move |agent| (condition, agent)));
+        let cells = cells.map(|(condition, agent)| {
+            rate(&section.of(|e| {
+                let case = &e.case;
+                case.task == task && case.condition == *condition && case.agent.to_string() == *agent
+            }))
+        });
+        std::iter::once(task.clone()).chain(cells).collect()
+    };
+    let mut notes = vec![
+        "Success rate, its standard deviation over weathers and seeds, Wilson's 95 % interval, number of episodes."
+            .to_string(),
+    ];
+    let blind = |agent: &String| agent.parse::<DriverSpec>().is_ok_and(|spec| !spec.looks());
+    let blind: Vec<String> = agents.iter().filter(|agent| blind(agent)).cloned().collect();
+    if !blind.is_empty() && section.suite.conditions.iter().any(|c| c.weathers.len() > 1) {
+        notes.push(format!(
+            "Without eyes, an episode is the same in every weather: the intervals of {} count it once per weather, \
+             and are narrower than they should be.",
+            blind.join(", ")
+        ));
+    }
+    let lost = section.of(|e| e.fault == Some(crate::eval::Fault::Simulator)).len();
+    if lost > 0 {
+        notes.push(format!("{lost} episodes in which SUMO died do not count."));
+    }
+    let untrained: Vec<&str> = section
+        .suite
+        .conditions
+        .iter()
+        .filter(|c| c.name == "training")
+        .flat_map(|c| c.weathers.iter())
+        .filter(|w| !TRAINED_IN.contains(w))
+        .map(|w| w.name())
+        .collect();
+    if !untrained.is_empty() {
+        notes.push(format!(
+            "“training” is the benchmark's word: nothing of ours was trained in {} (town3 in {} only).",
+            untrained.join(", "),
+            TRAINED_IN.map(Preset::name).join(", ")
+        ));
+    }
+    Table {
+        title: format!("{}: success", section.suite.title),
+        groups,
+        head,
+        rows: tasks.map(row).collect(),
+        notes,
+        published: false,
+    }
+}
+
+/// Groups by agent, condition and task, in that order, with their names.
+fn lines(section: &Section) -> Vec<(Vec<String>, Vec<&EpisodeRecord>)> {
+    let (agents, conditions) = (section.agents(), section.conditions());
+    let mut all = Vec::new();
+    for agent in &agents {
+        for condition in &conditions {
+            for task in &section.suite.tasks {
+                let group = section.of(|e| {
+                    let case = &e.case;
+                    case.task == task.name && case.condition == *condition && case.agent.to_string() == *agent
+                });
+                if !group.is_empty() {
+                    all.push((vec![short(agent), condition.clone(), task.name.clone()], group));
+                }
+            }
+        }
+    }
+    all
+}
+
+fn columns(more: &[&str]) -> Vec<String> {
+    ["agent", "condition", "task"].iter().chain(more).map(ToString::to_string).collect()
+}
+
+fn driving(section: &Section) -> Table {
+    let row = |(mut cells, group): (Vec<String>, Vec<&EpisodeRecord>)| {
+        let s = Score::of(&group);
+        let spread = |value: &dyn Fn(&EpisodeRecord) -> f64, digits: usize| {
+            let values: Vec<f64> = group.iter().map(|e| value(e)).collect();
+            let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
+            match deviation(&values) {
+                Some(sd) => format!("{mean:.digits$} ± {sd:.digits$}"),
+                None => format!("{mean:.digits$}"),
+            }
+        };
+        cells.push(s.episodes.to_string());
+        cells.push(spread(&|e| e.distance_m / 1000.0, 2));
+        cells.push(spread(&|e| e.ticks as f64 * e.tick_s / 60.0, 2));
+        cells.push(format!("{:.1}", 3.6 * s.mean_speed_mps));
+        cells.push(spread(&|e| 3.6 * e.top_speed_mps, 1));
+        cells.push(spread(&|e| e.episodic_return, 0));
+        cells.push(format!("{:.0} %", 100.0 * s.mean_route_completion));
+        cells.push(format!("{:.2}", s.rms_acceleration));
+        cells
+    };
+    Table {
+        title: format!("{}: driving", section.suite.title),
+        head: columns(&[
+            "n",
+            "distance (km)",
+            "time alive (min)",
+            "mean speed (km/h)",
+            "top speed (km/h)",
+            "return",
+            "route done",
+            "rms acceleration (m/s2)",
+        ]),
+        rows: lines(section).into_iter().map(row).collect(),
+        notes: vec!["Mean ± standard deviation over episodes.".to_string()],
+        ..Table::default()
+    }
+}
+
+fn infractions(section: &Section) -> Table {
+    let kinds = crate::eval::EventCounts::default().named().map(|(name, _)| name);
+    let row = |(mut cells, group): (Vec<String>, Vec<&EpisodeRecord>)| {
+        let s = Score::of(&group);
+        cells.push(format!("{:.2}", s.distance_km));
+        cells.extend(s.events.named().map(|(_, n)| {
+            match s.distance_km {
+                _ if n == 0 => "0".to_string(),
+                // Who does not move has none per km.
+                km if km < 0.1 => format!("({n})"),
+                km => format!("{:.2} ({n})", n as f64 / km),
+            }
+        }));
+        cells.push(s.events.collisions_caused.to_string());
+        cells
+    };
+    let mut head = columns(&["km"]);
+    head.extend(kinds.map(String::from));
+    head.push("collisions caused by the ego".to_string());
+    Table {
+        title: format!("{}: infractions per km (and how many)", section.suite.title),
+        head,
+        rows: lines(section).into_iter().map(row).collect(),
+        ..Table::default()
+    }
+}
+
+fn ends(section: &Section) -> Table {
+    let row = |(mut cells, group): (Vec<String>, Vec<&EpisodeRecord>)| {
+        let s = Score::of(&group);
+        cells.push(s.episodes.to_string());
+        cells.extend(End::ALL.map(|end| percent_of(s.ends.get(&end).copied().unwrap_or(0), s.episodes)));
+        cells
+    };
+    let mut head = columns(&["n"]);
+    head.extend(End::ALL.map(|end| end.name().replace('_', " ")));
+    Table {
+        title: format!("{}: how episodes ended", section.suite.title),
+        head,
+        rows: lines(section).into_iter().map(row).collect(),
+        notes: vec!["“error” is an external agent that died, hung or answered nonsense.".to_string()],
+        ..Table::default()
+    }
+}
+
+fn weathers(section: &Section) -> Table {
+    let (agents, conditions) = (section.agents(), section.conditions());
+    let mut rows = Vec::new();
+    for condition in &conditions {
+        let mut weathers: Vec<Preset> = Vec::new();
+        for (_, e) in section.episodes.iter().filter(|(_, e)| e.case.condition == *condition) {
+            if !weathers.contains(&e.case.spec.weather) {
+                weathers.push(e.case.spec.weather);
+            }
+        }
+        for weather in weathers {
+            let mark = if TRAINED_IN.contains(&weather) { "" } else { " †" };
+            let cells = agents.iter().map(|agent| {
+                rate(&section.of(|e| {
+                    let case = &e.case;
+                    case.condition == *condition
+                        && case.spec.weather == weather
+                        && case.agent.to_string() == *agent
+                }))
+            });
+            rows.push(
+                [condition.clone(), format!("{}{mark}", weather.name())].into_iter().chain(cells).collect(),
+            );
+        }
+    }
+    let head = ["condition", "weather"].map(String::from).into_iter().chain(agents.iter().map(|a| short(a)));
+    Table {
+        title: format!("{}: success by weather", section.suite.title),
+        head: head.collect(),
+        rows,
+        notes: vec!["† a weather that nothing of ours was trained in.".to_string()],
+        ..Table::default()
+    }
+}

@@ -1,0 +1,219 @@
+//! Evaluation routes: fixed in a file per town, each one that the autopilot finishes in the empty town.
+
+use crate::env::{Assets, Env, EnvError, EnvOptions, ObservationMode};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use sumo_network::seeds;
+use wad_see::latent::PooledEncoder;
+use wad_sim::bundled;
+use wad_sim::tasks::{Placement, TaskError, TaskKind, TaskSpec};
+use wad_sim::traffic::TrafficSpec;
+
+/// The routes of one town, in sets by the kind of task that they are for.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Routes {
+    pub town: String,
+    /// [`Assets::net_hash`] of the net that they belong to.
+    pub net: String,
+    pub sets: BTreeMap<String, Vec<Placement>>,
+    /// Sets that the net has no place for, and why.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub missing: BTreeMap<String, String>,
+}
+
+/// Why there are no routes.
+#[derive(Debug, thiserror::Error)]
+pub enum RouteError {
+    #[error(
+        "the suite's routes for `{town}` are not there: `wad-cosim eval routes {town}` makes them, and \
+         `--routes FILE` names them where they do not lie beside the net"
+    )]
+    None { town: String },
+    #[error("the suite needs routes `{set}`, and {} has none: {why}{}", path.display(), remedy(set))]
+    NoSet { set: String, path: PathBuf, why: String },
+    #[error("cannot {what} the routes {}: {source}", path.display())]
+    File { what: &'static str, path: PathBuf, source: std::io::Error },
+    #[error("{} are no routes: {why}; `wad-cosim eval routes` makes such a file", path.display())]
+    Format { path: PathBuf, why: String },
+    #[error(
+        "the routes {} belong to another net ({expected}) than {town} ({found}): make them anew with \
+         `wad-cosim eval routes {town}`", path.display()
+    )]
+    OtherNet { path: PathBuf, town: String, expected: String, found: String },
+}
+
+/// What to do about a net without places for a set.
+fn remedy(set: &str) -> &'static str {
+    match set {
+        "cross" => ". `wad-cosim net enrich` puts signals on junctions; make the routes anew afterwards",
+        _ => ". Drive the suite's other tasks with --task, or choose a net that has such places",
+    }
+}
+
+const SHIPPED: [(&str, &str); 2] =
+    [("town3", include_str!("routes/town3.json")), ("town5", include_str!("routes/town5.json"))];
+
+impl Routes {
+    /// The sets that are made: the five tasks', and navigation's.
+    pub const SETS: [TaskKind; 6] = [
+        TaskKind::Straight,
+        TaskKind::OneTurn,
+        TaskKind::Roundabout,
+        TaskKind::Obstacle,
+        TaskKind::Cross,
+        TaskKind::Navigation,
+    ];
+
+    /// The routes of the town `config`: `file` where one is named, else the shipped ones, else those
+    /// beside the net (`NAME.routes.json`). And where they come from.
+    ///
+    /// # Errors
+    /// There are none, or they belong to another net.
+    pub fn find(config: &str, assets: &Assets, file: Option<&Path>) -> Result<(Self, PathBuf), RouteError> {
+        let beside = Self::beside(assets);
+        let (path, text) = match (file, SHIPPED.iter().find(|(town, _)| *town == config)) {
+            (Some(path), _) => (path.to_path_buf(), read(path)?),
+            (None, Some((town, text))) => (PathBuf::from(format!("{town} (shipped)")), text.to_string()),
+            (None, None) if beside.is_file() => (beside.clone(), read(&beside)?),
+            (None, None) => return Err(RouteError::None { town: config.to_string() }),
+        };
+        let routes: Self = serde_json::from_str(&text)
+            .map_err(|e| RouteError::Format { path: path.clone(), why: e.to_string() })?;
+        if routes.net != assets.net_hash() {
+            return Err(RouteError::OtherNet {
+                path,
+                town: config.to_string(),
+                expected: routes.net,
+                found: assets.net_hash().to_string(),
+            });
+        }
+        Ok((routes, path))
+    }
+
+    /// Where a town's own routes lie: beside its configuration; for a town that travels with the program,
+    /// in the current folder.
+    pub fn beside(assets: &Assets) -> PathBuf {
+        let name = format!("{}.routes.json", assets.name());
+        let folder = assets.config().parent().unwrap_or(Path::new(""));
+        if folder.starts_with(bundled::cache_dir()) { PathBuf::from(name) } else { folder.join(name) }
+    }
+
+    /// One of the sets.
+    ///
+    /// # Errors
+    /// It is not there; `path` is what the error calls the file.
+    pub fn set(&self, set: &str, path: &Path) -> Result<&[Placement], RouteError> {
+        match self.sets.get(set).filter(|routes| !routes.is_empty()) {
+            Some(routes) => Ok(routes),
+            None => Err(RouteError::NoSet {
+                set: set.to_string(),
+                path: path.to_path_buf(),
+                why: self.missing.get(set).cloned().unwrap_or_else(|| {
+                    format!("it has {}", self.sets.keys().cloned().collect::<Vec<_>>().join(", "))
+                }),
+            }),
+        }
+    }
+
+    /// Writes the file, a route a line.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn save(&self, path: &Path) -> Result<(), RouteError> {
+        let failed = |source| RouteError::File { what: "write", path: path.to_path_buf(), source };
+        let json = |value: serde_json::Result<String>| value.map_err(|e| failed(e.into()));
+        let string = |text: &str| json(serde_json::to_string(text));
+        let mut text = format!(
+            "{{\n  \"town\": {},\n  \"net\": {},\n  \"sets\": {{",
+            string(&self.town)?,
+            string(&self.net)?
+        );
+        for (n, (set, routes)) in self.sets.iter().enumerate() {
+            text += if n == 0 { "\n" } else { ",\n" };
+            let lines = routes.iter().map(|r| Ok(format!("      {}", json(serde_json::to_string(r))?)));
+            let lines: Result<Vec<String>, RouteError> = lines.collect();
+            text += &format!("    {}: [\n{}\n    ]", string(set)?, lines?.join(",\n"));
+        }
+        text += "\n  }";
+        if !self.missing.is_empty() {
+            text += &format!(",\n  \"missing\": {}", json(serde_json::to_string(&self.missing))?);
+        }
+        std::fs::write(path, text + "\n}\n").map_err(failed)
+    }
+}
+
+fn read(path: &Path) -> Result<String, RouteError> {
+    std::fs::read_to_string(path).map_err(|source| RouteError::File {
+        what: "read",
+        path: path.to_path_buf(),
+        source,
+    })
+}
+
+/// Places drawn for each route that is wanted, before a set stays short.
+const DRAWS: u64 = 12;
+/// Routes between the same lanes that begin closer together than this are one (m).
+const APART: f64 = 2.0;
+
+/// Finds `count` routes for a kind of task: drawn from `seed`, and kept where the autopilot finishes them
+/// in the empty town without breaking a rule. `tried` hears of each one.
+///
+/// # Errors
+/// SUMO or the environment fail. A net without a place for the task is no error: the answer says why.
+pub fn find(
+    assets: &Arc<Assets>,
+    kind: TaskKind,
+    count: usize,
+    seed: u64,
+    mut tried: impl FnMut(&Placement, bool),
+) -> Result<Result<Vec<Placement>, String>, EnvError> {
+    let options = EnvOptions { observation: ObservationMode::Blind, ..EnvOptions::evaluation() };
+    let mut env = Env::new(Arc::clone(assets), options, Box::new(PooledEncoder))?;
+    let mut found: Vec<Placement> = Vec::new();
+    for draw in 0..DRAWS * count as u64 {
+        if found.len() == count {
+            break;
+        }
+        let seed = seeds::derive(seed, &format!("route {kind} {draw}"));
+        let placement = match assets.place(kind, seed) {
+            Ok(placement) => placement,
+            Err(error @ TaskError::NoPlace { .. }) => return Ok(Err(error.to_string())),
+            Err(error) => return Err(error.into()),
+        };
+        let same = |other: &Placement| {
+            (&other.from.lane, &other.to.lane) == (&placement.from.lane, &placement.to.lane)
+                && (other.from.s - placement.from.s).abs() < APART
+        };
+        if found.iter().any(same) {
+            continue;
+        }
+        let task = TaskSpec {
+            traffic: Some(TrafficSpec::Empty),
+            placement: Some(placement.clone()),
+            ..TaskSpec::new(kind)
+        };
+        let success = finishes(&mut env, &task, seed)?;
+        tried(&placement, success);
+        if success {
+            found.push(placement);
+        }
+    }
+    Ok(if found.is_empty() {
+        Err(format!("the autopilot finished none of {} routes for `{kind}`", DRAWS * count as u64))
+    } else {
+        Ok(found)
+    })
+}
+
+fn finishes(env: &mut Env, task: &TaskSpec, seed: u64) -> Result<bool, EnvError> {
+    env.reset(task, seed)?;
+    loop {
+        let control = env.expert()?;
+        if let Some(ending) = env.step(control)?.info.ending {
+            return Ok(ending.success);
+        }
+    }
+}

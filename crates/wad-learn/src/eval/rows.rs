@@ -1,0 +1,172 @@
+//! From episodes to table rows.
+
+use super::record::Fault;
+use super::tally::{EventCounts, Histogram};
+use super::{Case, EpisodeRecord};
+use crate::env::End;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use wad_camera::Preset;
+use wad_sim::traffic::TrafficSpec;
+
+/// The episodes of one agent under one condition. Rates are fractions 0..1.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Row {
+    pub suite: String,
+    pub agent: String,
+    pub condition: String,
+    pub town: String,
+    pub task: String,
+    pub weather: Preset,
+    pub traffic: TrafficSpec,
+    pub seed: u64,
+    #[serde(flatten)]
+    pub score: Score,
+}
+
+/// What a set of episodes amounts to. Rates are fractions 0..1.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Score {
+    /// Episodes that count: all but those in which SUMO died.
+    pub episodes: u64,
+    /// Episodes in which SUMO died.
+    pub lost: u64,
+    pub successes: u64,
+    pub success_rate: f64,
+    /// Wilson's 95 % interval of the success rate.
+    pub interval: (f64, f64),
+    /// How many ended how; those that nobody did are left out.
+    pub ends: BTreeMap<End, u64>,
+    /// Of those that ended with an error those in which the agent failed.
+    pub agent_failures: u64,
+    pub distance_km: f64,
+    pub mean_distance_m: f64,
+    pub mean_speed_mps: f64,
+    pub mean_top_speed_mps: f64,
+    pub top_speed_mps: f64,
+    pub mean_ticks: f64,
+    pub mean_seconds: f64,
+    pub mean_route_completion: f64,
+    pub mean_return: f64,
+    pub rms_acceleration: f64,
+    pub rms_steer_change: f64,
+    pub events: EventCounts,
+    pub speeds: Histogram,
+    pub gaps: Histogram,
+}
+
+/// The rows of episodes, in the order in which their conditions first appear.
+pub fn rows(episodes: &[EpisodeRecord]) -> Vec<Row> {
+    let key = |case: &Case| {
+        let (weather, traffic) = (case.spec.weather, case.spec.traffic().to_string());
+        let names = [&case.suite, &case.condition, &case.town, &case.task].map(Clone::clone);
+        (case.agent.to_string(), names, weather.name(), traffic, case.seed)
+    };
+    grouped(episodes.iter(), |episode| key(&episode.case))
+        .into_iter()
+        .map(|group| {
+            let case = &group[0].case;
+            Row {
+                suite: case.suite.clone(),
+                agent: case.agent.to_string(),
+                condition: case.condition.clone(),
+                town: case.town.clone(),
+                task: case.task.clone(),
+                weather: case.spec.weather,
+                traffic: case.spec.traffic(),
+                seed: case.seed,
+                score: Score::of(&group),
+            }
+        })
+        .collect()
+}
+
+/// Episodes with equal keys, in the order in which those first appear.
+pub fn grouped<'a, K: Ord>(
+    episodes: impl Iterator<Item = &'a EpisodeRecord>,
+    key: impl Fn(&EpisodeRecord) -> K,
+) -> Vec<Vec<&'a EpisodeRecord>> {
+    let mut index: BTreeMap<K, usize> = BTreeMap::new();
+    let mut groups: Vec<Vec<&EpisodeRecord>> = Vec::new();
+    for episode in episodes {
+        let at = *index.entry(key(episode)).or_insert(groups.len());
+        if at == groups.len() {
+            groups.push(Vec::new());
+        }
+        groups[at].push(episode);
+    }
+    groups
+}
+
+impl Score {
+    /// Of a set of episodes.
+    pub fn of(group: &[&EpisodeRecord]) -> Self {
+        let counting: Vec<&EpisodeRecord> =
+            group.iter().copied().filter(|e| e.fault != Some(Fault::Simulator)).collect();
+        let n = counting.len() as u64;
+        let sum = |value: &dyn Fn(&EpisodeRecord) -> f64| counting.iter().map(|e| value(e)).sum::<f64>();
+        let mean = |value: &dyn Fn(&EpisodeRecord) -> f64| if n == 0 { 0.0 } else { sum(value) / n as f64 };
+        let successes = counting.iter().filter(|episode| episode.ending.success).count() as u64;
+        let (mut events, mut speeds, mut gaps) = Default::default();
+        let mut ends = BTreeMap::new();
+        for episode in &counting {
+            *ends.entry(episode.ending.end).or_insert(0) += 1;
+            EventCounts::add(&mut events, &episode.events);
+            Histogram::add(&mut speeds, &episode.speeds);
+            Histogram::add(&mut gaps, &episode.gaps);
+        }
+        let ticks = sum(&|e| e.ticks as f64).max(1.0);
+        Self {
+            episodes: n,
+            lost: group.len() as u64 - n,
+            successes,
+            success_rate: if n == 0 { 0.0 } else { successes as f64 / n as f64 },
+            interval: wilson(successes, n),
+            ends,
+            agent_failures: counting.iter().filter(|e| e.fault == Some(Fault::Agent)).count() as u64,
+            distance_km: sum(&|e| e.distance_m) / 1000.0,
+            mean_distance_m: mean(&|e| e.distance_m),
+            mean_speed_mps: sum(&|e| e.mean_speed_mps * e.ticks as f64) / ticks,
+            mean_top_speed_mps: mean(&|e| e.top_speed_mps),
+            top_speed_mps: counting.iter().map(|e| e.top_speed_mps).fold(0.0, f64::max),
+            mean_ticks: mean(&|e| e.ticks as f64),
+            mean_seconds: mean(&|e| e.ticks as f64 * e.tick_s),
+            mean_route_completion: mean(&|e| (e.driven_m / e.route_length_m.max(1.0)).clamp(0.0, 1.0)),
+            mean_return: mean(&|e| e.episodic_return),
+            rms_acceleration: mean(&|e| e.rms_acceleration.powi(2)).sqrt(),
+            rms_steer_change: mean(&|e| e.rms_steer_change.powi(2)).sqrt(),
+            events,
+            speeds,
+            gaps,
+        }
+    }
+}
+
+/// Wilson's 95 % interval of `successes` out of `n`; 0 to 1 where n is 0.
+pub fn wilson(successes: u64, n: u64) -> (f64, f64) {
+    if n == 0 {
+        return (0.0, 1.0);
+    }
+    let z = 1.959_963_984_540_054_f64;
+    let (n, p) = (n as f64, successes as f64 / n as f64);
+    let middle = p + z * z / (2.0 * n);
+    let half = z * (p * (1.0 - p) / n + z * z / (4.0 * n * n)).sqrt();
+    let scale = 1.0 / (1.0 + z * z / n);
+    (((middle - half) * scale).max(0.0), ((middle + half) * scale).min(1.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn wilson_as_in_its_tables() {
+        let close = |(low, high): (f64, f64), expected: (f64, f64)| {
+            assert!((low - expected.0).abs() < 1e-3 && (high - expected.1).abs() < 1e-3, "{low} {high}");
+        };
+        close(wilson(25, 25), (0.8668, 1.0));
+        close(wilson(0, 25), (0.0, 0.1332));
+        close(wilson(92, 100), (0.8500, 0.9589));
+        assert_eq!(wilson(0, 0), (0.0, 1.0));
+    }
+}

@@ -1,0 +1,275 @@
+//! Drives the episodes of a plan, several at a time.
+
+use super::kept::{self, Kept};
+use super::record::Fault;
+use super::tally::Tally;
+use super::{Case, Driver, DriverError, DriverSpec, EpisodeRecord, Made, Store};
+use crate::env::{Assets, End, Ending, Env, EnvError, EnvOptions, ObservationMode};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::str::FromStr;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, mpsc};
+use wad_see::latent::{Encoder, PooledEncoder};
+use wad_sim::assets::AssetsError;
+use wad_sim::replay::{Moment, Recorder, ReplayError};
+use wad_vehicle::Control;
+
+/// Why an evaluation stopped.
+#[derive(Debug, thiserror::Error)]
+pub enum EvalError {
+    #[error(transparent)]
+    Env(#[from] EnvError),
+    #[error(transparent)]
+    Assets(#[from] AssetsError),
+    #[error(transparent)]
+    Driver(#[from] DriverError),
+    #[error(transparent)]
+    Store(#[from] super::StoreError),
+    #[error(transparent)]
+    Replay(#[from] ReplayError),
+    #[error(transparent)]
+    Kept(#[from] kept::KeptError),
+}
+
+/// Makes a trained or external agent; called on the thread that drives.
+pub type MakeAgent<'a> = dyn Fn(&DriverSpec) -> Result<Made, DriverError> + Sync + 'a;
+
+/// Which episodes are kept to be seen again.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Keep {
+    None,
+    #[default]
+    Failures,
+    All,
+}
+
+impl FromStr for Keep {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "none" => Ok(Self::None),
+            "failures" => Ok(Self::Failures),
+            "all" => Ok(Self::All),
+            _ => Err(format!("`{text}`: expected none, failures or all")),
+        }
+    }
+}
+
+/// How to drive a plan.
+pub struct Evaluation<'a> {
+    pub options: EnvOptions,
+    /// Environments at a time.
+    pub jobs: usize,
+    pub make_agent: &'a MakeAgent<'a>,
+    /// The evaluation's folder, and which episodes are kept in it; None: nothing is kept.
+    pub keep: Option<(PathBuf, Keep)>,
+    /// The program's version, for what is kept.
+    pub build: &'a str,
+    /// Set from outside to stop after the episodes under way.
+    pub stop: &'a AtomicBool,
+}
+
+/// Drives the episodes of `plan` in `towns`. `done` gets each one's record when it ends, in whatever order
+/// that is.
+///
+/// # Errors
+/// A town, a task or an agent cannot be had, or `done` fails. What is done already stays with `done`.
+pub fn run(
+    plan: &[Case],
+    towns: &BTreeMap<String, Arc<Assets>>,
+    evaluation: &Evaluation<'_>,
+    mut done: impl FnMut(EpisodeRecord) -> Result<(), EvalError>,
+) -> Result<(), EvalError> {
+    let next = AtomicUsize::new(0);
+    let failed = AtomicBool::new(false);
+    let (sender, receiver) = mpsc::channel();
+    std::thread::scope(|scope| {
+        for _ in 0..evaluation.jobs.clamp(1, plan.len().max(1)) {
+            let sender = sender.clone();
+            let (next, failed) = (&next, &failed);
+            scope.spawn(move || {
+                let mut worker = Worker { evaluation, towns, current: None };
+                loop {
+                    let stopped = evaluation.stop.load(Ordering::Relaxed) || failed.load(Ordering::Relaxed);
+                    let index = next.fetch_add(1, Ordering::Relaxed);
+                    let Some(case) = plan.get(index).filter(|_| !stopped) else { break };
+                    let record = worker.drive(case);
+                    failed.fetch_or(record.is_err(), Ordering::Relaxed);
+                    if sender.send(record).is_err() {
+                        break;
+                    }
+                }
+            });
+        }
+        drop(sender);
+        let mut result = Ok(());
+        for record in receiver {
+            let outcome = record.and_then(&mut done);
+            failed.fetch_or(outcome.is_err(), Ordering::Relaxed);
+            // The first error is the one to tell; what others drove meanwhile is kept all the same.
+            if result.is_ok() {
+                result = outcome;
+            }
+        }
+        result
+    })
+}
+
+/// One thread's environment and driver, kept while town and agent stay.
+struct Worker<'a> {
+    evaluation: &'a Evaluation<'a>,
+    towns: &'a BTreeMap<String, Arc<Assets>>,
+    current: Option<(String, DriverSpec, Env, Driver)>,
+}
+
+impl Worker<'_> {
+    fn drive(&mut self, case: &Case) -> Result<EpisodeRecord, EvalError> {
+        let fits = |(town, agent, ..): &(String, DriverSpec, Env, Driver)| {
+            (town, agent) == (&case.town, &case.agent)
+        };
+        if !self.current.as_ref().is_some_and(fits) {
+            // The old environment's SUMO goes before the new one's comes.
+            self.current = None;
+            let (env, driver) = self.make(case)?;
+            self.current = Some((case.town.clone(), case.agent.clone(), env, driver));
+        }
+        let evaluation = self.evaluation;
+        let Some((_, _, env, driver)) = &mut self.current else { return Err(EnvError::NoEpisode.into()) };
+        let keeps = evaluation.keep.as_ref().is_some_and(|(_, keep)| *keep != Keep::None);
+        let (mut record, mut recorder) = drive(env, driver, case, keeps)?;
+        if record.fault == Some(Fault::Simulator) {
+            let cause = &record.ending.cause;
+            tracing::warn!("`{}` episode {} is driven again: {cause}", case.task, case.episode);
+            (record, recorder) = drive(env, driver, case, keeps)?;
+        }
+        let wanted = |keep: Keep| keep == Keep::All || keep == Keep::Failures && !record.ending.success;
+        let keep = evaluation.keep.as_ref().filter(|(_, keep)| wanted(*keep));
+        if let (Some((folder, _)), Some(recorder)) = (keep, recorder) {
+            let place = Store::episode_folder(folder, case);
+            record.recording = Some(format!("episodes/{}", case.name()));
+            let kept = Kept {
+                build: evaluation.build.to_string(),
+                net: env.assets().net_hash().to_string(),
+                options: env.options().clone(),
+                episode: record.clone(),
+            };
+            kept.save(&place, &recorder)?;
+        }
+        Ok(record)
+    }
+
+    fn make(&self, case: &Case) -> Result<(Env, Driver), EvalError> {
+        let Some(assets) = self.towns.get(&case.town) else { return Err(EnvError::NoEpisode.into()) };
+        let evaluation = self.evaluation;
+        make(assets, &evaluation.options, &case.agent, evaluation.make_agent)
+    }
+}
+
+/// An environment, and the driver for it.
+pub(super) fn make(
+    assets: &Arc<Assets>,
+    options: &EnvOptions,
+    spec: &DriverSpec,
+    make_agent: &MakeAgent<'_>,
+) -> Result<(Env, Driver), EvalError> {
+    let mut options = options.clone();
+    let mut encoder: Box<dyn Encoder> = Box::new(PooledEncoder);
+    if *spec == DriverSpec::Manual {
+        return Err(DriverError::Manual.into());
+    }
+    let driver = match Driver::blind(spec) {
+        Some(driver) => driver,
+        None => {
+            let made = make_agent(spec)?;
+            encoder = made.encoder;
+            Driver::Agent(made.agent)
+        }
+    };
+    if !spec.looks() {
+        options.observation = ObservationMode::Blind;
+    }
+    Ok((Env::new(Arc::clone(assets), options, encoder)?, driver))
+}
+
+/// One episode, with its recording where that is wanted.
+fn drive(
+    env: &mut Env,
+    driver: &mut Driver,
+    case: &Case,
+    keeps: bool,
+) -> Result<(EpisodeRecord, Option<Recorder>), EvalError> {
+    let seed = case.episode_seed();
+    env.reset(&case.spec, seed)?;
+    driver.reset(seed);
+    let mut recorder = keeps.then(|| Recorder::new(&kept::header(env, case)));
+    record(recorder.as_mut(), env, 0, Control::default(), &[]);
+    let mut tally = Tally::at(env.ego().map(|ego| ego.state().pose.xy()));
+    let tick_s = env.tick().as_secs_f64();
+    let (mut ticks, mut route_length, mut driven) =
+        (0, env.ego().map_or(0.0, |ego| ego.route().length()), 0.0);
+    let (ending, fault) = loop {
+        let act = match driver.act(env.eyes()) {
+            Ok(act) => act,
+            Err(error) => {
+                let ending = Ending { end: End::Error, cause: error.to_string(), success: false };
+                break (ending, Some(Fault::Agent));
+            }
+        };
+        let step = env.act(act)?;
+        let control = step.control;
+        let lost = step.info.ending.as_ref().is_some_and(|ending| ending.end == End::Error);
+        if !lost {
+            tally.add(&step, env.ego(), control.steer);
+            record(recorder.as_mut(), env, step.info.tick, control, &step.info.events);
+        }
+        (ticks, route_length, driven) = (step.info.tick, step.info.route_length, step.info.driven);
+        if let Some(ending) = step.info.ending {
+            break (ending, lost.then_some(Fault::Simulator));
+        }
+    };
+    let n = ticks.max(1) as f64;
+    let Some(placement) = env.placement().cloned() else { return Err(EnvError::NoEpisode.into()) };
+    let record = EpisodeRecord {
+        case: case.clone(),
+        episode_seed: seed,
+        placement,
+        ending,
+        fault,
+        ticks,
+        tick_s,
+        route_length_m: route_length,
+        driven_m: driven,
+        distance_m: tally.distance,
+        mean_speed_mps: tally.speed / n,
+        top_speed_mps: tally.top_speed,
+        rms_acceleration: (tally.acceleration / n).sqrt(),
+        rms_steer_change: (tally.steer_change / n).sqrt(),
+        episodic_return: tally.terms.total(),
+        terms: tally.terms,
+        vehicles_mean: tally.vehicles / n,
+        pedestrians_mean: tally.pedestrians / n,
+        events: tally.events,
+        speeds: tally.speeds,
+        gaps: tally.gaps,
+        end_at: tally.last.map_or([0.0; 2], |at| [at.x, at.y]),
+        recording: None,
+    };
+    Ok((record, recorder))
+}
+
+/// Adds the state that `env` is in.
+fn record(
+    recorder: Option<&mut Recorder>,
+    env: &Env,
+    tick: u64,
+    control: Control,
+    events: &[wad_sim::criteria::Event],
+) {
+    if let Some(recorder) = recorder {
+        kept::with_moment(env, tick, control, events, |moment: &Moment<'_>| recorder.add(moment));
+    }
+}

@@ -1,0 +1,208 @@
+//! Suites as data: what is driven, where, in which weather, and what ends an episode (spec.md "Ends",
+//! "Conditions"). A suite is a JSON file; the paper's travel with the program.
+
+use super::routes::RouteError;
+use crate::env::Termination;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+use wad_camera::Preset;
+use wad_sim::bridge::DEFAULT_TICK_MS;
+use wad_sim::bundled;
+use wad_sim::scenario::{Scenario, ScenarioError};
+use wad_sim::tasks::TaskKind;
+use wad_sim::traffic::TrafficSpec;
+
+/// A benchmark.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Suite {
+    /// As on the command line and in results.
+    pub name: String,
+    /// For people.
+    pub title: String,
+    /// Where it comes from.
+    #[serde(default)]
+    pub source: String,
+    pub conditions: Vec<Condition>,
+    pub tasks: Vec<SuiteTask>,
+    /// False: each task is driven in each of a condition's weathers. True: its episodes take them in turn.
+    #[serde(default)]
+    pub weathers_in_turn: bool,
+    /// Which events end an episode; the paper's hard termination where left out.
+    #[serde(default)]
+    pub termination: Termination,
+    /// Episodes per task, town and weather (per task and town where weathers come in turn).
+    pub episodes: u64,
+}
+
+/// A town in some weathers, e.g. `training`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Condition {
+    pub name: String,
+    /// A CONFIG.
+    pub town: String,
+    pub weathers: Vec<Preset>,
+}
+
+/// One row of a suite's table.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SuiteTask {
+    pub name: String,
+    /// What counts as a success, and the clock.
+    pub kind: TaskKind,
+    /// The set of the town's route file that its places are taken from, one after the other; None: drawn
+    /// from the episode's seed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub routes: Option<String>,
+    /// None: the kind's own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub traffic: Option<TrafficSpec>,
+    /// None: the kind's own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tick_limit: Option<u64>,
+    /// The route never ends.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub endless: bool,
+}
+
+/// Times that a scenario is driven: start, traffic and the detector's faults differ by their seeds.
+const SCENARIO_EPISODES: u64 = 5;
+
+/// What is not there to be evaluated.
+#[derive(Debug, thiserror::Error)]
+pub enum SuiteError {
+    #[error("no suite is called `{found}`: expected {}, a JSON file like those (docs/evaluate.md), or a scenario (docs/scenarios.md)", names().join(", "))]
+    Unknown { found: String },
+    #[error("cannot read the suite {}: {source}", path.display())]
+    Read { path: PathBuf, source: std::io::Error },
+    #[error("{} is no suite: {why}; docs/evaluate.md shows one", path.display())]
+    Format { path: PathBuf, why: String },
+    #[error("the suite {suite} has no {what} `{found}`: expected {}", expected.join(", "))]
+    NotIn { suite: String, what: &'static str, found: String, expected: Vec<String> },
+    #[error("shard `{found}`: expected K/N with K from 1 to N, e.g. 1/4")]
+    Shard { found: String },
+    #[error(transparent)]
+    Routes(#[from] RouteError),
+    #[error(transparent)]
+    Scenario(#[from] ScenarioError),
+}
+
+const SHIPPED: [&str; 5] = [
+    include_str!("suites/tasks.json"),
+    include_str!("suites/composite.json"),
+    include_str!("suites/corl2017.json"),
+    include_str!("suites/nocrash.json"),
+    include_str!("suites/infractions.json"),
+];
+
+/// Names of the suites that travel with the program.
+pub fn names() -> Vec<String> {
+    SHIPPED.iter().filter_map(|text| Some(serde_json::from_str::<Suite>(text).ok()?.name)).collect()
+}
+
+impl Suite {
+    /// The suite that `name` means: a shipped one, or a JSON file.
+    ///
+    /// # Errors
+    /// There is none, or the file is none.
+    pub fn find(name: &str) -> Result<Self, SuiteError> {
+        let path = Path::new(name);
+        if path.is_file() || path.extension().is_some_and(|e| e == "json") {
+            let text = std::fs::read_to_string(path)
+                .map_err(|source| SuiteError::Read { path: path.to_path_buf(), source })?;
+            return Self::parse(&text).map_err(|why| SuiteError::Format { path: path.to_path_buf(), why });
+        }
+        let shipped = SHIPPED.iter().filter_map(|text| Self::parse(text).ok()).find(|s| s.name == name);
+        match shipped {
+            Some(suite) => Ok(suite),
+            None => Self::of_scenario(name)?.ok_or_else(|| SuiteError::Unknown { found: name.to_string() }),
+        }
+    }
+
+    /// The suite of one scenario, where `name` is one: its one task, in its weather.
+    fn of_scenario(name: &str) -> Result<Option<Self>, SuiteError> {
+        let Ok(config) = bundled::resolve(name) else { return Ok(None) };
+        if config.extension().is_none_or(|e| e != "sumocfg") {
+            return Ok(None);
+        }
+        let scenario = Scenario::load(&config)?;
+        let title = format!("the scenario {}", scenario.name);
+        Ok(Some(Self {
+            title,
+            source: config.to_string_lossy().to_string(),
+            conditions: vec![Condition {
+                name: "scenario".to_string(),
+                town: name.to_string(),
+                weathers: vec![scenario.weather],
+            }],
+            tasks: vec![SuiteTask {
+                name: scenario.name.clone(),
+                kind: scenario.task,
+                routes: None,
+                traffic: Some(scenario.traffic),
+                tick_limit: Some(scenario.tick_limit(DEFAULT_TICK_MS / 1000.0)),
+                endless: false,
+            }],
+            weathers_in_turn: false,
+            termination: Termination::default(),
+            episodes: SCENARIO_EPISODES,
+            name: scenario.name,
+        }))
+    }
+
+    fn parse(text: &str) -> Result<Self, String> {
+        let suite: Self = serde_json::from_str(text).map_err(|e| e.to_string())?;
+        if suite.tasks.is_empty() || suite.conditions.is_empty() {
+            return Err("expected one task and one condition or more".to_string());
+        }
+        if let Some(empty) = suite.conditions.iter().find(|condition| condition.weathers.is_empty()) {
+            return Err(format!("the condition `{}` has no weathers", empty.name));
+        }
+        let mut names: Vec<&str> = suite.tasks.iter().map(|task| task.name.as_str()).collect();
+        names.sort_unstable();
+        if let Some(pair) = names.windows(2).find(|pair| pair[0] == pair[1]) {
+            return Err(format!("two tasks are called `{}`", pair[0]));
+        }
+        Ok(suite)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_shipped_suites_are_what_the_spec_says() {
+        assert_eq!(names(), ["tasks", "composite", "corl2017", "nocrash", "infractions"]);
+        let nocrash = Suite::find("nocrash").unwrap();
+        assert!(nocrash.termination.collision && !nocrash.termination.red_light);
+        let weathers: usize = nocrash.conditions.iter().map(|c| c.weathers.len()).sum();
+        assert_eq!(nocrash.tasks.len() * weathers * nocrash.episodes as usize, 450);
+        assert_eq!(Suite::find("corl2017").unwrap().termination, Termination::none());
+        assert_eq!(Suite::find("tasks").unwrap().termination, Termination::default());
+        assert_eq!(Suite::find("infractions").unwrap().tasks[0].tick_limit, Some(4000));
+    }
+
+    #[test]
+    fn what_is_no_suite_says_what_is() {
+        let error = Suite::find("nocash").unwrap_err().to_string();
+        assert!(error.contains("nocash") && error.contains("corl2017"), "{error}");
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("mine.json");
+        let find = || Suite::find(&path.to_string_lossy());
+        assert!(find().unwrap_err().to_string().contains("mine.json"));
+        let own = include_str!("suites/nocrash.json").replace("nocrash", "mine");
+        std::fs::write(&path, &own).unwrap();
+        assert_eq!(find().unwrap().name, "mine");
+        for (from, to, expected) in [
+            ("\"episodes\"", "\"epsiodes\"", "epsiodes"),
+            ("\"dense\", \"kind\"", "\"empty\", \"kind\"", "two tasks"),
+        ] {
+            std::fs::write(&path, own.replacen(from, to, 1)).unwrap();
+            let error = find().unwrap_err().to_string();
+            assert!(error.contains(expected) && error.contains("mine.json"), "{error}");
+        }
+    }
+}

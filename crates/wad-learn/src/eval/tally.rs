@@ -1,0 +1,181 @@
+//! What is summed up over an episode.
+
+use crate::env::Step;
+use crate::reward::RewardTerms;
+use serde::{Deserialize, Serialize};
+use sumo_network::geometry::Point;
+use wad_sim::bridge::Ego;
+use wad_sim::criteria::{Cause, Event};
+use wad_vehicle::PartnerKind;
+
+/// Events of an episode by kind.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct EventCounts {
+    pub collisions_vehicle: u64,
+    pub collisions_pedestrian: u64,
+    pub collisions_static: u64,
+    /// Of all collisions those that the ego caused.
+    pub collisions_caused: u64,
+    pub red_lights: u64,
+    pub outside_lane: u64,
+    pub sidewalk: u64,
+    pub vehicle_blocked: u64,
+}
+
+impl EventCounts {
+    /// Kinds by name, in the order of tables.
+    pub fn named(&self) -> [(&'static str, u64); 7] {
+        [
+            ("collisions with vehicles", self.collisions_vehicle),
+            ("collisions with pedestrians", self.collisions_pedestrian),
+            ("collisions with fixed things", self.collisions_static),
+            ("red lights run", self.red_lights),
+            ("times outside the lane", self.outside_lane),
+            ("times off the road", self.sidewalk),
+            ("times blocked", self.vehicle_blocked),
+        ]
+    }
+
+    /// Adds another episode's.
+    pub fn add(&mut self, other: &Self) {
+        self.collisions_vehicle += other.collisions_vehicle;
+        self.collisions_pedestrian += other.collisions_pedestrian;
+        self.collisions_static += other.collisions_static;
+        self.collisions_caused += other.collisions_caused;
+        self.red_lights += other.red_lights;
+        self.outside_lane += other.outside_lane;
+        self.sidewalk += other.sidewalk;
+        self.vehicle_blocked += other.vehicle_blocked;
+    }
+
+    fn note(&mut self, event: &Event) {
+        match event {
+            Event::Collision { kind, cause, .. } => {
+                self.collisions_caused += u64::from(*cause == Cause::Ego);
+                *match kind {
+                    PartnerKind::Vehicle => &mut self.collisions_vehicle,
+                    PartnerKind::Pedestrian => &mut self.collisions_pedestrian,
+                    PartnerKind::Static => &mut self.collisions_static,
+                } += 1;
+            }
+            Event::RedLight { .. } => self.red_lights += 1,
+            Event::OutsideLane { .. } => self.outside_lane += 1,
+            Event::Sidewalk => self.sidewalk += 1,
+            Event::VehicleBlocked => self.vehicle_blocked += 1,
+            Event::Arrival => {}
+        }
+    }
+}
+
+/// Ticks by the size of something: [`Histogram::BINS`] bins of equal width from 0; the last holds the rest.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Histogram(pub Vec<u64>);
+
+impl Histogram {
+    /// Number of bins.
+    pub const BINS: usize = 12;
+    /// Width of a bin: of speeds (km/h), and of gaps (m).
+    pub const SPEED: f64 = 5.0;
+    pub const GAP: f64 = 5.0;
+
+    fn note(&mut self, value: f64, width: f64) {
+        self.0.resize(Self::BINS, 0);
+        self.0[((value / width).max(0.0) as usize).min(Self::BINS - 1)] += 1;
+    }
+
+    /// Adds another one's.
+    pub fn add(&mut self, other: &Self) {
+        self.0.resize(Self::BINS.max(other.0.len()), 0);
+        for (mine, theirs) in self.0.iter_mut().zip(&other.0) {
+            *mine += theirs;
+        }
+    }
+}
+
+/// Sums over an episode's ticks.
+#[derive(Default)]
+pub struct Tally {
+    pub events: EventCounts,
+    pub speeds: Histogram,
+    pub gaps: Histogram,
+    pub speed: f64,
+    pub top_speed: f64,
+    pub acceleration: f64,
+    steer: f64,
+    pub steer_change: f64,
+    pub terms: RewardTerms,
+    pub vehicles: f64,
+    pub pedestrians: f64,
+    pub distance: f64,
+    pub last: Option<Point>,
+}
+
+impl Tally {
+    /// Begins where the ego stands.
+    pub fn at(place: Option<Point>) -> Self {
+        let (speeds, gaps) = (Histogram(vec![0; Histogram::BINS]), Histogram(vec![0; Histogram::BINS]));
+        Self { last: place, speeds, gaps, ..Self::default() }
+    }
+
+    /// Adds a tick that was steered with `steer`.
+    pub fn add(&mut self, step: &Step, ego: Option<&Ego>, steer: f64) {
+        let state = &step.info.ego;
+        let speed = state.speed.max(0.0);
+        self.speed += speed;
+        self.top_speed = self.top_speed.max(speed);
+        self.acceleration += state.acceleration.powi(2);
+        self.steer_change += (steer - self.steer).powi(2);
+        self.steer = steer;
+        self.terms.add(&step.info.reward);
+        self.vehicles += step.info.traffic.0 as f64;
+        self.pedestrians += step.info.traffic.1 as f64;
+        step.info.events.iter().for_each(|event| self.events.note(event));
+        self.speeds.note(3.6 * speed, Histogram::SPEED);
+        if let Some(gap) = ego.and_then(gap) {
+            self.gaps.note(gap, Histogram::GAP);
+        }
+        let here = state.pose.xy();
+        self.distance += self.last.map_or(0.0, |last| (here - last).norm());
+        self.last = Some(here);
+    }
+}
+
+/// How far vehicles in front are looked for (m), and how far beside the route's line their centres may be.
+const AHEAD: f64 = 55.0;
+const BESIDE: f64 = 1.5;
+
+/// True gap to the next vehicle on the ego's route (m).
+fn gap(ego: &Ego) -> Option<f64> {
+    let at = ego.on_route();
+    let here = at.state.pose;
+    let near = |actor: &&sumo_network::world::Actor| {
+        let local = here.to_local(actor.pose.xy());
+        local.x > 0.0 && local.norm() < AHEAD
+    };
+    let gaps = ego.world().vehicles.iter().filter(near).filter_map(|actor| {
+        let place = ego.route().project_near(actor.pose.xy(), at.s, 0.0, AHEAD);
+        let gap = place.s - 0.5 * actor.actor_type.length - at.front_s;
+        (place.d.abs() < BESIDE && place.s > at.s).then_some(gap.max(0.0))
+    });
+    gaps.min_by(f64::total_cmp)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bins_hold_everything() {
+        let mut speeds = Histogram::default();
+        for speed in [0.0, 4.9, 5.0, 54.0, 59.9, 300.0, -1.0] {
+            speeds.note(speed, Histogram::SPEED);
+        }
+        assert_eq!(speeds.0, [3, 1, 0, 0, 0, 0, 0, 0, 0, 0, 1, 2]);
+        let mut both = Histogram::default();
+        both.add(&speeds);
+        both.add(&speeds);
+        assert_eq!(both.0.iter().sum::<u64>(), 14);
+    }
+}

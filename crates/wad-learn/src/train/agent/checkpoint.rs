@@ -1,0 +1,266 @@
+//! Checkpoints: everything that learning needs to go on as if it had never stopped.
+//!
+//! ```text
+//! OUT/checkpoints/000025000/state.json           counters, random generator, schedule; written last
+//!                           learner.safetensors  networks, targets, Adam's moments
+//! OUT/checkpoints/replay/chunk-*.bin             shared by checkpoints
+//! ```
+//!
+//! The last two are kept. One that is cut short or damaged is passed over for the one before it.
+
+use super::TrainError;
+use super::schedule::ScheduleState;
+use crate::agent::learner::{InputScale, Learner};
+use crate::agent::replay_buffer::ReplayBuffer;
+use crate::agent::replay_files::{ReplayManifest, remove_unused, write_whole};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use tch::{Device, Tensor};
+use wad_see::observation::{RAW_MEANING, first_meaning};
+
+/// What a checkpoint says beside its tensors.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct State {
+    /// Environment steps of the agent.
+    pub steps: u64,
+    pub updates: u64,
+    /// What the raw states of its replay buffer mean, [`RAW_MEANING`] of its time.
+    #[serde(default = "first_meaning")]
+    pub raw_meaning: u32,
+    /// Steps of each optimiser.
+    pub adam_steps: Vec<i64>,
+    pub rng: RngState,
+    pub schedule: ScheduleState,
+    /// None: not measured yet.
+    pub scale: Option<InputScale>,
+    pub best: Option<Best>,
+    pub validated_at: u64,
+    /// Seconds of training so far.
+    pub wall_seconds: f64,
+    pub replay: ReplayManifest,
+    pub learner_bytes: u64,
+    pub learner_crc: u32,
+}
+
+/// The best actor's validation so far.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Best {
+    pub steps: u64,
+    /// Of all the curriculum's tasks; those not come to yet count as failed.
+    pub success_rate: f64,
+    pub mean_return: f64,
+}
+
+/// A ChaCha generator's whole state.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RngState {
+    seed: [u8; 32],
+    stream: u64,
+    /// As text: JSON's numbers are too small for it.
+    word: String,
+}
+
+impl RngState {
+    /// Of a generator.
+    pub fn of(rng: &ChaCha8Rng) -> Self {
+        Self { seed: rng.get_seed(), stream: rng.get_stream(), word: rng.get_word_pos().to_string() }
+    }
+
+    /// The generator; None where the state is damaged.
+    pub fn generator(&self) -> Option<ChaCha8Rng> {
+        let mut rng = ChaCha8Rng::from_seed(self.seed);
+        rng.set_stream(self.stream);
+        rng.set_word_pos(self.word.parse().ok()?);
+        Some(rng)
+    }
+}
+
+/// The folder of a run's checkpoints.
+#[derive(Debug)]
+pub struct Checkpoints {
+    folder: PathBuf,
+    /// The newest that is known to be whole, and the one before it.
+    kept: Vec<(PathBuf, ReplayManifest)>,
+}
+
+/// Checkpoints kept.
+const KEEP: usize = 2;
+
+impl Checkpoints {
+    /// In a run's folder.
+    pub fn new(out: &Path) -> Self {
+        Self { folder: out.join("checkpoints"), kept: Vec::new() }
+    }
+
+    fn replay(&self) -> PathBuf {
+        self.folder.join("replay")
+    }
+
+    /// Writes a checkpoint; `state` gets what only this knows. The oldest is removed afterwards.
+    ///
+    /// # Errors
+    /// A file cannot be written; the checkpoints before stay.
+    pub fn save(
+        &mut self,
+        mut state: State,
+        learner: &mut Learner,
+        buffer: &ReplayBuffer,
+    ) -> Result<PathBuf, TrainError> {
+        let path = self.folder.join(format!("{:09}", state.steps));
+        let failed = |source| TrainError::Write { path: path.clone(), source };
+        // A checkpoint of the same step is rewritten only as a whole: without its state it counts as none.
+        std::fs::create_dir_all(&path).map_err(failed)?;
+        let state_file = path.join("state.json");
+        if state_file.exists() {
+            std::fs::remove_file(&state_file).map_err(failed)?;
+            self.kept.retain(|(kept, _)| *kept != path);
+        }
+        let (updates, adam_steps) = learner.counters();
+        (state.updates, state.adam_steps) = (updates, adam_steps);
+        state.raw_meaning = RAW_MEANING;
+        let bytes = learner_bytes(learner).map_err(|why| failed(std::io::Error::other(why)))?;
+        write_whole(&path.join("learner.safetensors"), &bytes).map_err(failed)?;
+        (state.learner_bytes, state.learner_crc) = (bytes.len() as u64, crc32fast::hash(&bytes));
+        let before = self.kept.first().map_or_else(ReplayManifest::default, |(_, manifest)| manifest.clone());
+        state.replay = buffer.save(&self.replay(), &before).map_err(failed)?;
+        let text = serde_json::to_vec_pretty(&state).map_err(|e| failed(e.into()))?;
+        write_whole(&state_file, &text).map_err(failed)?;
+        self.kept.insert(0, (path.clone(), state.replay));
+        for (old, _) in self.kept.split_off(self.kept.len().min(KEEP)) {
+            if let Err(error) = std::fs::remove_dir_all(&old) {
+                tracing::warn!("an old checkpoint stays in `{}`: {error}", old.display());
+            }
+        }
+        let used: Vec<&ReplayManifest> = self.kept.iter().map(|(_, manifest)| manifest).collect();
+        remove_unused(&self.replay(), &used).map_err(failed)?;
+        Ok(path)
+    }
+
+    /// Restores the newest checkpoint that is whole into `learner` and `buffer`; says which ones are not.
+    ///
+    /// # Errors
+    /// None is whole, or the folder cannot be read.
+    pub fn restore(
+        &mut self,
+        learner: &mut Learner,
+        mut new_buffer: impl FnMut() -> Result<ReplayBuffer, TrainError>,
+    ) -> Result<(State, ReplayBuffer), TrainError> {
+        let mut damaged = Vec::new();
+        let found = self.list()?;
+        for (i, path) in found.iter().enumerate() {
+            match self.load(path, learner, new_buffer()?) {
+                Ok((state, buffer)) => {
+                    self.kept = vec![(path.clone(), state.replay.clone())];
+                    for other in &found[i + 1..] {
+                        if let Ok(state) = read_state(other) {
+                            self.kept.push((other.clone(), state.replay));
+                        }
+                    }
+                    for (path, _) in &damaged {
+                        // It would be taken for the newest again.
+                        let _: std::io::Result<()> = std::fs::remove_dir_all(path);
+                    }
+                    return Ok((state, buffer));
+                }
+                Err(why) => {
+                    tracing::warn!(
+                        "the checkpoint `{}` is damaged ({why}); the one before it is used",
+                        path.display()
+                    );
+                    damaged.push((path.clone(), why));
+                }
+            }
+        }
+        Err(TrainError::NoCheckpoint {
+            folder: self.folder.clone(),
+            why: match damaged.first() {
+                None => "there is none".to_string(),
+                Some((path, why)) => format!("none is whole; `{}`: {why}", path.display()),
+            },
+        })
+    }
+
+    /// All checkpoints, newest first.
+    fn list(&self) -> Result<Vec<PathBuf>, TrainError> {
+        let failed = |source| TrainError::Read { path: self.folder.clone(), source };
+        let mut found = Vec::new();
+        let entries = match std::fs::read_dir(&self.folder) {
+            Ok(entries) => entries,
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(found),
+            Err(error) => return Err(failed(error)),
+        };
+        for entry in entries {
+            let path = entry.map_err(failed)?.path();
+            if path.file_name().is_some_and(|n| n.to_string_lossy().bytes().all(|b| b.is_ascii_digit())) {
+                found.push(path);
+            }
+        }
+        found.sort();
+        found.reverse();
+        Ok(found)
+    }
+
+    fn load(
+        &self,
+        path: &Path,
+        learner: &mut Learner,
+        mut buffer: ReplayBuffer,
+    ) -> Result<(State, ReplayBuffer), String> {
+        let state = read_state(path)?;
+        if state.raw_meaning != RAW_MEANING {
+            return Err(format!(
+                "the raw states in its replay buffer are of meaning {}, expected {RAW_MEANING}; \
+                 begin anew",
+                state.raw_meaning
+            ));
+        }
+        let bytes =
+            std::fs::read(path.join("learner.safetensors")).map_err(|e| format!("its networks: {e}"))?;
+        if bytes.len() as u64 != state.learner_bytes || crc32fast::hash(&bytes) != state.learner_crc {
+            return Err(format!(
+                "its networks: expected {} bytes with checksum {:08x}, found {} with {:08x}",
+                state.learner_bytes,
+                state.learner_crc,
+                bytes.len(),
+                crc32fast::hash(&bytes)
+            ));
+        }
+        if state.rng.generator().is_none() {
+            return Err("its random generator cannot be read".to_string());
+        }
+        buffer.restore(&self.replay(), &state.replay).map_err(|e| format!("its replay buffer: {e}"))?;
+        let file = safetensors::SafeTensors::deserialize(&bytes).map_err(|e| format!("{e:?}"))?;
+        let mut tensors = BTreeMap::new();
+        for (name, view) in file.tensors() {
+            tensors.insert(name, Tensor::try_from(view).map_err(|e| e.to_string())?);
+        }
+        learner.restore(&tensors, state.updates, &state.adam_steps).map_err(|e| e.to_string())?;
+        Ok((state, buffer))
+    }
+}
+
+fn read_state(path: &Path) -> Result<State, String> {
+    let text = std::fs::read(path.join("state.json")).map_err(|e| format!("its state: {e}"))?;
+    serde_json::from_slice(&text).map_err(|e| format!("its state: {e}"))
+}
+
+fn learner_bytes(learner: &mut Learner) -> Result<Vec<u8>, String> {
+    use safetensors::tensor::{Dtype, TensorView};
+    let mut data = Vec::new();
+    for (name, tensor) in learner.tensors() {
+        let tensor = tensor.to_device(Device::Cpu).contiguous();
+        let n = tensor.numel();
+        let mut bytes = vec![0; 4 * n];
+        tensor.f_copy_data_u8(&mut bytes, n).map_err(|e| e.to_string())?;
+        data.push((name, n, bytes));
+    }
+    let mut views = Vec::new();
+    for (name, n, bytes) in &data {
+        let view = TensorView::new(Dtype::F32, vec![*n], bytes).map_err(|e| format!("{e:?}"))?;
+        views.push((*name, view));
+    }
+    safetensors::serialize(views, &None).map_err(|e| format!("{e:?}"))
+}

@@ -1,0 +1,190 @@
+//! What a training run is made of; saved as its `config.json`.
+
+use crate::agent::exploration::ExplorationParams;
+use crate::agent::learner::{Algorithm, Inputs};
+use crate::agent::replay_buffer::Sampling;
+use crate::env::{EnvOptions, ObservationMode};
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+use wad_sim::tasks::Curriculum;
+
+/// Everything that decides what is learned. How long, with how many collectors, where and on what device
+/// is said apart ([`super::Limits`]), so that a run can go on elsewhere.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrainConfig {
+    pub algorithm: Algorithm,
+    /// Which part of the observation the networks see.
+    pub inputs: Inputs,
+    /// Standard deviation that the latent's numbers are scaled to; less than 1 lets the raw states lead
+    /// where little has been seen yet.
+    pub latent_gain: f64,
+    /// Share of the images that are shown as on other days, so that other weathers than the training's
+    /// are less new; never in validation.
+    #[serde(default)]
+    pub other_days: f64,
+    /// Most of the difference between two other observations' latents that is added to a latent that is
+    /// learned from.
+    #[serde(default)]
+    pub latent_mixing: f64,
+    /// Everything random derives from it.
+    pub seed: u64,
+    pub curriculum: Curriculum,
+    pub env: EnvOptions,
+    /// The encoder's name or file, and its hash.
+    pub encoder: String,
+    pub encoder_hash: String,
+    pub exploration: ExplorationParams,
+    /// Updates per environment step.
+    pub update_ratio: f64,
+    /// Transitions per update.
+    pub batch_size: usize,
+    /// Rewards summed before the critic's word is taken; 1 as in the papers.
+    pub n_step: usize,
+    /// Rewards are multiplied by it before anything learns from them.
+    pub reward_scale: f64,
+    /// Transitions that the replay buffer holds.
+    pub buffer: usize,
+    /// Environment steps before the first update.
+    pub learning_starts: u64,
+    /// Environment steps that the autopilot drives first, into the replay buffer; 0: none.
+    pub demonstrations: u64,
+    /// Share of the autopilot's episodes that are driven with exploration's noise, so that the buffer
+    /// holds ways back to the lane's middle as well.
+    pub noisy_demonstrations: f64,
+    /// Folders of recorded episodes that are put into the replay buffer first.
+    pub recorded: Vec<PathBuf>,
+    /// The trained agent, a name or file, whose actor and scale of inputs this training begins with.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub init: Option<String>,
+    /// Steps of behaviour cloning, the actor alone, before anything else is learned.
+    #[serde(default)]
+    pub cloning: u64,
+    /// Adam's step where cloning begins; it falls in a straight line to a tenth.
+    #[serde(default = "cloning_rate")]
+    pub cloning_rate: f64,
+    /// Updates on the demonstrations before the agent drives.
+    pub pretrain: u64,
+    pub validation: ValidationParams,
+    /// Environment steps between checkpoints.
+    pub checkpoint_every: u64,
+}
+
+fn cloning_rate() -> f64 {
+    1e-3
+}
+
+/// How the best actor is picked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ValidationParams {
+    /// Environment steps between validations; 0: never.
+    pub every: u64,
+    /// Episodes of each of the curriculum's tasks, in fresh worlds, always the same.
+    pub episodes: usize,
+    /// Their seed; never one of an evaluation.
+    pub seed: u64,
+}
+
+impl Default for ValidationParams {
+    fn default() -> Self {
+        Self { every: 50_000, episodes: 4, seed: 900_001 }
+    }
+}
+
+impl TrainConfig {
+    /// The defaults for an algorithm, behind an encoder.
+    pub fn new(algorithm: Algorithm, curriculum: Curriculum, encoder: &str, encoder_hash: &str) -> Self {
+        Self {
+            algorithm,
+            inputs: Inputs::Both,
+            latent_gain: 1.0,
+            other_days: 0.0,
+            latent_mixing: 0.0,
+            seed: 0,
+            curriculum,
+            env: EnvOptions::training(),
+            encoder: encoder.to_string(),
+            encoder_hash: encoder_hash.to_string(),
+            exploration: ExplorationParams::default(),
+            update_ratio: 1.0,
+            batch_size: 256,
+            n_step: 1,
+            reward_scale: 1.0,
+            buffer: 1_000_000,
+            learning_starts: 5_000,
+            demonstrations: 0,
+            noisy_demonstrations: 0.7,
+            recorded: Vec::new(),
+            init: None,
+            cloning: 0,
+            cloning_rate: cloning_rate(),
+            pretrain: 0,
+            validation: ValidationParams::default(),
+            checkpoint_every: 25_000,
+        }
+    }
+
+    /// Leaves a part of the observation out, in the networks and in what the environment computes.
+    pub fn set_inputs(&mut self, inputs: Inputs) {
+        self.inputs = inputs;
+        self.env.observation = match inputs {
+            Inputs::Both => ObservationMode::LatentAndRaw,
+            Inputs::Raw => ObservationMode::RawOnly,
+            Inputs::Latent => ObservationMode::LatentOnly,
+        };
+    }
+
+    /// Whether the buffer holds experience before the agent drives.
+    pub fn is_warm(&self) -> bool {
+        self.demonstrations > 0 || !self.recorded.is_empty()
+    }
+
+    /// Whether the expert is asked at every tick what it would do.
+    pub fn asks(&self) -> bool {
+        match &self.algorithm {
+            Algorithm::Td3(params) => params.imitation.weight > 0.0,
+            Algorithm::Sac(params) => params.imitation.weight > 0.0,
+        }
+    }
+
+    /// How batches are drawn.
+    pub fn sampling(&self) -> Sampling {
+        Sampling {
+            batch_size: self.batch_size,
+            n_step: self.n_step,
+            gamma: self.algorithm.gamma(),
+            reward_scale: self.reward_scale,
+        }
+    }
+
+    /// What cannot be, if anything.
+    pub fn problem(&self) -> Option<String> {
+        let gamma = self.algorithm.gamma();
+        if !(0.0..1.0).contains(&gamma) {
+            Some(format!("expected gamma from 0 to below 1, found {gamma}"))
+        } else if self.batch_size == 0 || self.n_step == 0 {
+            Some("expected a batch size and a number of steps of 1 or more, found 0".to_string())
+        } else if !(self.update_ratio > 0.0 && self.update_ratio <= 64.0) {
+            Some(format!("expected an update ratio above 0 and up to 64, found {}", self.update_ratio))
+        } else if !(0.0..=1.0).contains(&self.other_days) {
+            Some(format!("expected a share of other days from 0 to 1, found {}", self.other_days))
+        } else if !(0.0..=1.0).contains(&self.latent_mixing) {
+            Some(format!("expected a share of other latents from 0 to 1, found {}", self.latent_mixing))
+        } else if !(self.cloning_rate > 0.0 && self.cloning_rate <= 0.1) {
+            Some(format!("expected a cloning rate above 0 and up to 0.1, found {}", self.cloning_rate))
+        } else if self.recorded.is_empty()
+            && self.learning_starts + self.demonstrations < self.batch_size as u64
+        {
+            Some(format!(
+                "expected at least a batch ({}) of steps before learning starts, found {}",
+                self.batch_size,
+                self.learning_starts + self.demonstrations
+            ))
+        } else if self.pretrain + self.cloning > 0 && !self.is_warm() {
+            Some("updates before the agent drives need demonstrations, found none".to_string())
+        } else {
+            None
+        }
+    }
+}

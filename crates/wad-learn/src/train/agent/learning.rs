@@ -1,0 +1,583 @@
+//! The learner's loop.
+
+mod recorded;
+mod report;
+mod validation;
+
+use super::checkpoint::{Best, Checkpoints, RngState, State};
+use super::collector::{Message, Shared, collect, lock};
+use super::config::TrainConfig;
+use super::log::RunLog;
+use super::schedule::{ActorCopy, Purpose, Report, Schedule};
+use super::{Limits, Maker, Progress, TrainError, Trained};
+use crate::agent::learner::{Batches, InputScale, Learner, Metrics, Scale};
+use crate::agent::networks::Dims;
+use crate::agent::policy::{Policy, PolicyCard};
+use crate::agent::replay_buffer::{ReplayBuffer, Sampled};
+use crate::agent::replay_files::write_whole;
+use crate::env::Stages;
+use rand_chacha::ChaCha8Rng;
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, TryRecvError, sync_channel};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+use sumo_network::seeds;
+use validation::Validation;
+
+/// Updates that are sampled and brought to the device together.
+const TOGETHER: usize = 8;
+/// Updates that the learner may be behind before it stops listening to collectors.
+const SLACK: u64 = 64;
+/// Updates between two copies of the actor for the collectors.
+const PUBLISH: u64 = 64;
+/// Between two lines of figures.
+const FIGURES: Duration = Duration::from_secs(5);
+/// Observations that the inputs' scale is measured on.
+const MEASURED: usize = 20_000;
+
+/// Trains, or goes on with `resume`. Ends at the limits, at `interrupt`, or on an error; what was learned
+/// is kept in each case.
+///
+/// # Errors
+/// Bad configuration, SUMO, the disk, or learning that diverges.
+pub fn train(
+    config: &TrainConfig,
+    limits: &Limits,
+    resume: bool,
+    interrupt: &AtomicBool,
+    maker: &Maker,
+    mut progress: impl FnMut(Progress<'_>),
+) -> Result<Trained, TrainError> {
+    if let Some(problem) = config.problem() {
+        return Err(TrainError::Config(problem));
+    }
+    if let Some(folder) = &limits.record {
+        let failed = |source| TrainError::Write { path: folder.clone(), source };
+        std::fs::create_dir_all(folder).map_err(failed)?;
+    }
+    let mut learning = Learning::begin(config, limits, resume)?;
+    if !resume {
+        learning.recall(interrupt, maker, &mut progress)?;
+    }
+    let shared = Shared {
+        stop: AtomicBool::new(false),
+        version: AtomicU64::new(0),
+        actor: Mutex::new(Arc::new(learning.copy())),
+        schedule: Mutex::new(Schedule::new(config, learning.resumed.take(), learning.steps)),
+    };
+    lock(&shared.schedule).state.demonstrated = learning.demonstrated;
+    let collectors = limits.collectors.max(1);
+    let result = std::thread::scope(|scope| {
+        let (out, messages) = sync_channel(2 * collectors);
+        let mut result = Ok(());
+        for index in 0..collectors {
+            let (out, shared) = (out.clone(), &shared);
+            let started = std::thread::Builder::new().name(format!("collector {index}")).spawn_scoped(
+                scope,
+                move || {
+                    // One core per collector and its SUMO; the learner goes where there is room.
+                    if let Some(core) = wad_sim::cores::Cores::nth(index) {
+                        core.confine(0);
+                    }
+                    let record = limits.record.as_deref();
+                    collect(index, config, shared, maker, record, &out);
+                },
+            );
+            if let Err(error) = started {
+                result = Err(TrainError::Thread(error));
+            }
+        }
+        drop(out);
+        let result = result.and_then(|()| learning.run(&messages, &shared, interrupt, &mut progress));
+        shared.stop.store(true, Ordering::Relaxed);
+        // Collectors that wait to be heard find nobody there, and end.
+        drop(messages);
+        result
+    });
+    learning.finish(&shared, result)
+}
+
+/// The trained agent that a training is to begin with.
+fn begin_with(config: &TrainConfig, name: &str) -> Result<Policy, TrainError> {
+    let (policy, path) = Policy::find(name)?;
+    policy.check(&path, &config.encoder_hash, &config.env.camera.hash())?;
+    let (agent, asked) = (policy.card.algorithm.agent_name(), config.algorithm.agent_name());
+    if agent != asked {
+        return Err(TrainError::Config(format!(
+            "expected a {asked} to begin with, found a {agent} in `{}`; name one of the same algorithm",
+            path.display()
+        )));
+    }
+    if policy.card.inputs != config.inputs {
+        return Err(TrainError::Config(format!(
+            "expected an agent with the inputs {:?} to begin with, found {:?} in `{}`; train with the same",
+            config.inputs,
+            policy.card.inputs,
+            path.display()
+        )));
+    }
+    Ok(policy)
+}
+
+struct Learning<'a> {
+    config: &'a TrainConfig,
+    limits: &'a Limits,
+    learner: Learner,
+    buffer: ReplayBuffer,
+    scale: Option<(InputScale, Scale)>,
+    rng: ChaCha8Rng,
+    sampled: Sampled,
+    metrics: Metrics,
+    log: RunLog,
+    checkpoints: Checkpoints,
+    /// Steps of behaviour cloning so far.
+    cloned: u64,
+    /// Environment steps of the agent, and those that the autopilot drove.
+    steps: u64,
+    demonstrated: u64,
+    version: u64,
+    published_at: u64,
+    best: Option<Best>,
+    validated_at: u64,
+    saved_at: u64,
+    validation: Option<Validation>,
+    /// The schedule of the checkpoint that was resumed.
+    resumed: Option<super::schedule::ScheduleState>,
+    returns: VecDeque<f64>,
+    before_seconds: f64,
+    began: Instant,
+    figures_at: Instant,
+    shown_at: Option<Instant>,
+    rate: Rate,
+    interrupted: bool,
+}
+
+/// What speed is measured on: from the first update on.
+#[derive(Default)]
+struct Rate {
+    began: Option<Instant>,
+    steps: u64,
+    updates: u64,
+    learning: f64,
+    /// Since the last figures.
+    last: (u64, u64),
+    env: Stages,
+    actor: f64,
+    waiting: f64,
+    paused: f64,
+}
+
+impl<'a> Learning<'a> {
+    fn begin(config: &'a TrainConfig, limits: &'a Limits, resume: bool) -> Result<Self, TrainError> {
+        tch::set_num_threads(1);
+        let out = &limits.out;
+        let init = config.init.as_deref().filter(|_| !resume);
+        let init = init.map(|name| begin_with(config, name)).transpose()?;
+        std::fs::create_dir_all(out).map_err(|source| TrainError::Write { path: out.clone(), source })?;
+        let file = out.join("config.json");
+        if file.exists() && !resume {
+            return Err(TrainError::Taken { path: out.clone() });
+        }
+        let mut learner = Learner::new(&config.algorithm, Dims::DRIVING, config.seed, limits.device);
+        let mut checkpoints = Checkpoints::new(out);
+        let new_buffer = || Ok(ReplayBuffer::new(Dims::DRIVING, config.buffer)?);
+        let (state, buffer) = if resume {
+            let (state, buffer) = checkpoints.restore(&mut learner, new_buffer)?;
+            (Some(state), buffer)
+        } else {
+            (None, new_buffer()?)
+        };
+        let text = serde_json::to_vec_pretty(config)
+            .map_err(|e| TrainError::Write { path: file.clone(), source: e.into() })?;
+        write_whole(&file, &text).map_err(|source| TrainError::Write { path: file, source })?;
+        let mut rng = seeds::rng(config.seed, "learner");
+        let mut learning = Self {
+            log: RunLog::open(out)?,
+            config,
+            limits,
+            learner,
+            buffer,
+            scale: None,
+            sampled: Sampled::default(),
+            metrics: Metrics::default(),
+            checkpoints,
+            cloned: 0,
+            steps: 0,
+            demonstrated: 0,
+            version: 0,
+            published_at: 0,
+            best: None,
+            validated_at: 0,
+            saved_at: 0,
+            validation: None,
+            resumed: None,
+            returns: VecDeque::new(),
+            before_seconds: 0.0,
+            began: Instant::now(),
+            figures_at: Instant::now(),
+            shown_at: None,
+            rate: Rate::default(),
+            interrupted: false,
+            rng: rng.clone(),
+        };
+        if let Some(state) = state {
+            // The checkpoint was found whole, its generator with it.
+            rng = state.rng.generator().unwrap_or(rng);
+            learning.rng = rng;
+            learning.steps = state.steps;
+            learning.saved_at = state.steps;
+            learning.demonstrated = state.schedule.demonstrated;
+            learning.scale = state.scale.map(|scale| {
+                let tensors = scale.tensors(limits.device);
+                (scale, tensors)
+            });
+            learning.best = state.best;
+            learning.validated_at = state.validated_at;
+            learning.before_seconds = state.wall_seconds;
+            learning.published_at = learning.learner.updates();
+            learning.resumed = Some(state.schedule);
+        } else if let Some(policy) = init {
+            learning.learner.set_actor(&policy.values)?;
+            let tensors = policy.scale.tensors(limits.device);
+            learning.scale = Some((policy.scale, tensors));
+        }
+        Ok(learning)
+    }
+
+    fn copy(&self) -> ActorCopy {
+        ActorCopy {
+            version: self.version,
+            values: self.learner.actor_values(),
+            scale: self
+                .scale
+                .as_ref()
+                .map_or_else(|| InputScale::identity(Dims::DRIVING), |(scale, _)| scale.clone()),
+        }
+    }
+
+    /// Updates that should have been done by now.
+    fn due(&self) -> u64 {
+        let c = self.config;
+        let start = if c.is_warm() { 0 } else { c.learning_starts };
+        c.pretrain + (c.update_ratio * self.steps.saturating_sub(start) as f64) as u64
+    }
+
+    fn ready(&self) -> bool {
+        let c = self.config;
+        if c.is_warm() { self.demonstrated >= c.demonstrations } else { self.steps >= c.learning_starts }
+    }
+
+    fn run(
+        &mut self,
+        messages: &Receiver<Message>,
+        shared: &Shared,
+        interrupt: &AtomicBool,
+        progress: &mut impl FnMut(Progress<'_>),
+    ) -> Result<(), TrainError> {
+        loop {
+            if interrupt.load(Ordering::Relaxed) {
+                self.interrupted = true;
+                return Ok(());
+            }
+            if self.limits.time.is_some_and(|limit| self.began.elapsed() >= limit) {
+                return Ok(());
+            }
+            if self.ready() && self.learner.updates() == 0 && self.cloned < self.config.cloning {
+                // Nobody is heard meanwhile: collectors wait rather than drive with what knows nothing yet.
+                self.clone_expert(shared)?;
+                self.now_and_then(shared, progress)?;
+                continue;
+            }
+            let over = self.steps >= self.limits.steps;
+            let behind = if self.ready() { self.due().saturating_sub(self.learner.updates()) } else { 0 };
+            if over && behind == 0 && self.validation.is_none() {
+                // The end is validated too, unless it was just now.
+                if self.config.validation.every == 0 || self.validated_at == self.steps {
+                    return Ok(());
+                }
+                self.start_validation(shared);
+            }
+            if behind > 0 {
+                self.learn(shared, behind.min(TOGETHER as u64) as usize)?;
+            }
+            if behind < SLACK {
+                self.listen(messages, shared, behind == 0, progress)?;
+            }
+            self.now_and_then(shared, progress)?;
+        }
+    }
+
+    fn learn(&mut self, shared: &Shared, updates: usize) -> Result<(), TrainError> {
+        let clock = Instant::now();
+        self.begin_rate(clock);
+        let batches = self.sample(updates);
+        for i in 0..updates {
+            self.learner.update(&batches.get(i), &mut self.metrics);
+        }
+        if self.learner.updates() >= self.published_at + PUBLISH {
+            self.publish(shared)?;
+        }
+        self.rate.learning += clock.elapsed().as_secs_f64();
+        Ok(())
+    }
+
+    /// A few steps of behaviour cloning, at a rate that falls in a straight line to a tenth.
+    fn clone_expert(&mut self, shared: &Shared) -> Result<(), TrainError> {
+        let batches = self.sample(TOGETHER);
+        for i in 0..TOGETHER {
+            let done = self.cloned as f64 / self.config.cloning as f64;
+            let rate = self.config.cloning_rate * (1.0 - 0.9 * done.min(1.0));
+            self.learner.clone_expert(&batches.get(i), rate);
+            self.cloned += 1;
+        }
+        if self.cloned.is_multiple_of(PUBLISH) || self.cloned >= self.config.cloning {
+            self.publish(shared)?;
+        }
+        Ok(())
+    }
+
+    fn begin_rate(&mut self, clock: Instant) {
+        if self.rate.began.is_none() {
+            self.rate.began = Some(clock);
+            (self.rate.steps, self.rate.updates) = (self.steps, self.learner.updates());
+            self.rate.last = (self.steps, self.learner.updates());
+            self.figures_at = clock;
+        }
+    }
+
+    /// Batches of experience; the first call measures the inputs' scale.
+    fn sample(&mut self, updates: usize) -> Batches {
+        let config = self.config;
+        let (_, scale) = self.scale.get_or_insert_with(|| {
+            let (mean, deviation) = self.buffer.moments(MEASURED);
+            let scale =
+                InputScale::measured(&mean, &deviation, Dims::DRIVING, config.inputs, config.latent_gain);
+            let tensors = scale.tensors(self.limits.device);
+            (scale, tensors)
+        });
+        self.buffer.sample(&mut self.rng, config.sampling(), updates, &mut self.sampled);
+        let batches = Batches::upload(&self.sampled, Dims::DRIVING, scale, self.limits.device);
+        if config.latent_mixing > 0.0 {
+            batches.mix_latents(Dims::DRIVING, config.latent_mixing, &mut self.rng);
+        }
+        batches
+    }
+
+    /// Gives collectors the newest actor.
+    fn publish(&mut self, shared: &Shared) -> Result<(), TrainError> {
+        self.published_at = self.learner.updates();
+        self.version += 1;
+        let copy = self.copy();
+        if copy.values.iter().any(|x| !x.is_finite()) {
+            return Err(self.diverged("a parameter of the actor"));
+        }
+        *lock(&shared.actor) = Arc::new(copy);
+        shared.version.store(self.version, Ordering::Release);
+        Ok(())
+    }
+
+    fn diverged(&self, what: &str) -> TrainError {
+        TrainError::Diverged {
+            steps: self.steps,
+            what: what.to_string(),
+            kept: if self.saved_at > 0 {
+                format!("the checkpoint of step {} is kept", self.saved_at)
+            } else {
+                "there was no checkpoint yet".to_string()
+            },
+        }
+    }
+
+    /// Takes what collectors sent; waits a little where there is nothing else to do.
+    fn listen(
+        &mut self,
+        messages: &Receiver<Message>,
+        shared: &Shared,
+        idle: bool,
+        progress: &mut impl FnMut(Progress<'_>),
+    ) -> Result<(), TrainError> {
+        let mut message = if idle {
+            match messages.recv_timeout(Duration::from_millis(50)) {
+                Ok(message) => Some(message),
+                Err(RecvTimeoutError::Timeout) => None,
+                Err(RecvTimeoutError::Disconnected) => return Err(gone()),
+            }
+        } else {
+            match messages.try_recv() {
+                Ok(message) => Some(message),
+                Err(TryRecvError::Empty) => None,
+                Err(TryRecvError::Disconnected) => return Err(gone()),
+            }
+        };
+        while let Some(now) = message.take() {
+            match now {
+                Message::Segment { segment, autopilot } => {
+                    let n = segment.len() as u64;
+                    if self.steps < self.limits.steps {
+                        self.buffer.push(&segment);
+                        let mut schedule = lock(&shared.schedule);
+                        if autopilot {
+                            self.demonstrated += n;
+                            schedule.state.demonstrated = self.demonstrated;
+                        } else {
+                            self.steps += n;
+                            schedule.steps = self.steps;
+                        }
+                    }
+                    // One segment at a time: the learner's turn.
+                    return Ok(());
+                }
+                Message::Episode(report) => self.episode(*report, shared, progress)?,
+                Message::Times(times) => {
+                    let sum = &mut self.rate.env;
+                    sum.steps += times.env.steps;
+                    sum.sumo += times.env.sumo;
+                    sum.physics += times.env.physics;
+                    sum.camera += times.env.camera;
+                    sum.perception += times.env.perception;
+                    sum.encoder += times.env.encoder;
+                    sum.resets += times.env.resets;
+                    sum.reset += times.env.reset;
+                    self.rate.actor += times.actor;
+                    self.rate.waiting += times.waiting;
+                }
+                Message::Failed(error) => return Err(error),
+            }
+            message = messages.try_recv().ok();
+        }
+        Ok(())
+    }
+
+    fn episode(
+        &mut self,
+        report: Report,
+        shared: &Shared,
+        progress: &mut impl FnMut(Progress<'_>),
+    ) -> Result<(), TrainError> {
+        match &report.purpose {
+            Purpose::Validate(actor) => {
+                let Some(validation) = &mut self.validation else { return Ok(()) };
+                if actor.version == validation.actor.version {
+                    self.log.validation_episode(validation.steps, &report)?;
+                    validation.reports.push(report);
+                }
+                if validation.reports.len() >= validation.expected {
+                    self.finish_validation(shared, progress)?;
+                }
+            }
+            purpose => {
+                let agent = !matches!(purpose, Purpose::Demonstrate { .. });
+                let mut news = None;
+                let (stage, rate) = {
+                    let mut schedule = lock(&shared.schedule);
+                    let state = &mut schedule.state;
+                    let curriculum = &self.config.curriculum;
+                    if agent {
+                        self.returns.push_back(report.episodic_return);
+                        if self.returns.len() > 20 {
+                            self.returns.pop_front();
+                        }
+                        let success = report.ending.success;
+                        if state.progress.note(curriculum, report.task.kind, report.steps, success) {
+                            news = Some(match curriculum.stages.get(state.progress.stage) {
+                                Some(stage) if !state.progress.done => format!(
+                                    "step {}: on to stage {}, {}",
+                                    self.steps, state.progress.stage, stage.task
+                                ),
+                                _ => format!("step {}: the last stage is passed", self.steps),
+                            });
+                        }
+                    }
+                    (state.progress.stage, state.progress.success_rate())
+                };
+                self.log.episode(self.steps, stage, rate, &report)?;
+                if news.is_some() {
+                    self.show(shared, news, progress);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn now_and_then(
+        &mut self,
+        shared: &Shared,
+        progress: &mut impl FnMut(Progress<'_>),
+    ) -> Result<(), TrainError> {
+        if self.shown_at.is_none_or(|at| at.elapsed() > Duration::from_millis(200)) {
+            self.shown_at = Some(Instant::now());
+            self.show(shared, None, progress);
+        }
+        if self.rate.began.is_none() {
+            return Ok(());
+        }
+        if self.figures_at.elapsed() > FIGURES {
+            self.figures()?;
+        }
+        if self.steps >= self.saved_at + self.config.checkpoint_every {
+            self.save(shared)?;
+        }
+        let every = self.config.validation.every;
+        if every > 0 && self.validation.is_none() && self.steps >= self.validated_at + every {
+            self.start_validation(shared);
+        }
+        Ok(())
+    }
+
+    fn policy(&self, scores: serde_json::Value, values: &[f32], steps: u64) -> Policy {
+        let c = self.config;
+        let card = PolicyCard {
+            algorithm: c.algorithm.clone(),
+            dims: Dims::DRIVING,
+            inputs: c.inputs,
+            encoder_hash: c.encoder_hash.clone(),
+            camera_hash: c.env.camera.hash(),
+            raw_meaning: wad_see::observation::RAW_MEANING,
+            detector: c.env.detector.clone(),
+            steps,
+            updates: self.learner.updates(),
+            seed: c.seed,
+            demonstrations: self.demonstrated,
+            scores,
+            config: serde_json::to_value(c).unwrap_or_default(),
+        };
+        let scale = self.scale.as_ref().map(|(scale, _)| scale.clone());
+        Policy::new(card, scale.unwrap_or_else(|| InputScale::identity(Dims::DRIVING)), values)
+    }
+
+    fn save(&mut self, shared: &Shared) -> Result<(), TrainError> {
+        let tensors = self.learner.tensors();
+        if let Some((name, _)) = tensors.iter().find(|(_, t)| t.isfinite().all().int64_value(&[]) == 0) {
+            let what = format!("a number of `{name}`");
+            return Err(self.diverged(&what));
+        }
+        let clock = Instant::now();
+        let state = State {
+            steps: self.steps,
+            updates: 0,
+            raw_meaning: 0,
+            adam_steps: Vec::new(),
+            rng: RngState::of(&self.rng),
+            schedule: lock(&shared.schedule).state.clone(),
+            scale: self.scale.as_ref().map(|(scale, _)| scale.clone()),
+            best: self.best,
+            validated_at: self.validated_at,
+            wall_seconds: self.before_seconds + self.began.elapsed().as_secs_f64(),
+            replay: Default::default(),
+            learner_bytes: 0,
+            learner_crc: 0,
+        };
+        self.checkpoints.save(state, &mut self.learner, &self.buffer)?;
+        self.saved_at = self.steps;
+        self.policy(serde_json::Value::Null, &self.learner.actor_values(), self.steps)
+            .save(&self.limits.out.join("last.safetensors"))?;
+        self.log.flush()?;
+        self.rate.paused += clock.elapsed().as_secs_f64();
+        Ok(())
+    }
+}
+
+fn gone() -> TrainError {
+    TrainError::Broken("all collectors ended; see the messages above".to_string())
+}

@@ -1,0 +1,149 @@
+//! Who drives what next: demonstrations first, then the curriculum, with validations between.
+
+use super::config::TrainConfig;
+use crate::agent::learner::InputScale;
+use crate::env::Ending;
+use crate::reward::RewardTerms;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
+use std::sync::Arc;
+use sumo_network::seeds;
+use wad_sim::tasks::{Progress, TaskKind, TaskSpec};
+
+/// An actor's parameters as they were at some update.
+#[derive(Debug)]
+pub struct ActorCopy {
+    pub version: u64,
+    pub values: Vec<f32>,
+    pub scale: InputScale,
+}
+
+/// What a collector is to drive.
+#[derive(Clone, Debug)]
+pub struct Job {
+    pub purpose: Purpose,
+    pub task: TaskSpec,
+    pub seed: u64,
+}
+
+/// What an episode is for.
+#[derive(Clone, Debug)]
+pub enum Purpose {
+    /// The autopilot drives, on some days with noise on what it does.
+    Demonstrate { noisy: bool },
+    /// Before learning starts.
+    Start,
+    /// The newest actor with noise.
+    Explore,
+    /// A certain actor without noise, in a fresh world.
+    Validate(Arc<ActorCopy>),
+}
+
+/// What came of an episode.
+#[derive(Clone, Debug)]
+pub struct Report {
+    pub purpose: Purpose,
+    pub task: TaskSpec,
+    pub ending: Ending,
+    pub steps: u64,
+    pub episodic_return: f64,
+    pub terms: RewardTerms,
+    /// m/s, over the whole episode.
+    pub mean_speed: f64,
+    /// m.
+    pub distance: f64,
+}
+
+/// What the schedule must remember over a restart.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ScheduleState {
+    pub progress: Progress,
+    /// Episodes handed out so far: seeds follow from it.
+    pub episodes: u64,
+    /// Environment steps that the autopilot drove.
+    pub demonstrated: u64,
+}
+
+/// Hands out episodes.
+#[derive(Debug)]
+pub struct Schedule {
+    pub state: ScheduleState,
+    seed: u64,
+    validations: VecDeque<Job>,
+    /// Environment steps of the agent so far, as far as the learner has told.
+    pub steps: u64,
+}
+
+impl Schedule {
+    /// Where training begins, or goes on.
+    pub fn new(config: &TrainConfig, state: Option<ScheduleState>, steps: u64) -> Self {
+        let fresh = ScheduleState { progress: Progress::default(), episodes: 0, demonstrated: 0 };
+        Self { state: state.unwrap_or(fresh), seed: config.seed, validations: VecDeque::new(), steps }
+    }
+
+    /// The next episode.
+    pub fn next(&mut self, config: &TrainConfig) -> Job {
+        if let Some(job) = self.validations.pop_front() {
+            return job;
+        }
+        self.state.episodes += 1;
+        let seed = seeds::derive(self.seed, &format!("episode {}", self.state.episodes));
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        if self.state.demonstrated < config.demonstrations {
+            // Of all tasks alike, so that the first lessons of each are there.
+            let stages = &config.curriculum.stages;
+            let everywhere = Progress { stage: rng.random_range(0..stages.len()), ..Progress::default() };
+            let alone = wad_sim::tasks::Curriculum { replay: 0.0, ..config.curriculum.clone() };
+            let noisy = rng.random::<f64>() < config.noisy_demonstrations;
+            let task = everywhere.draw(&alone, &mut rng);
+            return Job { purpose: Purpose::Demonstrate { noisy }, task, seed };
+        }
+        let task = self.state.progress.draw(&config.curriculum, &mut rng);
+        let knows_nothing = !config.is_warm() && config.init.is_none();
+        let start = self.steps < config.learning_starts && knows_nothing;
+        Job { purpose: if start { Purpose::Start } else { Purpose::Explore }, task, seed }
+    }
+
+    /// Puts a validation of `actor` in front: every task that training has come to.
+    pub fn validate(&mut self, config: &TrainConfig, actor: &Arc<ActorCopy>) -> usize {
+        let params = config.validation;
+        let weathers = &config.curriculum.weathers;
+        for task in self.tasks_so_far(config) {
+            for i in 0..params.episodes {
+                let stage = config.curriculum.stages.iter().find(|stage| stage.task == task);
+                let traffic = stage.and_then(|stage| stage.traffic);
+                let spec =
+                    TaskSpec { traffic, ..TaskSpec::new(task) }.in_weather(weathers[i % weathers.len()]);
+                let seed = seeds::derive(params.seed, &format!("{task} {i}"));
+                self.validations.push_back(Job {
+                    purpose: Purpose::Validate(Arc::clone(actor)),
+                    task: spec,
+                    seed,
+                });
+            }
+        }
+        self.validations.len()
+    }
+
+    /// Episodes that a validation of everything would have.
+    pub fn full_validation(config: &TrainConfig) -> usize {
+        tasks(config, config.curriculum.stages.len()).len() * config.validation.episodes
+    }
+
+    fn tasks_so_far(&self, config: &TrainConfig) -> Vec<TaskKind> {
+        tasks(config, self.state.progress.stage + 1)
+    }
+}
+
+/// The different tasks of the first `stages` stages.
+fn tasks(config: &TrainConfig, stages: usize) -> Vec<TaskKind> {
+    let mut tasks = Vec::new();
+    for stage in config.curriculum.stages.iter().take(stages) {
+        if !tasks.contains(&stage.task) {
+            tasks.push(stage.task);
+        }
+    }
+    tasks
+}

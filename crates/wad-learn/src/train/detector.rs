@@ -1,0 +1,435 @@
+//! Trains CenterNet on the camera's pictures (Zhou et al. 2019; losses and targets in
+//! [`wad_see::perception::centernet`]).
+//!
+//! An epoch shows each frame about once, those with rare classes more often, those without objects less
+//! often. After it comes validation: COCO's mAP@0.5 of boxes 24 px high or more, on shards that were not
+//! trained on. The best network so far is exported in half precision, and a checkpoint written.
+
+use super::adamw::AdamW;
+use super::detector_data::{SIDE, Sample, Show, epoch, samples, steps};
+pub use super::run::TrainError;
+use super::run::{self, Training};
+use crate::dataset::Dataset;
+use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+use sumo_network::seeds;
+use tch::{Device, Kind, Tensor};
+use wad_see::perception::centernet::loss::loss;
+use wad_see::perception::centernet::{Backbone, CenterNet, CenterNetDetector};
+use wad_see::perception::centernet_weights;
+use wad_see::perception::coco::{class_index, class_name};
+use wad_see::perception::metrics::{Found, Scored, average_precision, mean};
+use wad_see::perception::score::{SMALL, TALL};
+use wad_see::weights::{Weights, WeightsError};
+
+/// How to train.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TrainOptions {
+    pub backbone: Backbone,
+    pub data: PathBuf,
+    /// More datasets, shown together with it.
+    #[serde(default)]
+    pub more: Vec<PathBuf>,
+    pub out: PathBuf,
+    /// Begin with these weights, named as a detector is (centernet, centernet:FILE); None: new ones.
+    #[serde(default)]
+    pub init: Option<String>,
+    pub epochs: u64,
+    pub batch: usize,
+    /// Most batches to an epoch.
+    pub epoch_steps: usize,
+    /// AdamW's, at its highest; it rises over the first steps and falls to 0 as half a cosine.
+    pub learning_rate: f64,
+    pub weight_decay: f64,
+    /// Width and height of the windows that most steps show; None: whole pictures only.
+    pub window: Option<(usize, usize)>,
+    /// Compute the backbone in bfloat16; weights and optimiser stay in single precision.
+    pub bfloat16: bool,
+    /// Vary weather, light and colours.
+    pub vary: bool,
+    pub seed: u64,
+    /// Use a dataset that was not collected to its end.
+    pub partial: bool,
+    /// Threads that make batches.
+    pub workers: usize,
+    /// Most frames that validation looks at.
+    pub validation_frames: usize,
+    /// Ends the training (s).
+    pub time_limit: Option<f64>,
+}
+
+impl TrainOptions {
+    /// The defaults of `wad-cosim train detector`.
+    pub fn new(backbone: Backbone, data: &Path, out: &Path) -> Self {
+        Self {
+            backbone,
+            data: data.to_path_buf(),
+            more: Vec::new(),
+            out: out.to_path_buf(),
+            init: None,
+            epochs: 12,
+            batch: 16,
+            epoch_steps: 400,
+            learning_rate: 1.5e-3,
+            weight_decay: 1e-3,
+            window: Some((320, 320)),
+            bfloat16: false,
+            vary: true,
+            seed: 0,
+            partial: false,
+            workers: 1,
+            validation_frames: 300,
+            time_limit: None,
+        }
+    }
+}
+
+/// What validation says.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Validation {
+    /// mAP@0.5 of boxes 24 px high or more, and of 12 to 24 px.
+    pub map50: f64,
+    pub map50_small: f64,
+}
+
+/// A line of `metrics.jsonl`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EpochRecord {
+    pub epoch: u64,
+    pub step: u64,
+    pub loss: f64,
+    pub validation: Validation,
+    pub best: bool,
+    pub wall_seconds: f64,
+    pub images_per_second: f64,
+}
+
+/// What a training came to; `summary.json`.
+#[derive(Clone, Debug, Serialize)]
+pub struct Trained {
+    pub out: PathBuf,
+    /// The best network's file.
+    pub detector: PathBuf,
+    pub epochs: u64,
+    pub steps: u64,
+    pub best_epoch: u64,
+    pub best: Validation,
+    pub frames: usize,
+    pub validation_frames: usize,
+    pub wall_seconds: f64,
+    pub interrupted: bool,
+}
+
+/// How far it is.
+pub type Progress = run::Progress<Validation>;
+
+/// Steps over which the learning rate rises.
+const WARM_UP: f64 = 100.0;
+/// Longest gradient.
+const LONGEST: f64 = 10.0;
+/// Steps between reports.
+const REPORT_EVERY: u64 = 10;
+/// Lowest score that validation looks at.
+const LEAST_SCORE: f32 = 0.05;
+
+/// How far a checkpoint is.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(default)]
+struct Reached {
+    epoch: u64,
+    step: u64,
+    optimiser_steps: i32,
+    best_epoch: u64,
+    best: Option<Validation>,
+    /// How many frames said so: other frames give other scores.
+    validation_frames: usize,
+    seconds: f64,
+}
+
+struct Trainer<'a> {
+    options: &'a TrainOptions,
+    device: Device,
+    network: CenterNet,
+    adam: AdamW,
+    reached: Reached,
+    training: Vec<Sample>,
+    /// Batches to an epoch.
+    epoch_steps: u64,
+    validation: Vec<Sample>,
+    /// For the metadata of the weights.
+    made_of: String,
+    began: Instant,
+}
+
+/// Trains, or goes on training with `resume`. Ends early when `interrupt` becomes true: the epoch begun
+/// is then lost. `report` is called every few steps.
+///
+/// # Errors
+/// Bad data, no memory, a full disk, or a loss that is no number. The last checkpoint is kept.
+pub fn train(
+    options: &TrainOptions,
+    device: Device,
+    resume: bool,
+    interrupt: &AtomicBool,
+    mut report: impl FnMut(Progress),
+) -> Result<Trained, TrainError> {
+    let trainer = Trainer::start(options, device, resume)?;
+    run::walk(trainer, &options.out, interrupt, &mut report)
+}
+
+impl<'a> Trainer<'a> {
+    fn start(options: &'a TrainOptions, device: Device, resume: bool) -> Result<Self, TrainError> {
+        run::check(&options.out, resume)?;
+        let checkpoint = run::checkpoint(&options.out);
+        let folders = std::iter::once(&options.data).chain(&options.more);
+        let datasets: Vec<Dataset> =
+            folders.map(|folder| Dataset::open(folder, options.partial)).collect::<Result<_, _>>()?;
+        datasets.iter().try_for_each(Dataset::require_training)?;
+        run::write_json(&options.out.join("config.json"), options)?;
+        let (mut training, mut validation) = (Vec::new(), Vec::new());
+        for dataset in &datasets {
+            let (train, validate) = dataset.split();
+            training.extend(samples(dataset, &train, usize::MAX)?);
+            let share = options.validation_frames.div_ceil(datasets.len());
+            validation.extend(samples(dataset, &validate, share)?);
+        }
+        tch::manual_seed(seeds::derive(options.seed, "weights") as i64);
+        let begin = match &options.init {
+            _ if resume => Some(Weights::load(&checkpoint)?),
+            Some(name) => Some(centernet_weights(name)?),
+            None => None,
+        };
+        let network = match &begin {
+            Some(weights) => CenterNet::from_weights(weights, device)?,
+            None => CenterNet::new(options.backbone, device)?,
+        };
+        if network.backbone != options.backbone {
+            return Err(TrainError::Weights(WeightsError::Mismatch {
+                path: begin.map(|weights| weights.path).unwrap_or_default(),
+                found: format!("backbone {}", network.backbone.name()),
+                expected: format!("backbone {}", options.backbone.name()),
+            }));
+        }
+        let mut adam = AdamW::new(&network.store, options.weight_decay)?;
+        let mut reached = Reached::default();
+        if let Some(weights) = begin.filter(|_| resume) {
+            reached = run::reached(&weights)?;
+            adam.restore(reached.optimiser_steps, |name, shape| weights.get(name, shape))?;
+        }
+        if reached.validation_frames != validation.len() {
+            (reached.validation_frames, reached.best) = (validation.len(), None);
+        }
+        let said = |dataset: &Dataset| {
+            let m = &dataset.manifest;
+            let weathers: Vec<&str> = m.weathers.iter().map(|w| w.name()).collect();
+            let showing: Vec<&str> = m.showing.iter().map(|c| class_name(*c)).collect();
+            let only =
+                if showing.is_empty() { String::new() } else { format!(" with {}", showing.join(", ")) };
+            format!(
+                "{} frames{only} of {} in {}, seed {}",
+                dataset.frames(),
+                m.town,
+                weathers.join(", "),
+                m.seed
+            )
+        };
+        let made_of = datasets.iter().map(said).collect::<Vec<_>>().join("; and ");
+        let epoch_steps = steps(&training, options.batch, options.epoch_steps) as u64;
+        let began = Instant::now();
+        Ok(Self {
+            options,
+            device,
+            network,
+            adam,
+            reached,
+            training,
+            epoch_steps,
+            validation,
+            made_of,
+            began,
+        })
+    }
+
+    fn seconds(&self) -> f64 {
+        self.reached.seconds + self.began.elapsed().as_secs_f64()
+    }
+
+    /// Steps in all.
+    fn steps(&self) -> u64 {
+        self.options.epochs * self.epoch_steps
+    }
+
+    /// How much of the training is over, by steps or by time: 0 to 1.
+    fn done_share(&self) -> f64 {
+        let by_time = self.options.time_limit.map_or(0.0, |limit| self.seconds() / limit.max(1.0));
+        (self.reached.step as f64 / self.steps().max(1) as f64).max(by_time).min(1.0)
+    }
+
+    fn rate(&self) -> f64 {
+        let rise = ((self.reached.step + 1) as f64 / WARM_UP).min(1.0);
+        let fall = 0.5 * (1.0 + (std::f64::consts::PI * self.done_share()).cos());
+        self.options.learning_rate * rise * fall.max(0.01)
+    }
+
+    /// The network as it would be shipped: in half precision, folded.
+    fn validate(&self) -> Result<Validation, TrainError> {
+        let copy = CenterNet::from_weights(&self.network.weights(&[])?, self.device)?;
+        let mut detector = CenterNetDetector::new("validation".into(), copy, self.device, LEAST_SCORE)?;
+        let mut scored: Vec<Scored> = Vec::with_capacity(self.validation.len());
+        for sample in &self.validation {
+            let mut one = sample.truths();
+            let found = detector.detect_rgb(&sample.rgb()?, SIDE, SIDE)?;
+            one.found =
+                found.into_iter().map(|d| Found { label: class_index(d.class), detection: d }).collect();
+            scored.push(one);
+        }
+        let map = |counts: &dyn Fn(f32) -> bool| {
+            mean((0..8).map(|class| average_precision(&scored, class, 0.5, counts))).unwrap_or(0.0)
+        };
+        Ok(Validation { map50: map(&|h| h >= TALL), map50_small: map(&|h| (SMALL..TALL).contains(&h)) })
+    }
+
+    /// The best network, as it ships.
+    fn export(&self, validation: Validation) -> Result<(), TrainError> {
+        let score = serde_json::to_string(&validation).unwrap_or_default();
+        let weights = self.network.weights(&[
+            ("made_of", self.made_of.clone()),
+            ("epochs", self.reached.epoch.to_string()),
+            ("validation", score),
+            ("program", wad_sim::program::version().to_string()),
+        ])?;
+        Ok(weights.save(&self.options.out.join("detector.safetensors"))?)
+    }
+
+    fn checkpoint(&mut self) -> Result<(), TrainError> {
+        self.reached.optimiser_steps = self.adam.steps();
+        let reached = Reached { seconds: self.seconds(), ..self.reached.clone() };
+        let mut metadata: HashMap<String, String> = self.network.weights(&[])?.metadata;
+        metadata.insert(run::REACHED.to_string(), serde_json::to_string(&reached).unwrap_or_default());
+        let mut tensors: Vec<(String, Tensor)> = Vec::new();
+        for (name, tensor) in self.network.store.variables() {
+            tensors.push((name, tensor.f_detach()?.f_to_kind(Kind::Float)?));
+        }
+        tensors.extend(self.adam.tensors());
+        let path = run::checkpoint(&self.options.out);
+        Ok(Weights { path: path.clone(), tensors, metadata }.save(&path)?)
+    }
+}
+
+impl Training for Trainer<'_> {
+    type Validation = Validation;
+    type Record = EpochRecord;
+    type Summary = Trained;
+
+    fn is_over(&self) -> bool {
+        self.reached.epoch >= self.options.epochs || self.done_share() >= 1.0
+    }
+
+    fn epoch(
+        &mut self,
+        interrupt: &AtomicBool,
+        report: &mut dyn FnMut(Progress),
+    ) -> Result<Option<EpochRecord>, TrainError> {
+        let options = self.options;
+        let number = self.reached.epoch;
+        let clock = Instant::now();
+        let steps = self.steps();
+        let samples = std::mem::take(&mut self.training);
+        let (mut sum, mut looks, mut interrupted, mut shown) = (0.0, 0_u64, false, 0_usize);
+        let result = epoch(
+            Show {
+                backbone: options.backbone,
+                batch: options.batch,
+                window: options.window,
+                vary: options.vary,
+            },
+            &samples,
+            self.epoch_steps as usize,
+            (options.seed, number),
+            options.workers,
+            |batch| -> Result<bool, TrainError> {
+                if interrupt.load(Ordering::Relaxed) {
+                    interrupted = true;
+                    return Ok(false);
+                }
+                let (pictures, target) = batch.load(self.device)?;
+                let precision = if options.bfloat16 { Kind::BFloat16 } else { Kind::Float };
+                let pictures = pictures.f_to_kind(precision)?;
+                let answer = self.network.forward(&pictures, true)?;
+                let total = loss(&answer, &target)?.total()?;
+                let rate = self.rate();
+                let is_good = self.adam.step(&total, rate, LONGEST)?;
+                let (value, step) = (total.f_double_value(&[])?, self.reached.step);
+                // A gradient that is no number counts like such a loss.
+                run::require_finite(if is_good { value } else { f64::NAN }, step, &options.out)?;
+                sum += value;
+                looks += 1;
+                if step.is_multiple_of(REPORT_EVERY) {
+                    report(Progress { epoch: number, step, steps, loss: value, validation: None });
+                }
+                shown += batch.count();
+                self.reached.step += 1;
+                Ok(self.options.time_limit.is_none_or(|limit| self.seconds() < limit))
+            },
+        );
+        self.training = samples;
+        result?;
+        if interrupted {
+            return Ok(None);
+        }
+        let train_seconds = clock.elapsed().as_secs_f64();
+        let validation = self.validate()?;
+        self.reached.epoch += 1;
+        let is_best = self.reached.best.is_none_or(|best| validation.map50 >= best.map50);
+        if is_best {
+            self.reached.best = Some(validation);
+            self.reached.best_epoch = self.reached.epoch;
+            self.export(validation)?;
+        }
+        self.checkpoint()?;
+        let (step, mean_loss) = (self.reached.step, sum / looks.max(1) as f64);
+        report(Progress { epoch: number, step, steps, loss: mean_loss, validation: Some(validation) });
+        Ok(Some(EpochRecord {
+            epoch: self.reached.epoch,
+            step,
+            loss: mean_loss,
+            validation,
+            best: is_best,
+            wall_seconds: self.seconds(),
+            images_per_second: shown as f64 / train_seconds.max(1e-9),
+        }))
+    }
+
+    fn figures(record: &EpochRecord) -> (u64, Vec<(&'static str, f64)>) {
+        let figures = vec![
+            ("losses/train", record.loss),
+            ("charts/map50", record.validation.map50),
+            ("charts/map50_small", record.validation.map50_small),
+            ("charts/images_per_second", record.images_per_second),
+        ];
+        (record.step, figures)
+    }
+
+    fn summary(&self, interrupted: bool) -> Trained {
+        Trained {
+            out: self.options.out.clone(),
+            detector: self.options.out.join("detector.safetensors"),
+            epochs: self.reached.epoch,
+            steps: self.reached.step,
+            best_epoch: self.reached.best_epoch,
+            best: self.reached.best.unwrap_or_default(),
+            frames: self.training.len(),
+            validation_frames: self.validation.len(),
+            wall_seconds: self.seconds(),
+            interrupted,
+        }
+    }
+}
+
+#[cfg(test)]
+mod overfit;
+#[cfg(test)]
+mod tests;

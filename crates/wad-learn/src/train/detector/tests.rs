@@ -1,0 +1,154 @@
+use super::*;
+use crate::dataset::testing::{Picture, frame, write_frames};
+use crate::dataset::{BoxRecord, CameraCodec};
+use wad_camera::Preset;
+use wad_camera::model::ObjectClass;
+
+/// Frames with one red car each, on grey: the camera's picture and its box.
+fn data(folder: &Path, town: &str, codec: Option<CameraCodec>) {
+    let weather = Preset::ClearNoon;
+    write_frames(folder, town, &[6, 2], weather, codec, |n| {
+        let mut one = frame(Picture { red: false, object: [1, 1, 9, 9] }, weather);
+        let (l, t) = (60 + 50 * n, 180 + 12 * n);
+        let mut rgb = vec![120; SIDE * SIDE * 3];
+        for y in t..t + 48 {
+            for x in l..l + 64 {
+                rgb[3 * (y * SIDE + x)..][..3].copy_from_slice(&[210, 30, 30]);
+            }
+        }
+        let visible = [l, t, l + 64, t + 48].map(|v| v as u32);
+        one.record.boxes = vec![BoxRecord {
+            class: ObjectClass::Car,
+            id: 1,
+            visible,
+            full: visible.map(|v| v as f32),
+            pixels: 64 * 48,
+            depth: 9.0,
+        }];
+        one.camera = codec.map(|codec| codec.encode(&rgb, SIDE, SIDE).unwrap()).unwrap_or_default();
+        one
+    });
+}
+
+fn options(data: &Path, out: &Path, epochs: u64) -> TrainOptions {
+    TrainOptions {
+        epochs,
+        batch: 4,
+        epoch_steps: 2,
+        window: Some((128, 96)),
+        vary: false,
+        ..TrainOptions::new(Backbone::Light, data, out)
+    }
+}
+
+fn go(options: &TrainOptions, resume: bool) -> Result<Trained, TrainError> {
+    tch::set_num_threads(1);
+    train(options, Device::Cpu, resume, &AtomicBool::new(false), |_| {})
+}
+
+#[test]
+fn a_broken_off_training_goes_on_and_is_not_overwritten() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    data(&path("data"), "town3", Some(CameraCodec::Png));
+    let first = options(&path("data"), &path("out"), 1);
+    let nothing = go(&first, true).unwrap_err();
+    assert!(matches!(nothing, TrainError::NothingToResume { .. }), "{nothing}");
+    let trained = go(&first, false).unwrap();
+    assert_eq!((trained.epochs, trained.steps), (1, 1));
+    assert_eq!((trained.frames, trained.validation_frames), (6, 2));
+    assert!(matches!(go(&first, false).unwrap_err(), TrainError::Taken { .. }));
+    let more = TrainOptions { epochs: 3, ..first };
+    let trained = go(&more, true).unwrap();
+    assert_eq!((trained.epochs, trained.steps), (3, 3));
+    let lines = std::fs::read_to_string(path("out").join("metrics.jsonl")).unwrap();
+    assert_eq!(lines.lines().count(), 3, "{lines}");
+    let other = TrainOptions { backbone: Backbone::Resnet50V2, epochs: 4, ..more };
+    let error = go(&other, true).unwrap_err().to_string();
+    assert!(error.contains("resnet50_v2") && error.contains("light"), "{error}");
+    // What was trained is a detector.
+    let mut detector = CenterNetDetector::load(&trained.detector, 0.0).unwrap();
+    assert!(detector.detect_rgb(&vec![120; SIDE * SIDE * 3], SIDE, SIDE).is_ok());
+    assert!(std::fs::metadata(&trained.detector).unwrap().len() < 6_000_000);
+}
+
+#[test]
+fn one_begins_with_the_weights_it_is_told_to() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    data(&path("data"), "town3", Some(CameraCodec::Png));
+    let first = go(&options(&path("data"), &path("first"), 2), false).unwrap();
+    let name = format!("centernet:{}", first.detector.display());
+    // Steps too small to be seen in half precision.
+    let still = TrainOptions {
+        init: Some(name.clone()),
+        learning_rate: 1e-12,
+        ..options(&path("data"), &path("second"), 1)
+    };
+    let second = go(&still, false).unwrap();
+    let weights = |trained: &Trained| Weights::load(&trained.detector).unwrap();
+    let (first, second) = (weights(&first), weights(&second));
+    // Batch norm's statistics move with what they see, whatever the rate.
+    let trained = |name: &str| name.ends_with("weight") || name.ends_with("bias");
+    let mut compared = 0;
+    for (name, tensor) in first.tensors.iter().filter(|(name, _)| trained(name)) {
+        assert_eq!(tensor, &second.get(name, &tensor.size()).unwrap().to_kind(Kind::Half), "{name}");
+        compared += 1;
+    }
+    assert!(compared > 20, "{compared}");
+    let other = TrainOptions {
+        backbone: Backbone::Resnet50V2,
+        init: Some(name),
+        ..options(&path("data"), &path("third"), 1)
+    };
+    let error = go(&other, false).unwrap_err().to_string();
+    assert!(error.contains("resnet50_v2") && error.contains("light"), "{error}");
+    let nobody = TrainOptions { init: Some("nobody".into()), ..options(&path("data"), &path("fourth"), 1) };
+    let error = go(&nobody, false).unwrap_err();
+    assert!(error.is_input() && error.to_string().contains("centernet:FILE"), "{error}");
+}
+
+#[test]
+fn bfloat16_learns_as_well() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    data(&path("data"), "town3", Some(CameraCodec::Png));
+    let options = TrainOptions {
+        bfloat16: true,
+        batch: 2,
+        learning_rate: 1e-2,
+        ..options(&path("data"), &path("out"), 20)
+    };
+    go(&options, false).unwrap();
+    let lines = std::fs::read_to_string(path("out").join("metrics.jsonl")).unwrap();
+    let records: Vec<EpochRecord> = lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(records.len(), 20);
+    let (first, last) = (records[0].loss, records[19].loss);
+    assert!(last < 0.7 * first, "the loss went from {first} to {last}");
+}
+
+#[test]
+fn an_interrupt_and_a_loss_that_is_no_number_end_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    data(&path("data"), "town3", Some(CameraCodec::Png));
+    let stopped = options(&path("data"), &path("stopped"), 2);
+    let trained = train(&stopped, Device::Cpu, false, &AtomicBool::new(true), |_| {}).unwrap();
+    assert!(trained.interrupted && trained.epochs == 0);
+    let wild = TrainOptions { learning_rate: 1e30, ..options(&path("data"), &path("wild"), 40) };
+    let error = go(&wild, false).unwrap_err();
+    assert!(matches!(error, TrainError::NotFinite { .. }), "{error}");
+    assert!(error.to_string().contains("checkpoint.safetensors"), "{error}");
+}
+
+#[test]
+fn frames_of_the_new_town_or_without_pictures_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    data(&path("town5"), "town5", Some(CameraCodec::Png));
+    let error = go(&options(&path("town5"), &path("out"), 1), false).unwrap_err().to_string();
+    assert!(error.contains("town5"), "{error}");
+    data(&path("blind"), "town3", None);
+    let error = go(&options(&path("blind"), &path("out"), 1), false).unwrap_err().to_string();
+    assert!(error.contains("--camera"), "{error}");
+}

@@ -1,0 +1,370 @@
+//! Batches of camera pictures and targets for CenterNet, made ahead by threads of their own.
+
+use super::weathering::{self, View};
+use crate::dataset::{BoxRecord, CameraPlace, Dataset, DatasetError, decode_camera};
+use rand::RngExt;
+use rand::seq::SliceRandom;
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use sumo_network::seeds;
+use tch::{Device, Kind, TchError, Tensor};
+use wad_camera::model::ObjectClass;
+use wad_see::perception::centernet::targets::{Centre, Wanted, Window, encode};
+use wad_see::perception::centernet::{Backbone, loss::Target, network::STRIDE};
+use wad_see::perception::coco::class_index;
+use wad_see::perception::metrics::{Scored, Truth};
+use wad_see::perception::score::{LEAST_VISIBLE, visible_share};
+
+/// Lowest box that is taught (pixels): lower ones are neither object nor background.
+const LEAST_HEIGHT: f32 = 8.0;
+/// A class that is in a smaller share of the frames is shown more often (Gupta et al. 2019, "LVIS":
+/// repeat factor sampling), but no frame more often than this.
+const COMMON: f64 = 0.25;
+const MOST_REPEATS: f64 = 4.0;
+/// How often a frame without objects is shown, per epoch.
+const EMPTY: f64 = 0.25;
+
+/// The side of a camera picture (pixels).
+pub const SIDE: usize = 512;
+
+/// A frame: where its picture lies, and its objects.
+#[derive(Clone, Debug)]
+pub struct Sample {
+    picture: Picture,
+    objects: Vec<BoxRecord>,
+}
+
+/// Pictures are read from their shard each time: the system keeps what fits into the memory anyway.
+#[derive(Clone, Debug)]
+enum Picture {
+    Shard(CameraPlace),
+    #[cfg(test)]
+    Bytes(Vec<u8>),
+}
+
+impl Sample {
+    /// The picture's RGB bytes.
+    ///
+    /// # Errors
+    /// It is damaged, or has another size than the camera's.
+    pub fn rgb(&self) -> Result<Vec<u8>, DatasetError> {
+        match &self.picture {
+            Picture::Shard(place) => decode_camera(place.codec(), &place.read()?, SIDE, SIDE),
+            #[cfg(test)]
+            Picture::Bytes(png) => decode_camera(crate::dataset::CameraCodec::Png, png, SIDE, SIDE),
+        }
+    }
+
+    /// What the network is taught.
+    fn wanted(&self) -> impl Iterator<Item = Wanted> {
+        self.objects.iter().map(|object| {
+            let hidden = is_hidden(object);
+            let bounds = if hidden { object.full } else { object.visible.map(|v| v as f32) };
+            let ignored = hidden || bounds[3] - bounds[1] < LEAST_HEIGHT;
+            Wanted { class: class_index(object.class), bounds, ignored }
+        })
+    }
+
+    /// What a detector is judged by; its detections are to be added.
+    pub fn truths(&self) -> Scored {
+        let truths = self.objects.iter().map(|object| {
+            let ignored = is_hidden(object);
+            let bounds = if ignored { object.full } else { object.visible.map(|v| v as f32) };
+            Truth { label: class_index(object.class), bounds, ignored }
+        });
+        Scored { truths: truths.collect(), found: Vec::new() }
+    }
+}
+
+fn is_hidden(object: &BoxRecord) -> bool {
+    visible_share(object.class, object.pixels, object.full) < LEAST_VISIBLE
+}
+
+/// The frames of these shards, at most `most`, spread evenly.
+///
+/// # Errors
+/// A shard cannot be read, or holds no camera pictures.
+pub fn samples(dataset: &Dataset, shards: &[usize], most: usize) -> Result<Vec<Sample>, DatasetError> {
+    let all: usize = shards.iter().map(|&s| dataset.shards[s].2).sum();
+    let every = all.div_ceil(most.max(1)).max(1);
+    let (mut found, mut seen) = (Vec::new(), 0_usize);
+    for &shard in shards {
+        let mut reader = dataset.reader(shard)?;
+        if reader.header().camera_codec.is_none() {
+            return Err(DatasetError::Empty {
+                path: dataset.folder.clone(),
+                hint: " with camera pictures; collect it with --camera",
+            });
+        }
+        while let Some((record, place)) = reader.next_place()? {
+            if seen.is_multiple_of(every) {
+                found.push(Sample { picture: Picture::Shard(place), objects: record.boxes });
+            }
+            seen += 1;
+        }
+    }
+    Ok(found)
+}
+
+/// How often each sample is shown per epoch.
+fn repeats(samples: &[Sample]) -> Vec<f64> {
+    let present = |sample: &Sample| {
+        let mut classes = [false; 8];
+        for wanted in sample.wanted().filter(|w| !w.ignored) {
+            classes[wanted.class] = true;
+        }
+        classes
+    };
+    let present: Vec<[bool; 8]> = samples.iter().map(present).collect();
+    let share =
+        |class: usize| present.iter().filter(|p| p[class]).count() as f64 / samples.len().max(1) as f64;
+    // A traffic light in every frame is no reason to show the frame.
+    let light = class_index(ObjectClass::TrafficLight);
+    let factors: Vec<f64> =
+        (0..8).map(|c| (COMMON / share(c).max(1e-9)).sqrt().clamp(1.0, MOST_REPEATS)).collect();
+    present
+        .iter()
+        .map(|p| {
+            let best = (0..8).filter(|&c| p[c] && c != light).map(|c| factors[c]).fold(0.0, f64::max);
+            if best > 0.0 { best } else { EMPTY }
+        })
+        .collect()
+}
+
+/// The samples of an epoch, shuffled.
+fn order(repeats: &[f64], seed: u64, epoch: u64) -> Vec<usize> {
+    let mut rng = seeds::rng(seed, &format!("detector epoch {epoch}"));
+    let mut order = Vec::new();
+    for (index, &times) in repeats.iter().enumerate() {
+        let count = times as usize + usize::from(rng.random::<f64>() < times.fract());
+        order.extend((0..count).map(|_| index));
+    }
+    order.shuffle(&mut rng);
+    order
+}
+
+/// The windows that an epoch's steps show, largest last.
+///
+/// Most steps show small windows round objects: a third of the work of whole pictures, and hardly any
+/// empty road. The last ones show whole pictures, fewer at a time, so that batch norm ends with the
+/// statistics of what the network sees in use.
+#[derive(Clone, Copy, Debug)]
+pub struct Show {
+    pub backbone: Backbone,
+    /// Pictures to a step with small windows.
+    pub batch: usize,
+    /// Width and height of the small windows; None: whole pictures only.
+    pub window: Option<(usize, usize)>,
+    /// Vary weather, light and colours ([`weathering`]).
+    pub vary: bool,
+}
+
+/// Share of an epoch's steps that show whole pictures.
+const WHOLE: f64 = 0.25;
+/// Share of small windows that lie anywhere, not round an object.
+const ANYWHERE: f64 = 0.2;
+/// Small windows cut from a picture once it is decoded, which costs a tenth as much as a training step.
+const WINDOWS: usize = 2;
+
+impl Show {
+    /// Windows per picked sample, for windows of this size.
+    fn per_sample(&self, size: (usize, usize)) -> usize {
+        if size.1 < self.whole().height { WINDOWS } else { 1 }
+    }
+
+    fn whole(&self) -> Window {
+        Window::whole(self.backbone, (SIDE, SIDE))
+    }
+
+    /// Size of the windows in a step, and pictures to it.
+    fn step(&self, step: usize, steps: usize) -> ((usize, usize), usize) {
+        let whole = self.whole();
+        match self.window {
+            Some((w, h)) if (step as f64) < (1.0 - WHOLE) * steps as f64 => ((w, h), self.batch),
+            Some((w, h)) => {
+                let fewer = self.batch * w * h / (whole.width * whole.height);
+                ((whole.width, whole.height), fewer.clamp(2.min(self.batch), self.batch))
+            }
+            None => ((whole.width, whole.height), self.batch),
+        }
+    }
+
+    /// A window of this size: round one of the objects (width-wise evenly, so that it is seen near the
+    /// borders too), or anywhere.
+    fn place(&self, (width, height): (usize, usize), wanted: &[Wanted], rng: &mut impl RngExt) -> Window {
+        let whole = self.whole();
+        let taught: Vec<&Wanted> = wanted.iter().filter(|w| !w.ignored).collect();
+        let target = (!taught.is_empty() && rng.random::<f64>() >= ANYWHERE)
+            .then(|| taught[rng.random_range(0..taught.len())].bounds);
+        let mut along = |low: f32, high: f32, side: usize, first: usize, all: usize| {
+            let most = all - side;
+            let start = match target {
+                Some(_) => 0.5 * (low + high) - first as f32 - side as f32 * rng.random_range(0.1..0.9),
+                None => rng.random::<f32>() * most as f32,
+            };
+            first + (start.max(0.0) as usize).min(most)
+        };
+        let [l, t, r, b] = target.unwrap_or_default();
+        let left = along(l, r, width, whole.left, whole.width);
+        let top = along(t, b, height, whole.top, whole.height);
+        Window { left, top, width, height }
+    }
+}
+
+/// A batch on the processor.
+#[derive(Debug)]
+pub struct Batch {
+    count: usize,
+    /// Width and height of each window.
+    size: (usize, usize),
+    /// count x height x width x 3.
+    pixels: Vec<u8>,
+    /// count x 8 x h x w.
+    heat: Vec<f32>,
+    centres: Vec<(usize, Centre)>,
+}
+
+impl Batch {
+    /// `count` windows of the picked samples, mirrored at random, their weather varied.
+    fn new(
+        show: &Show,
+        samples: &[Sample],
+        (picked, count): (&[usize], usize),
+        size: (usize, usize),
+        rng: &mut impl RngExt,
+    ) -> Result<Self, DatasetError> {
+        let (width, height) = size;
+        let (bytes, shape) = (width * height * 3, (width / STRIDE, height / STRIDE));
+        let cells = shape.0 * shape.1 * 8;
+        let mut batch = Self {
+            count,
+            size,
+            pixels: Vec::with_capacity(count * bytes),
+            heat: vec![0.0; count * cells],
+            centres: Vec::new(),
+        };
+        let cuts_rows = height < show.whole().height;
+        let mut rgb = Vec::new();
+        let mut decoded = None;
+        for n in 0..count {
+            let index = picked[n / show.per_sample(size)];
+            if decoded != Some(index) {
+                (rgb, decoded) = (samples[index].rgb()?, Some(index));
+            }
+            let wanted: Vec<Wanted> = samples[index].wanted().collect();
+            let window = show.place(size, &wanted, rng);
+            let start = batch.pixels.len();
+            for y in window.top..window.top + height {
+                batch.pixels.extend(&rgb[(y * SIDE + window.left) * 3..][..width * 3]);
+            }
+            if show.vary {
+                let Window { left, top, .. } = window;
+                let view = View { left, top, width, objects: &samples[index].objects };
+                weathering::weather(&mut batch.pixels[start..], view, rng);
+            }
+            let mirrored = rng.random::<bool>();
+            if mirrored {
+                for row in batch.pixels[start..].chunks_exact_mut(3 * width) {
+                    row.as_chunks_mut::<3>().0.reverse();
+                }
+            }
+            let shown = wanted.iter().filter_map(|one| window.view(one, cuts_rows)).map(|mut one| {
+                if mirrored {
+                    let [l, t, r, b] = one.bounds;
+                    one.bounds = [width as f32 - r, t, width as f32 - l, b];
+                }
+                one
+            });
+            let shown: Vec<Wanted> = shown.collect();
+            let centres = encode(&shown, shape, &mut batch.heat[n * cells..][..cells]);
+            batch.centres.extend(centres.into_iter().map(|c| (n, c)));
+        }
+        Ok(batch)
+    }
+
+    /// Pictures in the batch.
+    pub fn count(&self) -> usize {
+        self.count
+    }
+
+    /// Pictures (n, 3, height, width) from 0 to 1, and what is wanted of them.
+    ///
+    /// # Errors
+    /// torch fails.
+    pub fn load(&self, device: Device) -> Result<(Tensor, Target), TchError> {
+        let n = self.count as i64;
+        let (width, height) = (self.size.0 as i64, self.size.1 as i64);
+        let pixels = Tensor::f_from_data_size(&self.pixels, &[n, height, width, 3], Kind::Uint8)?;
+        let x = pixels.f_to_device(device)?.f_to_kind(Kind::Float)?.f_mul_scalar(1.0 / 255.0)?;
+        // The permuted view keeps the channels innermost: convolutions on the processor like it so.
+        let x = x.f_permute([0, 3, 1, 2])?;
+        let (h, w) = (height / STRIDE as i64, width / STRIDE as i64);
+        let heat = Tensor::f_from_slice(&self.heat)?.f_view([n, 8, h, w])?.f_to_device(device)?;
+        let cells: Vec<i64> = self.centres.iter().map(|(p, c)| *p as i64 * h * w + c.cell as i64).collect();
+        let pairs = |f: &dyn Fn(&Centre) -> [f32; 2]| -> Result<Tensor, TchError> {
+            let flat: Vec<f32> = self.centres.iter().flat_map(|(_, c)| f(c)).collect();
+            Tensor::f_from_slice(&flat)?.f_view([-1, 2])?.f_to_device(device)
+        };
+        let cells = Tensor::f_from_slice(&cells)?.f_to_device(device)?;
+        Ok((x, Target { heat, cells, size: pairs(&|c| c.size)?, offset: pairs(&|c| c.offset)? }))
+    }
+}
+
+/// Makes the batches of an epoch on `workers` threads and hands each to `take`, in an order that does not
+/// depend on their number. `take` says whether to go on.
+///
+/// # Errors
+/// A picture is damaged, or what `take` says.
+pub fn epoch<E: From<DatasetError>>(
+    show: Show,
+    samples: &[Sample],
+    steps: usize,
+    (seed, epoch): (u64, u64),
+    workers: usize,
+    mut take: impl FnMut(Batch) -> Result<bool, E>,
+) -> Result<(), E> {
+    let order = order(&repeats(samples), seed, epoch);
+    if order.is_empty() {
+        return Ok(());
+    }
+    let mut picks = Vec::with_capacity(steps);
+    let mut next = order.iter().copied().cycle();
+    for step in 0..steps {
+        let (size, count) = show.step(step, steps);
+        let samples = count.div_ceil(show.per_sample(size));
+        picks.push((size, count, next.by_ref().take(samples).collect::<Vec<usize>>()));
+    }
+    let workers = workers.clamp(1, picks.len().max(1));
+    std::thread::scope(|scope| {
+        let mut queues: Vec<Receiver<Result<Batch, DatasetError>>> = Vec::new();
+        for worker in 0..workers {
+            let (send, receive): (SyncSender<_>, _) = sync_channel(2);
+            queues.push(receive);
+            let (picks, show) = (&picks, &show);
+            scope.spawn(move || {
+                for (n, (size, count, picked)) in picks.iter().enumerate().skip(worker).step_by(workers) {
+                    let mut rng = seeds::rng(seed, &format!("detector epoch {epoch} step {n}"));
+                    if send.send(Batch::new(show, samples, (picked, *count), *size, &mut rng)).is_err() {
+                        return; // nobody listens any more
+                    }
+                }
+            });
+        }
+        for n in 0..picks.len() {
+            let Ok(batch) = queues[n % workers].recv() else { break };
+            if !take(batch?)? {
+                break;
+            }
+        }
+        drop(queues);
+        Ok(())
+    })
+}
+
+/// Steps of one epoch over these samples, at most `most`.
+pub fn steps(samples: &[Sample], batch: usize, most: usize) -> usize {
+    let shown: f64 = repeats(samples).iter().sum();
+    ((shown as usize / batch.max(1)).max(1)).min(most)
+}
+
+#[cfg(test)]
+mod tests;

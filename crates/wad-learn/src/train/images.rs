@@ -1,0 +1,167 @@
+//! Transformed images of a dataset, resident on a device as bytes, and their labels.
+
+use super::encoder::heads::{self, LABELS};
+use crate::dataset::{Dataset, DatasetError};
+use crate::encoder_score::told::Told;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc;
+use tch::{Device, Kind, TchError, Tensor};
+use wad_see::latent::encoder::images_tensor;
+use wad_see::perception::{TRANSFORMED_SIZE, TransformedImage};
+
+/// Why images cannot be loaded.
+#[derive(Debug, thiserror::Error)]
+pub enum ImagesError {
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+    #[error("libtorch: {0}; if memory is short, give --resident-gb less")]
+    Torch(#[from] TchError),
+}
+
+/// Threads that decode at once, at most.
+const DECODERS: usize = 16;
+
+/// Images of some shards on a device.
+#[derive(Debug)]
+pub struct Images {
+    /// (n, 128, 128, 3), bytes.
+    pub pixels: Tensor,
+    /// (n, [`LABELS`]), where they were asked for.
+    pub labels: Option<Tensor>,
+}
+
+impl Images {
+    /// None at all.
+    ///
+    /// # Errors
+    /// torch fails.
+    pub fn none(device: Device) -> Result<Self, TchError> {
+        Ok(Self { pixels: Tensor::f_empty([0], (Kind::Uint8, device))?, labels: None })
+    }
+
+    /// How many.
+    pub fn count(&self) -> i64 {
+        self.pixels.size()[0]
+    }
+
+    /// Those at the places that `chosen` holds.
+    ///
+    /// # Errors
+    /// torch fails.
+    pub fn select(&self, chosen: &Tensor) -> Result<Self, TchError> {
+        let labels = self.labels.as_ref().map(|labels| labels.f_index_select(0, chosen)).transpose()?;
+        Ok(Self { pixels: self.pixels.f_index_select(0, chosen)?, labels })
+    }
+
+    /// All in turn, at most `most` at once.
+    ///
+    /// # Errors
+    /// torch fails.
+    pub fn split(&self, most: usize) -> Result<Vec<Self>, TchError> {
+        let most = most.max(1) as i64;
+        let part = |from: i64| -> Result<Self, TchError> {
+            let count = most.min(self.count() - from);
+            let labels = self.labels.as_ref().map(|labels| labels.f_narrow(0, from, count)).transpose()?;
+            Ok(Self { pixels: self.pixels.f_narrow(0, from, count)?, labels })
+        };
+        (0..self.count()).step_by(most as usize).map(part).collect()
+    }
+}
+
+/// What to load.
+#[derive(Clone, Copy, Debug)]
+pub struct Choice<'a> {
+    pub shards: &'a [usize],
+    /// One of so many images.
+    pub every: usize,
+    /// With their labels.
+    pub labelled: bool,
+}
+
+/// Images of the given shards on `device`.
+///
+/// # Errors
+/// A shard cannot be read, or memory is short.
+pub fn load(dataset: &Dataset, choice: Choice<'_>, device: Device) -> Result<Images, ImagesError> {
+    let Choice { shards, every, labelled } = choice;
+    let every = every.max(1);
+    let kept = |frames: usize| frames.div_ceil(every);
+    let total: usize = shards.iter().map(|&s| kept(dataset.shards[s].2)).sum();
+    let side = TRANSFORMED_SIZE as i64;
+    let pixels = Tensor::f_empty([total as i64, side, side, 3], (Kind::Uint8, device))?;
+    let mut labels: Vec<f32> = Vec::new();
+    let threads = std::thread::available_parallelism().map_or(1, |n| n.get()).min(DECODERS);
+    let next = AtomicUsize::new(0);
+    let (sender, receiver) = mpsc::sync_channel(2 * threads);
+    let filled = std::thread::scope(|scope| -> Result<i64, ImagesError> {
+        for _ in 0..threads {
+            let (sender, next) = (sender.clone(), &next);
+            scope.spawn(move || {
+                while let Some(&shard) = shards.get(next.fetch_add(1, Ordering::Relaxed)) {
+                    let (mut bytes, mut labels) = (Vec::new(), Vec::new());
+                    let read = if labelled {
+                        dataset.images_with_records(shard, &mut bytes, |record| {
+                            labels.push(heads::labels(&Told::of(&record)));
+                        })
+                    } else {
+                        dataset.images(shard, &mut bytes)
+                    };
+                    let read = read.map(|_| (shard, bytes, labels));
+                    // The receiver went away: an error ended the loading.
+                    if sender.send(read).is_err() {
+                        return;
+                    }
+                }
+            });
+        }
+        drop(sender);
+        // Put where the shard's number says, so that the threads' order does not matter.
+        let mut at = 0;
+        let mut waiting = std::collections::BTreeMap::new();
+        let mut due = 0;
+        for read in receiver {
+            let (shard, mut bytes, mut told) = read?;
+            if every > 1 {
+                let images = bytes.chunks_exact(TransformedImage::BYTES).step_by(every);
+                bytes = images.flatten().copied().collect();
+                told = told.into_iter().step_by(every).collect();
+            }
+            waiting.insert(shards.iter().position(|&s| s == shard).unwrap_or(0), (bytes, told));
+            while let Some((bytes, told)) = waiting.remove(&due) {
+                due += 1;
+                labels.extend(told.iter().flatten());
+                let count = bytes.len() / TransformedImage::BYTES;
+                if count > 0 {
+                    let tensor = images_tensor(&bytes, count)?;
+                    pixels.f_narrow(0, at, count as i64)?.f_copy_(&tensor)?;
+                    at += count as i64;
+                }
+            }
+        }
+        Ok(at)
+    })?;
+    let labels = if labelled { Some(rows(&labels, device)?) } else { None };
+    Ok(Images { pixels: pixels.f_narrow(0, 0, filled)?, labels })
+}
+
+/// Labels frame by frame (n, [`LABELS`]); n may be 0.
+fn rows(labels: &[f32], device: Device) -> Result<Tensor, TchError> {
+    let (count, each) = ((labels.len() / LABELS) as i64, LABELS as i64);
+    Tensor::f_from_slice(labels)?.f_view([count, each])?.f_to_device(device)
+}
+
+/// Labels (n, [`LABELS`]) of all frames of some shards, on `device`.
+///
+/// # Errors
+/// A shard cannot be read, or memory is short.
+pub fn labels(dataset: &Dataset, shards: &[usize], device: Device) -> Result<Tensor, ImagesError> {
+    let mut labels: Vec<f32> = Vec::new();
+    for &shard in shards {
+        let mut reader = dataset.reader(shard)?;
+        // A damaged frame ends its shard, as for the images, which say so.
+        while let Ok(Some(record)) = reader.next_record() {
+            labels.extend(heads::labels(&Told::of(&record)));
+        }
+    }
+    Ok(rows(&labels, device)?)
+}

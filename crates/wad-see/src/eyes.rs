@@ -1,0 +1,360 @@
+//! Eyes of an ego: front camera, perception, encoder and decoder, each where it is wanted. The only place where an
+//! ego looks.
+//!
+//! ```text
+//! follow(world)   the town's road users move, once a tick
+//! look(facts)     camera -> detect, lanes, judge, transform -> encode -> reconstruct
+//! ```
+
+use crate::latent::{Decoder, Encoder, LatentError};
+use crate::observation::{LATENT_SIZE, Observation, ObservationMode, RAW_SIZE, RawState};
+use crate::perception::{
+    self, Detector, EgoFacts, LightAhead, Percept, Perception, PerceptionError, StopLight, TransformedImage,
+    stages,
+};
+use std::time::Instant;
+use sumo_network::geometry::Pose;
+use sumo_network::seeds;
+use sumo_network::world::WorldState;
+use wad_camera::{Camera, CameraConfig, CameraError, Frame, Outputs, Picture, Preset, Town, Weather};
+use wad_sim::assets::Assets;
+
+/// Why the ego sees nothing.
+#[derive(Debug, thiserror::Error)]
+pub enum EyesError {
+    #[error(transparent)]
+    Camera(#[from] CameraError),
+    #[error(transparent)]
+    Perception(#[from] PerceptionError),
+    #[error(transparent)]
+    Latent(#[from] LatentError),
+}
+
+/// Wall time of the parts of a look (s).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LookTimes {
+    pub camera: f64,
+    pub detect: f64,
+    pub lanes: f64,
+    /// Light, vehicle in front, raw states.
+    pub judge: f64,
+    pub transform: f64,
+    pub encode: f64,
+}
+
+impl LookTimes {
+    /// Detection, lanes, judging and the transformed image together (s).
+    pub fn perception(&self) -> f64 {
+        self.detect + self.lanes + self.judge + self.transform
+    }
+}
+
+/// What a look found, to be shown elsewhere.
+#[derive(Clone, Debug)]
+pub struct Look {
+    pub frame: Frame,
+    pub percept: Percept,
+}
+
+/// The eyes of one ego.
+pub struct Eyes {
+    mode: ObservationMode,
+    /// None: nothing is looked at, the route and the lights alone make the raw states.
+    sight: Option<Sight>,
+    encoder: Option<Box<dyn Encoder>>,
+    decoder: Option<Box<dyn Decoder>>,
+    weather: Preset,
+    light: Option<LightAhead>,
+    /// Where nothing is looked at.
+    stop_light: StopLight,
+    raw: RawState,
+    latent: Vec<f32>,
+    reconstruction: Option<TransformedImage>,
+    times: LookTimes,
+}
+
+struct Sight {
+    town: Town,
+    camera: Camera,
+    perception: Option<Perception>,
+    /// What the camera makes beside what perception needs.
+    outputs: Outputs,
+    weather: Weather,
+}
+
+/// Nothing beside what perception needs.
+const NO_OUTPUTS: Outputs =
+    Outputs { rgb: false, depth: false, semantic: false, instance: false, boxes: false };
+
+impl Eyes {
+    /// Eyes that do not look, for drivers that need none: several times faster.
+    pub fn blind() -> Self {
+        Self {
+            mode: ObservationMode::Blind,
+            sight: None,
+            encoder: None,
+            decoder: None,
+            weather: Preset::default(),
+            light: None,
+            stop_light: StopLight::default(),
+            raw: RawState::STANDING,
+            latent: vec![0.0; LATENT_SIZE],
+            reconstruction: None,
+            times: LookTimes::default(),
+        }
+    }
+
+    /// A camera of `config` in `town`, and nothing behind it.
+    ///
+    /// # Errors
+    /// The camera's size or field of view is out of range.
+    pub fn camera(town: Town, config: CameraConfig) -> Result<Self, EyesError> {
+        let weather = Preset::default();
+        let sight = Sight {
+            town,
+            camera: Camera::new(config)?,
+            perception: None,
+            outputs: NO_OUTPUTS,
+            weather: Weather::from(weather),
+        };
+        Ok(Self { mode: ObservationMode::LatentAndRaw, sight: Some(sight), ..Self::blind() })
+    }
+
+    /// A camera of `config` with perception by `detector` behind it.
+    ///
+    /// # Errors
+    /// As [`Eyes::camera`]; a build without OpenCV finds no lanes.
+    pub fn new(town: Town, config: CameraConfig, detector: Box<dyn Detector>) -> Result<Self, EyesError> {
+        let mut eyes = Self::camera(town, config)?;
+        if let Some(sight) = &mut eyes.sight {
+            sight.perception = Some(Perception::new(detector, config)?);
+        }
+        Ok(eyes)
+    }
+
+    /// The eyes of an agent in the town of `assets`: what `mode` asks for, with the detector of that name.
+    ///
+    /// # Errors
+    /// No such detector, or as [`Eyes::new`].
+    pub fn of_agent(
+        assets: &Assets,
+        mode: ObservationMode,
+        detector: &str,
+        camera: CameraConfig,
+        encoder: Box<dyn Encoder>,
+    ) -> Result<Self, EyesError> {
+        let eyes = if mode.looks() {
+            let detector = perception::detector(detector, perception::MIN_SCORE)?;
+            Self::new(assets.town(), camera, detector)?
+        } else {
+            Self::blind()
+        };
+        Ok(Self { mode, ..eyes }.with_encoder(encoder))
+    }
+
+    /// Also makes the latent.
+    #[must_use]
+    pub fn with_encoder(self, encoder: Box<dyn Encoder>) -> Self {
+        Self { encoder: Some(encoder), ..self }
+    }
+
+    /// Also shows what the latent of each transformed image holds.
+    #[must_use]
+    pub fn with_decoder(self, decoder: Box<dyn Decoder>) -> Self {
+        Self { decoder: Some(decoder), ..self }
+    }
+
+    /// The camera also makes `outputs`.
+    #[must_use]
+    pub fn with_outputs(mut self, outputs: Outputs) -> Self {
+        if let Some(sight) = &mut self.sight {
+            sight.outputs = outputs;
+        }
+        self
+    }
+
+    /// Begins an episode in a weather: forgets everything. `seed` is the run's or the episode's; the
+    /// detector's faults derive from it.
+    pub fn reset(&mut self, weather: Preset, seed: u64) {
+        self.stop_light.reset();
+        if let Some(sight) = &mut self.sight {
+            sight.town = sight.town.share();
+            if let Some(perception) = &mut sight.perception {
+                perception.reset(seeds::derive(seed, "detector"));
+            }
+        }
+        self.set_weather(weather);
+    }
+
+    /// Another weather from the next look on.
+    pub fn set_weather(&mut self, preset: Preset) {
+        self.weather = preset;
+        if let Some(sight) = &mut self.sight {
+            sight.weather = Weather::from(preset);
+        }
+    }
+
+    /// The weather by name.
+    pub fn weather(&self) -> Preset {
+        self.weather
+    }
+
+    /// Moves the town's road users to where a tick has them: to be called once a tick, also for ticks that are
+    /// not looked at.
+    pub fn follow(&mut self, world: &WorldState) {
+        if let Some(sight) = &mut self.sight {
+            sight.town.follow(world, None);
+        }
+    }
+
+    /// Looks at the town as it was last followed. `facts.tick` is the time since the last look (s).
+    ///
+    /// # Errors
+    /// A stage fails.
+    pub fn look(&mut self, facts: &EgoFacts<'_>) -> Result<(), EyesError> {
+        self.times = LookTimes::default();
+        let Some(sight) = &mut self.sight else {
+            self.light = LightAhead::find(facts);
+            let stop = self.stop_light.update(self.light.as_ref(), facts.on_route.state.speed);
+            self.raw = RawState::of(facts.route, &facts.on_route, None, stop);
+            return Ok(());
+        };
+        let mut clock = Instant::now();
+        let mut lap = || {
+            let now = Instant::now();
+            (now - std::mem::replace(&mut clock, now)).as_secs_f64()
+        };
+        sight.render(&facts.on_route.state.pose, self.mode);
+        self.times.camera = lap();
+        let Some(perception) = &mut sight.perception else { return Ok(()) };
+        let frame = sight.camera.frame();
+        perception.detect(frame)?;
+        self.times.detect = lap();
+        let encodes = self.mode.encodes();
+        if encodes {
+            perception.find_lanes(frame, facts)?;
+            self.times.lanes = lap();
+        }
+        perception.judge(facts);
+        self.times.judge = lap();
+        if encodes {
+            perception.transform(frame)?;
+            self.times.transform = lap();
+        }
+        let percept = perception.percept();
+        (self.light, self.raw) = (percept.light, percept.raw);
+        if let Some(encoder) = self.encoder.as_mut().filter(|_| encodes) {
+            encoder.encode(&percept.transformed, &mut self.latent)?;
+            self.times.encode = lap();
+        }
+        if let Some(decoder) = self.decoder.as_mut().filter(|_| encodes) {
+            self.reconstruction = Some(decoder.reconstruct(&percept.transformed)?);
+        }
+        Ok(())
+    }
+
+    /// Takes the camera's picture from `pose` and perceives nothing.
+    pub fn glance(&mut self, pose: &Pose) {
+        if let Some(sight) = &mut self.sight {
+            sight.render(pose, self.mode);
+        }
+    }
+
+    /// What the last look gave an agent.
+    pub fn observation(&self) -> Observation {
+        let raw = match self.mode {
+            ObservationMode::LatentOnly => [0.0; RAW_SIZE],
+            _ => self.raw.vector(),
+        };
+        Observation { latent: self.latent.clone(), raw }
+    }
+
+    /// The raw states by name, in units.
+    pub fn raw(&self) -> &RawState {
+        &self.raw
+    }
+
+    /// The latent: [`LATENT_SIZE`] numbers.
+    pub fn latent(&self) -> &[f32] {
+        &self.latent
+    }
+
+    /// Whether looks make a latent.
+    pub fn encodes(&self) -> bool {
+        self.encoder.is_some() && self.mode.encodes() && self.perception().is_some()
+    }
+
+    /// The next signal on the route.
+    pub fn light(&self) -> Option<&LightAhead> {
+        self.light.as_ref()
+    }
+
+    /// The last frame; None where nothing is looked at.
+    pub fn frame(&self) -> Option<&Frame> {
+        self.sight.as_ref().map(|sight| sight.camera.frame())
+    }
+
+    /// The perception; None where there is none.
+    pub fn perception(&self) -> Option<&Perception> {
+        self.sight.as_ref()?.perception.as_ref()
+    }
+
+    /// What was made of the last frame; None where there is no perception.
+    pub fn percept(&self) -> Option<&Percept> {
+        self.perception().map(Perception::percept)
+    }
+
+    /// The last transformed image; None where there is none.
+    pub fn image(&self) -> Option<&TransformedImage> {
+        self.percept().map(|percept| &percept.transformed)
+    }
+
+    /// The last transformed image as the latent holds it; None without a decoder.
+    pub fn reconstruction(&self) -> Option<&TransformedImage> {
+        self.reconstruction.as_ref()
+    }
+
+    /// Frame and percept of the last look, to be handed to another thread; None where there is no perception.
+    pub fn last_look(&self) -> Option<Look> {
+        Some(Look { frame: self.frame()?.clone(), percept: self.percept()?.clone() })
+    }
+
+    /// Where the last look's time went.
+    pub fn times(&self) -> LookTimes {
+        self.times
+    }
+
+    /// How many pictures [`Eyes::strip`] has.
+    pub fn panels(&self) -> usize {
+        match (self.perception(), &self.decoder) {
+            (None, _) => 0,
+            (Some(_), None) => 3,
+            (Some(_), Some(_)) => 4,
+        }
+    }
+
+    /// The stages side by side, `side` pixels each: camera, detections, transformed, reconstruction. None
+    /// where there is no perception.
+    pub fn strip(&self, side: usize) -> Option<Picture> {
+        Some(stages::strip(self.frame()?, self.percept()?, self.reconstruction(), side))
+    }
+}
+
+impl Sight {
+    fn render(&mut self, pose: &Pose, mode: ObservationMode) {
+        let mut outputs = self.outputs;
+        match &self.perception {
+            Some(perception) => {
+                let needs = perception.needs();
+                outputs.boxes |= needs.boxes;
+                outputs.depth |= needs.depth;
+                outputs.semantic |= needs.semantic;
+                outputs.instance |= needs.instance;
+                // Boxes of the renderer's own need no shaded picture.
+                outputs.rgb |= needs.rgb && (mode.encodes() || perception.detector() != "truth");
+            }
+            None => outputs.rgb = true,
+        }
+        self.camera.render(self.town.scene(), self.town.actors(), pose, &self.weather, outputs);
+    }
+}

@@ -1,0 +1,68 @@
+//! The encoder-decoder that turns the transformed image into 200 numbers (paper, figure 4).
+
+#[cfg(feature = "learn")]
+pub mod chance;
+#[cfg(feature = "learn")]
+pub mod encoder;
+#[cfg(feature = "learn")]
+pub mod network;
+#[cfg(feature = "learn")]
+pub mod packed;
+mod pooled;
+
+#[cfg(feature = "learn")]
+pub use encoder::TchEncoder;
+pub use pooled::PooledEncoder;
+
+use crate::perception::TransformedImage;
+
+/// Why there is no latent.
+#[derive(Debug, thiserror::Error)]
+pub enum LatentError {
+    #[error("encoder: {0}")]
+    Encoder(String),
+    #[error(
+        "no encoder `{name}`: expected a .safetensors file, a folder that `train encoder` wrote, or a bundled \
+         one ({})",
+        if bundled.is_empty() { "this build has none".to_string() } else { bundled.join(", ") }
+    )]
+    Unknown { name: String, bundled: Vec<String> },
+    #[cfg(feature = "learn")]
+    #[error(transparent)]
+    Weights(#[from] crate::weights::WeightsError),
+    #[cfg(feature = "learn")]
+    #[error("encoder: libtorch: {0}")]
+    Torch(#[from] tch::TchError),
+}
+
+/// Turns transformed images into latents.
+pub trait Encoder: Send {
+    /// Identifies the weights; agents belong to one encoder.
+    fn hash(&self) -> &str;
+
+    /// The latent of one image, [`crate::observation::LATENT_SIZE`] numbers, into `latent`.
+    ///
+    /// # Errors
+    /// The network fails.
+    fn encode(&mut self, image: &TransformedImage, latent: &mut Vec<f32>) -> Result<(), LatentError>;
+}
+
+/// An encoder that can show what a latent holds.
+pub trait Decoder: Encoder {
+    /// The image that `latent` ([`crate::observation::LATENT_SIZE`] numbers) stands for, into `image`.
+    ///
+    /// # Errors
+    /// The latent has another length, or the network fails.
+    fn decode(&mut self, latent: &[f32], image: &mut TransformedImage) -> Result<(), LatentError>;
+
+    /// There and back: the reconstruction of an image.
+    ///
+    /// # Errors
+    /// The network fails.
+    fn reconstruct(&mut self, image: &TransformedImage) -> Result<TransformedImage, LatentError> {
+        let (mut latent, mut out) = (Vec::new(), TransformedImage::default());
+        self.encode(image, &mut latent)?;
+        self.decode(&latent, &mut out)?;
+        Ok(out)
+    }
+}

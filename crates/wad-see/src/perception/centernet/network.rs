@@ -1,0 +1,191 @@
+//! CenterNet (Zhou, Wang, Kraehenbuehl 2019, "Objects as Points"): a heatmap of centres per class, the
+//! boxes' sizes, and the centres' offsets within their cell, each a quarter of the picture in size.
+
+use super::layer::{Conv, Kernel};
+use super::light::{self, Light};
+use super::resnet::{self, Resnet50V2};
+use crate::weights::{Weights, WeightsError, half};
+use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
+use std::path::PathBuf;
+use tch::{Device, Kind, TchError, Tensor, nn};
+use wad_camera::CameraConfig;
+
+/// Classes, in the order of [`super::super::coco::CLASSES`].
+pub const CLASSES: i64 = 8;
+/// Pixels of the picture per cell.
+pub const STRIDE: usize = 4;
+/// What the heatmap answers before it has learnt anything (the paper's): -log(1 / 0.1 - 1).
+const FIRST_ANSWER: f64 = -2.19;
+
+/// What finds the features.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Backbone {
+    /// Real time on one core; sees the rows from 96 to 416 of the picture.
+    Light,
+    /// The paper's; sees the whole picture.
+    Resnet50V2,
+}
+
+impl Backbone {
+    /// As options and files call it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Light => "light",
+            Self::Resnet50V2 => "resnet50_v2",
+        }
+    }
+
+    /// The rows of a picture of `height` rows that the network sees: first, and how many.
+    ///
+    /// The light one leaves out the sky and the bonnet: what is higher or lower by more than 32 degrees is
+    /// nearer than 6 m or higher than 8 m.
+    pub fn rows(self, height: usize) -> (usize, usize) {
+        match self {
+            Self::Light if height.is_multiple_of(512) => (height * 3 / 16, height * 5 / 8),
+            _ => (0, height),
+        }
+    }
+}
+
+#[derive(Debug)]
+enum Features {
+    Light(Light),
+    Resnet(Resnet50V2),
+}
+
+/// What the network says: (n, 8, h, w), (n, 2, h, w), (n, 2, h, w).
+#[derive(Debug)]
+pub struct Answer {
+    /// Before the sigmoid.
+    pub heat: Tensor,
+    /// Width and height, in cells.
+    pub size: Tensor,
+    /// From the cell's corner to the centre, in cells: x, y.
+    pub offset: Tensor,
+}
+
+/// The network with its parameters.
+#[derive(Debug)]
+pub struct CenterNet {
+    pub backbone: Backbone,
+    pub store: nn::VarStore,
+    features: Features,
+    /// Heatmap, size, offset: a 3x3 where the backbone is large, and a 1x1.
+    heads: [(Option<Conv>, Conv); 3],
+}
+
+impl CenterNet {
+    /// With weights drawn from torch's generator.
+    ///
+    /// # Errors
+    /// torch fails.
+    pub fn new(backbone: Backbone, device: Device) -> Result<Self, TchError> {
+        let store = nn::VarStore::new(device);
+        let root = store.root();
+        let (features, channels) = match backbone {
+            Backbone::Light => (Features::Light(Light::new(&(&root / "backbone"))), light::OUT),
+            Backbone::Resnet50V2 => (Features::Resnet(Resnet50V2::new(&(&root / "backbone"))), resnet::OUT),
+        };
+        let head = |name: &str, to: i64| {
+            let path = &root / name;
+            let first = (backbone == Backbone::Resnet50V2)
+                .then(|| Conv::new(&(&path / "first"), channels, channels, Kernel::plain(3)));
+            (first, Conv::new(&(&path / "last"), channels, to, Kernel::plain(1)))
+        };
+        let mut heads = [head("heat", CLASSES), head("size", 2), head("offset", 2)];
+        heads[0].1.begin_at(0.01, FIRST_ANSWER)?;
+        heads[1].1.begin_at(0.01, 4.0)?;
+        heads[2].1.begin_at(0.01, 0.5)?;
+        Ok(Self { backbone, store, features, heads })
+    }
+
+    /// Pictures (n, 3, h, w), 0 to 1, of the rows that the backbone sees. The backbone computes in their
+    /// precision; the heads and the answer are in single precision.
+    ///
+    /// # Errors
+    /// torch fails; h and w must be multiples of 32.
+    pub fn forward(&self, pictures: &Tensor, train: bool) -> Result<Answer, TchError> {
+        // About zero in the middle, one wide.
+        let x = pictures.f_sub_scalar(0.45)?.f_mul_scalar(4.0)?;
+        let x = match &self.features {
+            Features::Light(net) => net.forward(&x, train)?,
+            Features::Resnet(net) => net.forward(&x, train)?,
+        };
+        let x = x.f_to_kind(Kind::Float)?;
+        let head = |(first, last): &(Option<Conv>, Conv)| match first {
+            Some(first) => last.forward(&first.forward(&x, train)?.f_relu()?, train),
+            None => last.forward(&x, train),
+        };
+        let [heat, size, offset] = &self.heads;
+        Ok(Answer { heat: head(heat)?, size: head(size)?, offset: head(offset)? })
+    }
+
+    /// Makes it ready for use: faster, and not to be trained any more.
+    ///
+    /// # Errors
+    /// torch fails.
+    pub fn fold(&mut self) -> Result<(), TchError> {
+        self.store.freeze();
+        match &mut self.features {
+            Features::Light(net) => net.fold(),
+            Features::Resnet(net) => net.fold(),
+        }
+    }
+
+    /// All tensors in half precision, with what they belong to and `more`.
+    ///
+    /// # Errors
+    /// torch fails.
+    pub fn weights(&self, more: &[(&str, String)]) -> Result<Weights, WeightsError> {
+        let mut tensors = Vec::new();
+        for (name, tensor) in self.store.variables() {
+            tensors.push((name, half(&tensor)?));
+        }
+        tensors.sort_by(|a: &(String, Tensor), b| a.0.cmp(&b.0));
+        let mut metadata = HashMap::from([
+            ("network".to_string(), "centernet".to_string()),
+            ("backbone".to_string(), self.backbone.name().to_string()),
+            ("camera".to_string(), CameraConfig::default().hash()),
+        ]);
+        metadata.extend(more.iter().map(|(key, value)| ((*key).to_string(), value.clone())));
+        Ok(Weights { path: PathBuf::new(), tensors, metadata })
+    }
+
+    /// The network of some weights.
+    ///
+    /// # Errors
+    /// They are of another network or of another camera, or torch fails.
+    pub fn from_weights(weights: &Weights, device: Device) -> Result<Self, WeightsError> {
+        let said =
+            |key: &str| weights.metadata.get(key).cloned().unwrap_or_else(|| "an unknown kind".to_string());
+        let check = |key: &str, expected: &str| {
+            let found = said(key);
+            if found == expected {
+                return Ok(());
+            }
+            let (found, expected) = (format!("{key} {found}"), format!("{key} {expected}"));
+            Err(WeightsError::Mismatch { path: weights.path.clone(), found, expected })
+        };
+        check("network", "centernet")?;
+        check("camera", &CameraConfig::default().hash())?;
+        let backbone = match said("backbone").as_str() {
+            "light" => Backbone::Light,
+            "resnet50_v2" => Backbone::Resnet50V2,
+            _ => {
+                return Err(check("backbone", "light or resnet50_v2")
+                    .err()
+                    .unwrap_or_else(|| WeightsError::Torch(TchError::Convert("no backbone".to_string()))));
+            }
+        };
+        let network = Self::new(backbone, device)?;
+        tch::no_grad(|| {
+            for (name, mut variable) in network.store.variables() {
+                let tensor = weights.get(&name, &variable.size())?;
+                variable.f_copy_(&tensor.f_to_kind(Kind::Float)?.f_to_device(device)?)?;
+            }
+            Ok(network)
+        })
+    }
+}

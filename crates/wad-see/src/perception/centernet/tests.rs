@@ -1,0 +1,64 @@
+//! Weights are saved, read and refused. That the networks learn is tested where they are trained.
+
+use super::network::{Backbone, CenterNet};
+use super::{CenterNetDetector, light, resnet};
+use crate::weights::WeightsError;
+use tch::Device;
+use wad_camera::{CameraConfig, Frame};
+
+#[test]
+fn the_backbones_have_the_sizes_that_are_documented() {
+    let count = |backbone| {
+        let network = CenterNet::new(backbone, Device::Cpu).unwrap();
+        network.store.trainable_variables().iter().map(|t| t.numel()).sum::<usize>()
+    };
+    assert_eq!(count(Backbone::Light), 889_292);
+    // ResNet-50's 23.5 million without its classifier, and the way up.
+    let resnet = count(Backbone::Resnet50V2);
+    assert!((23_500_000..40_000_000).contains(&resnet), "{resnet}");
+    assert_eq!((light::OUT, resnet::OUT), (48, 64));
+}
+
+#[test]
+fn weights_of_something_else_are_refused_by_name() {
+    let network = CenterNet::new(Backbone::Light, Device::Cpu).unwrap();
+    let mut weights = network.weights(&[]).unwrap();
+    weights.metadata.insert("camera".to_string(), "another".to_string());
+    let error = CenterNet::from_weights(&weights, Device::Cpu).unwrap_err().to_string();
+    assert!(error.contains("another"), "{error}");
+
+    let mut weights = network.weights(&[]).unwrap();
+    weights.tensors.retain(|(name, _)| name != "heat.last.weight");
+    let error = CenterNet::from_weights(&weights, Device::Cpu).unwrap_err();
+    assert!(matches!(&error, WeightsError::Missing { name, .. } if name == "heat.last.weight"), "{error}");
+
+    let mut weights = network.weights(&[]).unwrap();
+    weights.metadata.insert("backbone".to_string(), "resnet50_v2".to_string());
+    let error = CenterNet::from_weights(&weights, Device::Cpu).unwrap_err().to_string();
+    assert!(error.contains("shape") || error.contains("no tensor"), "{error}");
+}
+
+#[test]
+fn a_picture_of_a_wrong_size_is_an_error_that_names_it() {
+    let network = CenterNet::new(Backbone::Light, Device::Cpu).unwrap();
+    let mut detector = CenterNetDetector::new("test".to_string(), network, Device::Cpu, 0.3).unwrap();
+    for (width, height) in [(100, 64), (64, 100), (0, 0)] {
+        let error = detector.detect_rgb(&vec![0; width * height * 3], width, height).unwrap_err().to_string();
+        assert!(error.contains(&format!("{width}")) && error.contains("512"), "{error}");
+    }
+}
+
+#[test]
+fn the_weights_that_travel_with_the_program_are_of_its_camera() {
+    tch::set_num_threads(1);
+    let bytes = wad_sim::bundled::detector("light").unwrap();
+    assert!(bytes.len() < 6_000_000, "{}", bytes.len());
+    let mut detector = crate::perception::detector("centernet", 0.3).unwrap();
+    assert_eq!(detector.name(), "centernet");
+    let (width, height) = (512, 512);
+    let frame = Frame { width, height, rgb: vec![128; 3 * width * height], ..Frame::default() };
+    let mut found = Vec::new();
+    detector.detect(&frame, &CameraConfig::default(), &mut found).unwrap();
+    // Nothing is there to be seen.
+    assert!(found.len() <= 2, "{found:?}");
+}

@@ -1,0 +1,99 @@
+//! Detectors by name: what `--detector` takes.
+
+use super::{Detector, Faults, PerceptionError, TruthDetector};
+#[cfg(feature = "learn")]
+use crate::weights::Weights;
+#[cfg(feature = "learn")]
+use std::path::Path;
+
+/// The forms that [`detector`] knows, for help texts.
+pub const DETECTORS: &str = "truth (the renderer's boxes), truth:faulty (with a real detector's faults), \
+     centernet (the one that travels with this program), centernet:FILE (one that train detector wrote), \
+     onnx:FILE (any COCO detector in ONNX; onnx alone: what scripts/fetch-detector fetched)";
+
+/// A detection with a lower score is none, unless a measurement asks for all of them.
+pub const MIN_SCORE: f32 = 0.3;
+
+/// The detector called `name`; detections with a score below `min_score` (0 to 1) are dropped.
+///
+/// # Errors
+/// No such name, its file or weights cannot be used, or this program was built without what it needs.
+pub fn detector(name: &str, min_score: f32) -> Result<Box<dyn Detector>, PerceptionError> {
+    let unknown = || failed(name, format!("no detector has this name. Known: {DETECTORS}"));
+    let (kind, file) = name.split_once(':').map_or((name, None), |(kind, file)| (kind, Some(file)));
+    match kind {
+        "truth" if file.is_none() => Ok(Box::new(TruthDetector::new())),
+        "truth" if file == Some("faulty") => Ok(Box::new(TruthDetector::with_faults(Faults::HONEST))),
+        "centernet" => centernet(name, file, min_score),
+        "onnx" => onnx(name, file, min_score),
+        _ => Err(unknown()),
+    }
+}
+
+/// The bundled CenterNet.
+#[cfg(feature = "learn")]
+const BUNDLED: &str = "light";
+
+#[cfg(feature = "learn")]
+fn centernet(name: &str, file: Option<&str>, min_score: f32) -> Result<Box<dyn Detector>, PerceptionError> {
+    let weights = weights(name, file)?;
+    let found = super::centernet::CenterNetDetector::from_weights(name.to_string(), &weights, min_score);
+    Ok(Box::new(found.map_err(|e| failed(name, e.to_string()))?))
+}
+
+/// The weights that `name`, centernet or centernet:FILE, stands for.
+///
+/// # Errors
+/// Another name, no such file, or none travel with this build.
+#[cfg(feature = "learn")]
+pub fn centernet_weights(name: &str) -> Result<Weights, PerceptionError> {
+    match name.split_once(':').map_or((name, None), |(kind, file)| (kind, Some(file))) {
+        ("centernet", file) => weights(name, file),
+        _ => Err(failed(name, "expected centernet or centernet:FILE".to_string())),
+    }
+}
+
+#[cfg(feature = "learn")]
+fn weights(name: &str, file: Option<&str>) -> Result<Weights, PerceptionError> {
+    let loaded = match file.filter(|file| !file.is_empty()) {
+        Some(file) => Weights::load(Path::new(file)),
+        None => {
+            let none = || {
+                let why = "no weights travel with this build: train some with `wad-cosim train detector` and \
+                           name them, centernet:FILE";
+                failed(name, why.to_string())
+            };
+            Weights::parse(Path::new(BUNDLED), wad_sim::bundled::detector(BUNDLED).ok_or_else(none)?)
+        }
+    };
+    loaded.map_err(|e| failed(name, e.to_string()))
+}
+
+fn failed(name: &str, why: String) -> PerceptionError {
+    PerceptionError::Detector { name: name.to_string(), why }
+}
+
+#[cfg(not(feature = "learn"))]
+fn centernet(name: &str, _: Option<&str>, _: f32) -> Result<Box<dyn Detector>, PerceptionError> {
+    let why = "this program was built without libtorch: build it with the cargo feature `learn`";
+    Err(failed(name, why.to_string()))
+}
+
+#[cfg(feature = "vision")]
+fn onnx(name: &str, file: Option<&str>, min_score: f32) -> Result<Box<dyn Detector>, PerceptionError> {
+    use super::OnnxDetector;
+    let path =
+        file.filter(|f| !f.is_empty()).map(Into::into).or_else(OnnxDetector::default_path).ok_or_else(
+            || {
+                let why = "HOME is not set, so there is no cache to look in: name a file, onnx:FILE";
+                failed(name, why.to_string())
+            },
+        )?;
+    Ok(Box::new(OnnxDetector::load(&path, min_score)?))
+}
+
+#[cfg(not(feature = "vision"))]
+fn onnx(name: &str, _: Option<&str>, _: f32) -> Result<Box<dyn Detector>, PerceptionError> {
+    let why = "this program was built without OpenCV: build it with the cargo feature `vision`";
+    Err(failed(name, why.to_string()))
+}

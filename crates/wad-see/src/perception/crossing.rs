@@ -1,0 +1,330 @@
+//! Vehicles that will be in the ego's path: detections followed over the ground, and where they will be in some seconds.
+//!
+//! One picture does not tell a vehicle that comes from one that waits. So each detected vehicle is followed by a
+//! Kalman filter of its place and velocity on the ground, and is carried on in a straight line. Where that meets the
+//! ego's route at a time at which the ego can be there too, and the ego has to let others pass, it is the vehicle in
+//! front already: who turns left stops for those who come the other way. Nothing here comes from SUMO but the ego's
+//! route and its right of way.
+
+use super::{Detection, EgoFacts, GroundPlane};
+use crate::observation::LeadState;
+use crate::perception::lead::{HALF_WAY, SIGHT};
+use nalgebra::{Matrix2, Matrix4, Matrix4x2};
+use sumo_network::geometry::{Point, Vector, direction};
+use wad_camera::model::ObjectClass;
+
+/// How far ahead (s) vehicles are carried on, and in which steps.
+const HORIZON: f64 = 4.5;
+const STEP: f64 = 0.25;
+/// Between one leaving a place and the other coming there (s).
+const MARGIN: f64 = 1.0;
+/// What the ego may accelerate by on its way there (m/s2).
+const EGO_ACCELERATION: f64 = 1.5;
+/// Slower ones are taken to stand (m/s).
+const SLOWEST: f64 = 1.5;
+/// Detections before a velocity is believed, and ticks without one until a vehicle is given up.
+const BELIEVED: u32 = 4;
+const COAST: u32 = 3;
+
+/// A kind of vehicles that are told apart.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    Vehicle,
+    TwoWheeler,
+}
+
+impl Kind {
+    fn of(class: ObjectClass) -> Option<Self> {
+        match class {
+            ObjectClass::Car | ObjectClass::Truck | ObjectClass::Bus => Some(Self::Vehicle),
+            ObjectClass::Motorcycle | ObjectClass::Bicycle => Some(Self::TwoWheeler),
+            ObjectClass::Person | ObjectClass::TrafficLight | ObjectClass::Bench => None,
+        }
+    }
+    /// What it may accelerate by (m/s2) and how fast something new may be (m/s), one standard deviation.
+    fn doubts(self) -> (f64, f64) {
+        match self {
+            Self::Vehicle => (2.0, 8.0),
+            Self::TwoWheeler => (1.5, 5.0),
+        }
+    }
+    /// Half its length and half its breadth (m).
+    fn half(self) -> [f64; 2] {
+        match self {
+            Self::Vehicle => [2.2, 0.9],
+            Self::TwoWheeler => [0.9, 0.3],
+        }
+    }
+    /// How far (m) a detection may be from where one was expected.
+    fn gate(self) -> f64 {
+        match self {
+            Self::Vehicle => 3.0,
+            Self::TwoWheeler => 2.0,
+        }
+    }
+}
+
+/// A vehicle on the ground, in the world's frame.
+#[derive(Clone, Copy, Debug)]
+struct Mover {
+    kind: Kind,
+    place: Vector,
+    velocity: Vector,
+    /// Covariance of both.
+    p: Matrix4<f64>,
+    seen: u32,
+    missed: u32,
+}
+
+/// A detection on the ground, in the world's frame.
+struct Sighting {
+    kind: Kind,
+    place: Vector,
+    /// Covariance (m2).
+    noise: Matrix2<f64>,
+}
+
+/// Follows vehicles over the ticks.
+#[derive(Clone, Debug, Default)]
+pub struct CrossingTracker {
+    movers: Vec<Mover>,
+}
+
+impl CrossingTracker {
+    /// Forgets.
+    pub fn reset(&mut self) {
+        self.movers.clear();
+    }
+
+    /// One tick later: the nearest that will be in the ego's path, as a vehicle in front.
+    pub fn update(
+        &mut self,
+        detections: &[Detection],
+        picture: [f32; 2],
+        ground: &GroundPlane,
+        facts: &EgoFacts<'_>,
+    ) -> Option<LeadState> {
+        for mover in &mut self.movers {
+            mover.predict(facts.tick);
+        }
+        let mut sightings: Vec<Sighting> =
+            detections.iter().filter_map(|detection| sight(detection, picture, ground, facts)).collect();
+        for mover in &mut self.movers {
+            let distance = |sighting: &Sighting| (sighting.place - mover.place).norm();
+            let mine = |sighting: &Sighting| {
+                // The nearest of its kind within what both are unsure of.
+                let along = sighting.noise.trace().sqrt();
+                sighting.kind == mover.kind && distance(sighting) < mover.kind.gate() + 2.0 * along
+            };
+            let nearest = (0..sightings.len())
+                .filter(|&i| mine(&sightings[i]))
+                .min_by(|&a, &b| distance(&sightings[a]).total_cmp(&distance(&sightings[b])));
+            match nearest {
+                Some(index) => mover.correct(&sightings.swap_remove(index)),
+                None => mover.missed += 1,
+            }
+        }
+        self.movers.retain(|mover| mover.missed <= COAST);
+        self.movers.extend(sightings.iter().map(Mover::new));
+        let found = self.movers.iter().filter_map(|mover| mover.meets(facts));
+        found.min_by(|a, b| a.gap.total_cmp(&b.gap))
+    }
+}
+
+/// Where a detection stands, unless the picture's border cuts it.
+fn sight(
+    detection: &Detection,
+    picture: [f32; 2],
+    ground: &GroundPlane,
+    facts: &EgoFacts<'_>,
+) -> Option<Sighting> {
+    let kind = Kind::of(detection.class)?;
+    let [left, _, right, bottom] = detection.bounds;
+    if left < 1.0 || right > picture[0] - 1.0 || bottom > picture[1] - 1.0 {
+        return None;
+    }
+    let [x, y] = ground.point([0.5 * (left + right), bottom])?;
+    if f64::from(x) > SIGHT + facts.length {
+        return None;
+    }
+    let pose = &facts.on_route.state.pose;
+    let place = pose.to_world(Point::new(f64::from(x), f64::from(y)).coords).coords;
+    // Along the ray a row's height, across it little.
+    let far = 0.3 + 0.5 * f64::from(ground.metres_per_row(x));
+    let across = 0.2 + 0.01 * f64::from(x);
+    let ray = direction(pose.heading + f64::from(y).atan2(f64::from(x)));
+    let side = Vector::new(-ray.y, ray.x);
+    let noise = ray * ray.transpose() * (far * far) + side * side.transpose() * (across * across);
+    Some(Sighting { kind, place, noise })
+}
+
+impl Mover {
+    fn new(sighting: &Sighting) -> Self {
+        let (_, doubt) = sighting.kind.doubts();
+        let mut p = Matrix4::zeros();
+        p.fixed_view_mut::<2, 2>(0, 0).copy_from(&sighting.noise);
+        p.fixed_view_mut::<2, 2>(2, 2).copy_from(&(Matrix2::identity() * (doubt * doubt)));
+        Self { kind: sighting.kind, place: sighting.place, velocity: Vector::zeros(), p, seen: 1, missed: 0 }
+    }
+
+    fn predict(&mut self, tick: f64) {
+        self.place += self.velocity * tick;
+        let mut a = Matrix4::identity();
+        (a[(0, 2)], a[(1, 3)]) = (tick, tick);
+        let (acceleration, _) = self.kind.doubts();
+        let (place, speed) = (0.5 * tick * tick, tick);
+        let push = Matrix4x2::from_column_slice(&[place, 0.0, speed, 0.0, 0.0, place, 0.0, speed]);
+        self.p = a * self.p * a.transpose() + push * push.transpose() * (acceleration * acceleration);
+    }
+
+    fn correct(&mut self, sighting: &Sighting) {
+        let total = self.p.fixed_view::<2, 2>(0, 0).into_owned() + sighting.noise;
+        // Both are positive definite, and so is their sum.
+        let Some(inverse) = total.try_inverse() else { return };
+        let gain: Matrix4x2<f64> = self.p.fixed_view::<4, 2>(0, 0) * inverse;
+        let change = gain * (sighting.place - self.place);
+        self.place += change.fixed_rows::<2>(0);
+        self.velocity += change.fixed_rows::<2>(2);
+        self.p -= gain * self.p.fixed_view::<2, 4>(0, 0);
+        self.seen += 1;
+        self.missed = 0;
+    }
+
+    /// Where it is or will be in the ego's path while the ego can be there, as a vehicle in front.
+    fn meets(&self, facts: &EgoFacts<'_>) -> Option<LeadState> {
+        let speed = self.velocity.norm();
+        let doubt = (0.5 * (self.p[(2, 2)] + self.p[(3, 3)])).sqrt();
+        if self.seen < BELIEVED || speed < SLOWEST || speed < 2.0 * doubt {
+            return None;
+        }
+        let on_route = &facts.on_route;
+        let steps = (HORIZON / STEP) as usize;
+        // When it is in the path, and where that begins.
+        let mut times: Option<(f64, f64)> = None;
+        let (mut begin, mut course) = (f64::INFINITY, Vector::zeros());
+        for k in 0..=steps {
+            let t = k as f64 * STEP;
+            let place = Point::from(self.place + self.velocity * t);
+            let on = facts.route.project_near(place, on_route.s, 0.0, SIGHT + 15.0);
+            // Beyond the ends of the searched stretch a point is off the route.
+            if (on.distance - on.d.abs()).abs() > 0.1 {
+                continue;
+            }
+            let way = direction(facts.route.at(on.s).pose.heading);
+            let along = (self.velocity.dot(&way) / speed).abs().min(1.0);
+            let across = (1.0 - along * along).sqrt();
+            let [long, broad] = self.kind.half();
+            if on.d.abs() - (across * long + along * broad) > HALF_WAY {
+                continue;
+            }
+            // What is there now and goes the ego's way is in front already.
+            if k == 0 && self.velocity.dot(&way) > 0.7 * speed {
+                return None;
+            }
+            let first = times.map_or(t, |(first, _)| first);
+            times = Some((first, t));
+            let near = on.s - (along * long + across * broad);
+            if near < begin {
+                (begin, course) = (near, way);
+            }
+        }
+        let (first, last) = times?;
+        let gap = begin - on_route.front_s;
+        if !(-1.0..=SIGHT).contains(&gap) {
+            return None;
+        }
+        // To the ego it stands where it will cross, unless it goes the ego's way.
+        let closing_speed = on_route.state.speed - self.velocity.dot(&course).max(0.0);
+        // Only where the ego has to let others pass: elsewhere those who come the other way would seem to cross in
+        // each bend.
+        let link =
+            facts.route.links.iter().find(|link| begin > link.stop_s - 3.0 && begin < link.end_s + 3.0)?;
+        if facts.network.link(link.link).must_yield_to.is_empty() {
+            return None;
+        }
+        // The ego there: as early as it can, and at its present pace.
+        let v = on_route.state.speed.max(0.0);
+        let gap = gap.max(0.0);
+        let earliest = ((v * v + 2.0 * EGO_ACCELERATION * gap).sqrt() - v) / EGO_ACCELERATION;
+        let latest = gap / v.max(0.5) + 1.0;
+        let meet = earliest < last + MARGIN && latest > first - MARGIN;
+        meet.then_some(LeadState { gap, closing_speed })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::perception::testing::{LENGTH, Road, seen};
+    use wad_camera::CameraConfig;
+
+    /// What is foretold each tick of an ego that drives at `speed` from `s` on, and somebody who moves from
+    /// `place` on with `velocity` (world; m, m/s).
+    fn foretold(
+        road: &Road,
+        (s, speed): (f64, f64),
+        class: ObjectClass,
+        (place, velocity): ([f64; 2], [f64; 2]),
+    ) -> Vec<Option<LeadState>> {
+        let camera = CameraConfig::default();
+        let (ground, picture) = (GroundPlane::new(&camera), [camera.width as f32, camera.height as f32]);
+        let mut tracker = CrossingTracker::default();
+        let tick = |tick: u32| {
+            let t = f64::from(tick) * TICK;
+            let facts = road.facts(s + speed * t, 0.0, 0.0, speed);
+            let place = Point::new(place[0] + velocity[0] * t, place[1] + velocity[1] * t);
+            let at = facts.on_route.state.pose.to_local(place);
+            let detection = seen(class, at.x as f32, at.y as f32, 1.8, 1.6);
+            tracker.update(&[detection], picture, &ground, &facts)
+        };
+        (0..12).map(tick).collect()
+    }
+
+    const TICK: f64 = 0.167;
+
+    /// The first tick with somebody in the way, and what was told of him.
+    fn first(told: &[Option<LeadState>]) -> (f64, LeadState) {
+        let at = told.iter().position(Option::is_some).unwrap();
+        (at as f64, told[at].unwrap())
+    }
+
+    #[test]
+    fn who_turns_left_is_told_of_those_who_come_the_other_way() {
+        let road = Road::turning_left();
+        assert!(!road.network.link(road.route.links[0].link).must_yield_to.is_empty());
+        let ego = (road.route.links[0].stop_s - 20.0, 6.0);
+        let told = foretold(&road, ego, ObjectClass::Car, ([326.0, 1.6], [-10.0, 0.0]));
+        assert!(told[..BELIEVED as usize - 1].iter().all(Option::is_none), "too few looks to be believed");
+        let (tick, lead) = first(&told);
+        // Its path meets the ego's 4.5 m beyond the line; its breadth begins before that.
+        let line = 20.0 - 6.0 * tick * TICK - 0.5 * LENGTH;
+        assert!((line - 1.0..line + 4.5).contains(&lead.gap), "{lead:?}, the line at {line}");
+        assert!((lead.closing_speed - 6.0).abs() < 0.1, "to the ego it stands there: {lead:?}");
+    }
+
+    #[test]
+    fn who_stands_is_past_or_gives_way_is_not_in_the_way() {
+        let nobody = |road: &Road, before: f64, speed: f64, place: [f64; 2], velocity: [f64; 2]| {
+            let ego = (road.route.links[0].stop_s - before, speed);
+            foretold(road, ego, ObjectClass::Car, (place, velocity)).iter().all(Option::is_none)
+        };
+        let left = Road::turning_left();
+        assert!(nobody(&left, 20.0, 6.0, [318.0, 1.6], [0.0, 0.0]), "it stands");
+        assert!(nobody(&left, 35.0, 3.0, [305.0, 1.6], [-14.0, 0.0]), "it has passed before the ego comes");
+        let ego = (left.route.links[0].stop_s - 20.0, 6.0);
+        let person = foretold(&left, ego, ObjectClass::Person, ([326.0, 1.6], [-10.0, 0.0]));
+        assert!(person.iter().all(Option::is_none), "no vehicle");
+        assert!(nobody(&Road::new("GGG"), 25.0, 6.0, [302.0, 14.0], [0.0, -3.0]), "the ego goes first");
+    }
+
+    #[test]
+    fn nothing_is_kept_after_a_reset() {
+        let mut tracker = CrossingTracker::default();
+        let (road, ground) = (Road::new("GGG"), GroundPlane::new(&CameraConfig::default()));
+        let facts = road.facts(60.0, 0.0, 0.0, 8.0);
+        tracker.update(&[seen(ObjectClass::Car, 20.0, 0.0, 1.8, 1.5)], [512.0, 512.0], &ground, &facts);
+        assert_eq!(tracker.movers.len(), 1);
+        tracker.reset();
+        assert!(tracker.movers.is_empty());
+    }
+}

@@ -1,0 +1,277 @@
+//! The vehicle in front: the nearest detected road user in the ego's path, its gap by ground-plane
+//! projection, its speed by a filter over the ticks. Nothing here comes from SUMO.
+
+use super::{Detection, EgoFacts, GroundPlane};
+use crate::observation::LeadState;
+use sumo_network::geometry::Point;
+use wad_camera::model::ObjectClass;
+
+/// As far as anything is looked for (m from the front bumper).
+pub const SIGHT: f64 = 50.0;
+/// Half the breadth of the way that must be free (m): the ego's half and a hand's breadth.
+pub const HALF_WAY: f64 = 1.2;
+/// Ticks without a detection until the vehicle in front is given up.
+const COAST: u32 = 2;
+
+/// A detection on the ground.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Candidate {
+    /// Index in the detections.
+    pub detection: usize,
+    pub class: ObjectClass,
+    /// Along the route from the ego's front bumper to its nearest point (m).
+    pub gap: f64,
+    /// The nearest point straight ahead of the ego's centre (m).
+    pub ahead: f64,
+}
+
+/// How broad things of a class are seen from behind (m), and how far the lowest seen point (the wheels) is
+/// behind the nearest (the bumper, m).
+fn build(class: ObjectClass) -> (f32, f32) {
+    match class {
+        ObjectClass::Car => (1.8, 0.7),
+        ObjectClass::Truck | ObjectClass::Bus => (2.5, 0.9),
+        ObjectClass::Motorcycle | ObjectClass::Bicycle => (0.7, 0.0),
+        ObjectClass::Person => (0.5, 0.0),
+        ObjectClass::Bench | ObjectClass::TrafficLight => (1.5, 0.0),
+    }
+}
+
+/// The nearest detection in the ego's path.
+pub fn nearest(detections: &[Detection], ground: &GroundPlane, facts: &EgoFacts<'_>) -> Option<Candidate> {
+    let candidates = detections.iter().enumerate();
+    let found = candidates.filter_map(|(index, detection)| locate(index, detection, ground, facts));
+    found.min_by(|a, b| a.gap.total_cmp(&b.gap))
+}
+
+/// Where a detection is, if it is in the ego's path.
+fn locate(
+    index: usize,
+    detection: &Detection,
+    ground: &GroundPlane,
+    facts: &EgoFacts<'_>,
+) -> Option<Candidate> {
+    let class = detection.class;
+    if matches!(class, ObjectClass::TrafficLight) {
+        return None;
+    }
+    let [left, _, right, bottom] = detection.bounds;
+    let [near, y_left] = ground.point([left, bottom])?;
+    let [_, y_right] = ground.point([right, bottom])?;
+    let (breadth, behind) = build(class);
+    if f64::from(near) > SIGHT + facts.length {
+        return None;
+    }
+    // Its place on the route: the middle, and the ends of what is seen of its breadth.
+    let state = &facts.on_route.state;
+    let reach = f64::from(near) + 10.0;
+    let offset = |y: f32| {
+        let place = state.pose.to_world(Point::new(f64::from(near), f64::from(y)).coords);
+        facts.route.project_near(place, facts.on_route.s, 0.0, reach)
+    };
+    // A vehicle beside the path shows its flank too: no more than its class's breadth counts, from the
+    // side that is away from the path.
+    let middle = offset(0.5 * (y_left + y_right));
+    let half = 0.5 * (y_left - y_right).abs().min(breadth);
+    let (a, b) = (offset(y_left), offset(y_right));
+    let outer = if a.d.abs() > b.d.abs() { a.d } else { b.d };
+    let inner = outer - f64::from(2.0 * half).copysign(outer);
+    let crosses = inner.signum() != outer.signum() || inner.abs() < HALF_WAY;
+    let within = crosses || middle.d.abs() < HALF_WAY;
+    let gap = (middle.s - facts.on_route.front_s - f64::from(behind)).max(0.0);
+    let ahead = f64::from(near - behind);
+    (within && gap <= SIGHT).then_some(Candidate { detection: index, class, gap, ahead })
+}
+
+/// Follows the vehicle in front over the ticks.
+#[derive(Clone, Debug, Default)]
+pub struct LeadTracker {
+    track: Option<Track>,
+}
+
+/// A Kalman filter over gap and the other's speed.
+#[derive(Clone, Copy, Debug)]
+struct Track {
+    gap: f64,
+    /// Along the path (m/s).
+    speed: f64,
+    /// Covariance: gap, both, speed.
+    p: [f64; 3],
+    missed: u32,
+}
+
+/// What others may accelerate by (m/s2), one standard deviation.
+const ACCELERATION: f64 = 2.0;
+/// Error of a projected gap that does not come from the pixels (m), and of a box's lower edge (rows).
+const GAP_NOISE: f64 = 0.25;
+const ROW_NOISE: f64 = 0.5;
+/// What is not known of the speed of something new (m/s).
+const SPEED_DOUBT: f64 = 4.0;
+
+impl LeadTracker {
+    /// Forgets.
+    pub fn reset(&mut self) {
+        self.track = None;
+    }
+
+    /// One tick later: what is in front, given the nearest detection in the path.
+    pub fn update(
+        &mut self,
+        seen: Option<&Candidate>,
+        ground: &GroundPlane,
+        facts: &EgoFacts<'_>,
+    ) -> Option<LeadState> {
+        let ego_speed = facts.on_route.state.speed;
+        if let Some(track) = &mut self.track {
+            track.predict(ego_speed, facts.tick);
+        }
+        match (seen, &mut self.track) {
+            (Some(seen), track) => {
+                let row = f64::from(ground.metres_per_row(seen.ahead as f32));
+                let noise = GAP_NOISE.hypot(ROW_NOISE * row);
+                match track {
+                    Some(old) if old.expects(seen.gap, noise) => old.correct(seen.gap, noise),
+                    _ => *track = Some(Track::new(seen, noise, ego_speed)),
+                }
+            }
+            (None, Some(track)) => {
+                track.missed += 1;
+                if track.missed > COAST {
+                    self.track = None;
+                }
+            }
+            (None, None) => {}
+        }
+        self.track.map(|track| LeadState {
+            gap: track.gap.clamp(0.0, SIGHT),
+            closing_speed: ego_speed - track.speed,
+        })
+    }
+}
+
+impl Track {
+    fn new(seen: &Candidate, noise: f64, ego_speed: f64) -> Self {
+        // Persons hardly move along the path; of vehicles the ego's own speed is the best guess.
+        let (speed, doubt) = match seen.class {
+            ObjectClass::Person | ObjectClass::Bench => (0.0, 1.0),
+            _ => (ego_speed, SPEED_DOUBT),
+        };
+        Self { gap: seen.gap, speed, p: [noise * noise, 0.0, doubt * doubt], missed: 0 }
+    }
+
+    fn predict(&mut self, ego_speed: f64, tick: f64) {
+        self.gap += (self.speed - ego_speed) * tick;
+        let [gap, both, speed] = self.p;
+        let q = ACCELERATION * ACCELERATION;
+        self.p = [
+            gap + 2.0 * tick * both + tick * tick * speed + 0.25 * tick.powi(4) * q,
+            both + tick * speed + 0.5 * tick.powi(3) * q,
+            speed + tick * tick * q,
+        ];
+    }
+
+    /// Whether a gap can be this vehicle's.
+    fn expects(&self, gap: f64, noise: f64) -> bool {
+        (gap - self.gap).abs() < 3.0 * (self.p[0] + noise * noise).sqrt() + 0.5
+    }
+
+    fn correct(&mut self, gap: f64, noise: f64) {
+        let [pg, pb, ps] = self.p;
+        let total = pg + noise * noise;
+        let (kg, ks) = (pg / total, pb / total);
+        let off = gap - self.gap;
+        self.gap += kg * off;
+        self.speed += ks * off;
+        self.p = [(1.0 - kg) * pg, (1.0 - kg) * pb, ps - ks * pb];
+        self.missed = 0;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::perception::testing::{LENGTH, Road, seen};
+    use wad_camera::CameraConfig;
+
+    fn gap(found: &[Detection], s: f64, d: f64, turn: f64) -> Option<f64> {
+        let road = Road::new("GGG");
+        let ground = GroundPlane::new(&CameraConfig::default());
+        nearest(found, &ground, &road.facts(s, d, turn, 8.0)).map(|candidate| candidate.gap)
+    }
+
+    #[test]
+    fn the_nearest_in_the_path_counts() {
+        let car = seen(ObjectClass::Car, 20.0, 0.1, 1.8, 1.5);
+        let person = seen(ObjectClass::Person, 12.0, -0.4, 0.5, 1.7);
+        // The car's wheels are 0.7 m behind its bumper.
+        let far = gap(&[car], 60.0, 0.0, 0.0).unwrap();
+        assert!((far - (20.0 - 0.5 * LENGTH - 0.7)).abs() < 0.1, "{far}");
+        let near = gap(&[car, person], 60.0, 0.0, 0.0).unwrap();
+        assert!((near - (12.0 - 0.5 * LENGTH)).abs() < 0.1, "{near}");
+        assert!(gap(&[seen(ObjectClass::Car, 70.0, 0.0, 1.8, 1.5)], 60.0, 0.0, 0.0).is_none(), "too far");
+    }
+
+    #[test]
+    fn those_beside_the_path_do_not() {
+        for (y, breadth) in [(3.3, 1.8), (-3.3, 1.8), (2.6, 3.0)] {
+            assert!(gap(&[seen(ObjectClass::Car, 15.0, y, breadth, 1.5)], 60.0, 0.0, 0.0).is_none(), "{y}");
+        }
+        let lamp = seen(ObjectClass::TrafficLight, 15.0, 0.0, 0.5, 3.0);
+        assert!(gap(&[lamp], 60.0, 0.0, 0.0).is_none());
+        // Straight ahead of an ego that is turned away from its route: off the path.
+        assert!(gap(&[seen(ObjectClass::Car, 25.0, 0.0, 1.8, 1.5)], 60.0, 0.0, 0.2).is_none());
+        // And on the path, though to the right of the picture's middle.
+        assert!(gap(&[seen(ObjectClass::Car, 25.0, -5.0, 1.8, 1.5)], 60.0, 0.0, 0.2).is_some());
+        // Half of it in the way.
+        assert!(gap(&[seen(ObjectClass::Car, 15.0, 1.8, 1.8, 1.5)], 60.0, 0.0, 0.0).is_some());
+    }
+
+    #[test]
+    fn the_closing_speed_is_learnt_within_a_second_and_a_half() {
+        let (road, ground) = (Road::new("GGG"), GroundPlane::new(&CameraConfig::default()));
+        let mut tracker = LeadTracker::default();
+        let (mut true_gap, closing) = (25.0, 4.0);
+        let mut state = None;
+        for tick in 0..9 {
+            let near = (true_gap + 0.5 * LENGTH + 0.7) as f32;
+            let found = [seen(ObjectClass::Car, near, 0.0, 1.8, 1.5)];
+            let facts = road.facts(60.0 + f64::from(tick), 0.0, 0.0, 8.0);
+            let candidate = nearest(&found, &ground, &facts);
+            state = tracker.update(candidate.as_ref(), &ground, &facts);
+            true_gap -= closing * facts.tick;
+        }
+        let state = state.unwrap();
+        assert!((state.closing_speed - closing).abs() < 0.7, "{state:?}");
+        assert!((state.gap - (true_gap + closing * 0.167)).abs() < 0.4, "{state:?}, {true_gap}");
+    }
+
+    #[test]
+    fn a_missed_detection_is_bridged_for_two_ticks_only() {
+        let (road, ground) = (Road::new("GGG"), GroundPlane::new(&CameraConfig::default()));
+        let facts = road.facts(60.0, 0.0, 0.0, 0.0);
+        let found = [seen(ObjectClass::Car, 15.0, 0.0, 1.8, 1.5)];
+        let candidate = nearest(&found, &ground, &facts);
+        let mut tracker = LeadTracker::default();
+        tracker.update(candidate.as_ref(), &ground, &facts);
+        let bridged: Vec<bool> = (0..4).map(|_| tracker.update(None, &ground, &facts).is_some()).collect();
+        assert_eq!(bridged, [true, true, false, false]);
+        tracker.update(candidate.as_ref(), &ground, &facts);
+        tracker.reset();
+        assert_eq!(tracker.update(None, &ground, &facts), None);
+    }
+
+    #[test]
+    fn another_vehicle_in_front_is_not_taken_for_a_jump_of_the_old_one() {
+        let (road, ground) = (Road::new("GGG"), GroundPlane::new(&CameraConfig::default()));
+        let facts = road.facts(60.0, 0.0, 0.0, 8.0);
+        let mut tracker = LeadTracker::default();
+        let mut look = |near: f32| {
+            let found = [seen(ObjectClass::Car, near, 0.0, 1.8, 1.5)];
+            tracker.update(nearest(&found, &ground, &facts).as_ref(), &ground, &facts).unwrap()
+        };
+        look(30.0);
+        look(30.0);
+        let cut_in = look(12.0);
+        assert!((cut_in.gap - 9.1).abs() < 0.2 && cut_in.closing_speed.abs() < 1.0, "{cut_in:?}");
+    }
+}

@@ -1,0 +1,128 @@
+//! The traffic light ahead, taken from the simulator as in the paper ("Traffic Light Detection").
+
+use super::EgoFacts;
+use serde::{Deserialize, Serialize};
+use sumo_network::world::SignalState;
+
+/// Within this of its stop line (m) the ego is at the intersection (spec.md "Events").
+pub const AT_INTERSECTION: f64 = 20.0;
+
+/// The next signalled link of the route.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LightAhead {
+    pub state: SignalState,
+    /// From the front bumper to the stop line (m).
+    pub distance: f64,
+}
+
+impl LightAhead {
+    /// The next signal on the route whose state is in sight; None where there is none.
+    pub fn find(facts: &EgoFacts<'_>) -> Option<Self> {
+        let front = facts.on_route.front_s;
+        let links = &facts.route.links;
+        let next = links.partition_point(|link| link.stop_s < front);
+        let (link, signal) =
+            links[next..].iter().find_map(|link| Some((link, facts.network.link(link.link).signal?)))?;
+        let state = facts.signals.get(signal.traffic_light.index())?.as_ref()?;
+        let state = SignalState::from_sumo(*state.as_bytes().get(signal.index)?);
+        Some(Self { state, distance: link.stop_s - front })
+    }
+
+    /// Whether it asks to stop: red, red with yellow, or yellow.
+    pub fn stops(&self) -> bool {
+        self.state.is_red() || self.state == SignalState::Yellow
+    }
+
+    /// Whether the ego is at the intersection and may not enter: the transformed image shows red.
+    pub fn is_red_here(&self) -> bool {
+        self.state.is_red() && self.distance <= AT_INTERSECTION
+    }
+}
+
+/// Deceleration (m/s2) up to which a yellow light is obeyed, and how late what is decided acts (s).
+const YELLOW: f64 = 3.0;
+const DELAY: f64 = 0.2;
+
+/// Whether the ego has to stop for the light ahead, from tick to tick.
+///
+/// For red it has to; for yellow where it can (spec.md "Events"), and then to the end: who brakes for a
+/// yellow light does not change its mind.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct StopLight {
+    /// It has to stop for the light that was this far ahead (m).
+    decided: Option<f64>,
+}
+
+impl StopLight {
+    /// Forgets the light.
+    pub fn reset(&mut self) {
+        *self = Self::default();
+    }
+
+    /// The distance (m) to the line where an ego at `speed` (m/s) has to stop.
+    pub fn update(&mut self, light: Option<&LightAhead>, speed: f64) -> Option<f64> {
+        let light = light.filter(|light| light.stops());
+        self.decided = light.and_then(|light| {
+            // Further ahead than before: another light.
+            let same = self.decided.is_some_and(|before| light.distance < before + 1.0);
+            let room = (light.distance - speed * DELAY).max(0.01);
+            let can = speed * speed <= 2.0 * YELLOW * room;
+            (same || can || light.state.is_red()).then_some(light.distance)
+        });
+        self.decided
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::perception::testing::{LENGTH, Road};
+
+    fn ahead(state: &str, before: f64) -> Option<LightAhead> {
+        let road = Road::new(state);
+        let stop = road.route.links[0].stop_s;
+        LightAhead::find(&road.facts(stop - before - 0.5 * LENGTH, 0.0, 0.0, 5.0))
+    }
+
+    #[test]
+    fn red_is_painted_within_20_m_of_the_stop_line_only() {
+        let near = ahead("rGG", 19.5).unwrap();
+        assert!(near.is_red_here() && (near.distance - 19.5).abs() < 1e-6);
+        assert!(!ahead("rGG", 20.5).unwrap().is_red_here());
+        assert!(ahead("uGG", 5.0).unwrap().is_red_here());
+        assert!(!ahead("GGG", 5.0).unwrap().is_red_here());
+        let yellow = ahead("yGG", 5.0).unwrap();
+        assert!(yellow.stops() && !yellow.is_red_here());
+        // Past the line it is no more the ego's.
+        assert!(ahead("rGG", -0.5).is_none());
+    }
+
+    #[test]
+    fn yellow_binds_who_can_stop_and_goes_on_binding() {
+        let yellow = |distance| LightAhead { state: SignalState::Yellow, distance };
+        let mut light = StopLight::default();
+        // 10 m/s: 16.7 m at 3 m/s2, and 2 m before it begins.
+        assert_eq!(light.update(Some(&yellow(18.0)), 10.0), None);
+        assert_eq!(light.update(Some(&yellow(19.0)), 10.0), Some(19.0));
+        assert_eq!(light.update(Some(&yellow(17.0)), 10.0), Some(17.0), "it began to brake");
+        // The next light is another matter.
+        assert_eq!(light.update(Some(&yellow(18.5)), 10.0), None);
+        let red = LightAhead { state: SignalState::Red, distance: 5.0 };
+        assert_eq!(light.update(Some(&red), 14.0), Some(5.0));
+        assert_eq!(light.update(None, 14.0), None);
+        light.update(Some(&yellow(19.0)), 10.0);
+        light.reset();
+        assert_eq!(light.update(Some(&yellow(17.0)), 10.0), None);
+    }
+
+    #[test]
+    fn a_light_out_of_sight_or_of_another_program_says_nothing() {
+        let mut road = Road::new("rGG");
+        road.signals = vec![None];
+        assert!(LightAhead::find(&road.facts(250.0, 0.0, 0.0, 5.0)).is_none());
+        road.signals = vec![Some("".into())];
+        assert!(LightAhead::find(&road.facts(250.0, 0.0, 0.0, 5.0)).is_none());
+        road.signals.clear();
+        assert!(LightAhead::find(&road.facts(250.0, 0.0, 0.0, 5.0)).is_none());
+    }
+}

@@ -1,0 +1,112 @@
+//! Watch: what the agent sees in the camera's picture (paper, section "Detection Module").
+//!
+//! ```text
+//! Frame --Detector--> detections --\
+//!       --lanes-----> boundaries ---> transformed image 128x128x3 --> latent::Encoder
+//! signals --light---> red or not --/
+//! ```
+
+#[cfg(feature = "learn")]
+pub mod centernet;
+mod choice;
+pub mod coco;
+mod crossing;
+mod ground;
+pub mod heads;
+mod image;
+mod lanes;
+pub mod lead;
+mod light;
+pub mod metrics;
+#[cfg(feature = "vision")]
+mod onnx;
+pub mod onnx_file;
+pub mod paint;
+mod pipeline;
+pub mod score;
+pub mod sight_score;
+pub mod stages;
+#[cfg(test)]
+pub(crate) mod testing;
+mod truth;
+
+#[cfg(feature = "learn")]
+pub use choice::centernet_weights;
+pub use choice::{DETECTORS, MIN_SCORE, detector};
+pub use ground::GroundPlane;
+pub use image::{TRANSFORMED_SIZE, TransformedImage};
+pub use lanes::{LaneBoundary, LaneDetector, LaneEstimate};
+pub use light::{AT_INTERSECTION, LightAhead, StopLight};
+#[cfg(feature = "vision")]
+pub use onnx::OnnxDetector;
+pub use pipeline::{EgoFacts, Percept, Perception};
+pub use truth::{Faults, TruthDetector};
+
+use wad_camera::model::ObjectClass;
+use wad_camera::{CameraConfig, Frame, Outputs};
+
+/// An object found in a picture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Detection {
+    pub class: ObjectClass,
+    /// Left, top, right, bottom (pixels of the picture; right and bottom exclusive).
+    pub bounds: [f32; 4],
+    /// Confidence, 0 to 1.
+    pub score: f32,
+}
+
+impl Detection {
+    /// Width and height (pixels).
+    pub fn size(&self) -> [f32; 2] {
+        let [left, top, right, bottom] = self.bounds;
+        [right - left, bottom - top]
+    }
+
+    /// Intersection over union with another box.
+    pub fn iou(&self, other: &[f32; 4]) -> f32 {
+        let [l, t, r, b] = self.bounds;
+        let [ol, ot, or, ob] = *other;
+        let area = |l: f32, t: f32, r: f32, b: f32| (r - l).max(0.0) * (b - t).max(0.0);
+        let common = area(l.max(ol), t.max(ot), r.min(or), b.min(ob));
+        let union = area(l, t, r, b) + area(ol, ot, or, ob) - common;
+        if union > 0.0 { common / union } else { 0.0 }
+    }
+}
+
+/// Why nothing could be detected.
+#[derive(Debug, thiserror::Error)]
+pub enum PerceptionError {
+    #[error("detector {name}: {why}")]
+    Detector { name: String, why: String },
+    #[error("lane detection: {0}")]
+    Lanes(String),
+    #[error("expected a picture of {expected:?} (width, height), found {found:?}: {hint}")]
+    Size { expected: (usize, usize), found: (usize, usize), hint: String },
+}
+
+/// Finds objects of the eight classes in front of the ego.
+pub trait Detector: Send {
+    /// What it is called in tables and options, e.g. `truth` or `centernet`.
+    fn name(&self) -> &str;
+
+    /// What the camera must deliver for it.
+    fn needs(&self) -> Outputs {
+        Outputs::RGB
+    }
+
+    /// Begins an episode: forgets what it remembers, draws its faults anew from `seed`.
+    fn reset(&mut self, seed: u64) {
+        let _ = seed;
+    }
+
+    /// The objects in `frame`, best first, appended to `found` (which is emptied first).
+    ///
+    /// # Errors
+    /// The frame has another size than the network wants, or the network fails.
+    fn detect(
+        &mut self,
+        frame: &Frame,
+        camera: &CameraConfig,
+        found: &mut Vec<Detection>,
+    ) -> Result<(), PerceptionError>;
+}

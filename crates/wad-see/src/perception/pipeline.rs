@@ -1,0 +1,238 @@
+//! All stages of a tick in order: detect, lanes, light, vehicle in front, transformed image, raw state.
+
+use super::crossing::CrossingTracker;
+use super::lead::{self, LeadTracker};
+use super::light::{LightAhead, StopLight};
+use super::paint::Painter;
+use super::{
+    Detection, Detector, GroundPlane, LaneDetector, LaneEstimate, PerceptionError, TransformedImage,
+};
+use crate::observation::{LeadState, RawState};
+use std::sync::Arc;
+use sumo_network::network::{Network, Route};
+use wad_camera::{CameraConfig, Frame, Outputs};
+use wad_sim::bridge::Ego;
+use wad_sim::criteria::EgoOnRoute;
+
+/// What the ego knows beside its camera: its own motion, its waypoints, and the signals' states.
+#[derive(Clone, Copy, Debug)]
+pub struct EgoFacts<'a> {
+    pub network: &'a Network,
+    pub route: &'a Route,
+    pub on_route: EgoOnRoute,
+    /// The ego's length (m).
+    pub length: f64,
+    /// State strings by traffic light, as [`sumo_network::world::WorldState::traffic_lights`].
+    pub signals: &'a [Option<Arc<str>>],
+    /// Time since the last tick (s).
+    pub tick: f64,
+}
+
+impl<'a> EgoFacts<'a> {
+    /// Those of an ego after a tick of `tick` s.
+    pub fn of(network: &'a Network, ego: &'a Ego, tick: f64) -> Self {
+        Self {
+            network,
+            route: ego.route(),
+            on_route: ego.on_route(),
+            length: ego.params().length,
+            signals: &ego.world().traffic_lights,
+            tick,
+        }
+    }
+}
+
+/// What was perceived in a tick.
+#[derive(Clone, Debug)]
+pub struct Percept {
+    pub detections: Vec<Detection>,
+    pub lanes: LaneEstimate,
+    /// The next signal on the route.
+    pub light: Option<LightAhead>,
+    /// The ego is at the intersection and the light is red: painted.
+    pub light_red: bool,
+    /// The road user in the ego's path, and the one that will be where the ego has to let it pass. The nearer
+    /// of them is the raw state's vehicle in front.
+    pub lead: Option<LeadState>,
+    pub crossing: Option<LeadState>,
+    pub transformed: TransformedImage,
+    pub raw: RawState,
+}
+
+/// Perceives, tick by tick.
+pub struct Perception {
+    detector: Box<dyn Detector>,
+    camera: CameraConfig,
+    ground: GroundPlane,
+    lanes: LaneDetector,
+    lead: LeadTracker,
+    crossing: CrossingTracker,
+    stop_light: StopLight,
+    painter: Painter,
+    percept: Percept,
+}
+
+impl Perception {
+    /// With a detector, for frames of `camera`.
+    ///
+    /// # Errors
+    /// This build cannot detect lanes.
+    pub fn new(detector: Box<dyn Detector>, camera: CameraConfig) -> Result<Self, PerceptionError> {
+        Ok(Self {
+            detector,
+            camera,
+            ground: GroundPlane::new(&camera),
+            lanes: LaneDetector::new()?,
+            lead: LeadTracker::default(),
+            crossing: CrossingTracker::default(),
+            stop_light: StopLight::default(),
+            painter: Painter::default(),
+            percept: Percept {
+                detections: Vec::new(),
+                lanes: LaneEstimate::default(),
+                light: None,
+                light_red: false,
+                lead: None,
+                crossing: None,
+                transformed: TransformedImage::default(),
+                raw: RawState::STANDING,
+            },
+        })
+    }
+
+    /// The camera whose frames it takes.
+    pub fn camera(&self) -> &CameraConfig {
+        &self.camera
+    }
+
+    /// What the camera must deliver.
+    pub fn needs(&self) -> Outputs {
+        Outputs { rgb: true, ..self.detector.needs() }
+    }
+
+    /// The detector's name.
+    pub fn detector(&self) -> &str {
+        self.detector.name()
+    }
+
+    /// Begins an episode: forgets everything, draws the detector's faults from `seed`.
+    pub fn reset(&mut self, seed: u64) {
+        self.detector.reset(seed);
+        self.lanes.reset();
+        self.lead.reset();
+        self.crossing.reset();
+        self.stop_light.reset();
+    }
+
+    /// All stages. `frame` is what [`Perception::camera`] saw after the tick that `facts` are of.
+    ///
+    /// # Errors
+    /// The frame is not the camera's, or a stage fails.
+    pub fn perceive(&mut self, frame: &Frame, facts: &EgoFacts<'_>) -> Result<&Percept, PerceptionError> {
+        self.detect(frame)?;
+        self.find_lanes(frame, facts)?;
+        self.judge(facts);
+        self.transform(frame)?;
+        Ok(&self.percept)
+    }
+
+    /// First stage: the detections.
+    ///
+    /// # Errors
+    /// The frame is not the camera's, or the detector fails.
+    pub fn detect(&mut self, frame: &Frame) -> Result<(), PerceptionError> {
+        let expected = (self.camera.width, self.camera.height);
+        let found = (frame.width, frame.height);
+        if expected != found {
+            let hint = "render with the camera that the perception was made for".to_string();
+            return Err(PerceptionError::Size { expected, found, hint });
+        }
+        self.detector.detect(frame, &self.camera, &mut self.percept.detections)
+    }
+
+    /// Second stage: the lane boundaries.
+    ///
+    /// # Errors
+    /// OpenCV fails.
+    pub fn find_lanes(&mut self, frame: &Frame, facts: &EgoFacts<'_>) -> Result<(), PerceptionError> {
+        self.percept.lanes = self.lanes.find(frame, &self.ground, facts)?;
+        Ok(())
+    }
+
+    /// Third stage: the light, the vehicle in front, the raw state.
+    pub fn judge(&mut self, facts: &EgoFacts<'_>) {
+        let light = LightAhead::find(facts);
+        self.percept.light = light;
+        self.percept.light_red = light.is_some_and(|light| light.is_red_here());
+        let nearest = lead::nearest(&self.percept.detections, &self.ground, facts);
+        let lead = self.lead.update(nearest.as_ref(), &self.ground, facts);
+        let picture = [self.camera.width as f32, self.camera.height as f32];
+        let crossing = self.crossing.update(&self.percept.detections, picture, &self.ground, facts);
+        (self.percept.lead, self.percept.crossing) = (lead, crossing);
+        let lead = lead.into_iter().chain(crossing).min_by(|a, b| a.gap.total_cmp(&b.gap));
+        let speed = facts.on_route.state.speed;
+        let stop_light = self.stop_light.update(light.as_ref(), speed).filter(|d| *d <= lead::SIGHT);
+        self.percept.raw = RawState::of(facts.route, &facts.on_route, lead, stop_light);
+    }
+
+    /// Last stage: the transformed image.
+    ///
+    /// # Errors
+    /// The frame has no picture.
+    pub fn transform(&mut self, frame: &Frame) -> Result<(), PerceptionError> {
+        let Percept { detections, lanes, light_red, transformed, .. } = &mut self.percept;
+        self.painter.paint(frame, &self.ground, detections, lanes, *light_red, transformed)
+    }
+
+    /// What the last tick perceived.
+    pub fn percept(&self) -> &Percept {
+        &self.percept
+    }
+
+    /// The ground under the camera.
+    pub fn ground(&self) -> &GroundPlane {
+        &self.ground
+    }
+}
+
+#[cfg(all(test, feature = "vision"))]
+mod tests {
+    use super::*;
+    use crate::perception::testing::{Road, picture};
+    use crate::perception::{LaneBoundary, TruthDetector};
+
+    fn perception() -> Perception {
+        Perception::new(Box::new(TruthDetector::new()), CameraConfig::default()).unwrap()
+    }
+
+    #[test]
+    fn a_frame_of_another_camera_is_refused() {
+        let road = Road::new("GGG");
+        let frame = picture(&CameraConfig::sized(256, 256), &[]);
+        let error = perception().perceive(&frame, &road.facts(60.0, 0.0, 0.0, 5.0)).unwrap_err().to_string();
+        assert!(error.contains("(512, 512)") && error.contains("(256, 256)"), "{error}");
+    }
+
+    #[test]
+    fn an_episode_leaves_nothing_to_the_next() {
+        let road = Road::new("rGG");
+        let line = |offset| LaneBoundary { offset, slope: 0.02, bend: 0.0, reach: [3.0, 25.0] };
+        let frames: Vec<Frame> = [[1.4, -1.6], [1.3, -1.7], [1.2, -1.8]]
+            .map(|sides| picture(&CameraConfig::default(), &sides.map(line)))
+            .into();
+        let mut one = perception();
+        let episode = |one: &mut Perception| -> Vec<_> {
+            one.reset(3);
+            let facts = |i: usize| road.facts(road.route.links[0].stop_s - 18.0 + i as f64, 0.1, 0.0, 6.0);
+            let look = |(i, frame): (usize, &Frame)| {
+                let percept = one.perceive(frame, &facts(i)).unwrap();
+                (percept.transformed.clone(), percept.lanes, percept.raw, percept.light_red)
+            };
+            frames.iter().enumerate().map(look).collect()
+        };
+        let first = episode(&mut one);
+        assert_eq!(first, episode(&mut one));
+        assert_eq!(first, episode(&mut perception()));
+        assert!(first[0].3 && first[0].2.stop_light.is_some_and(|d| d < 20.0));
+    }
+}

@@ -1,0 +1,301 @@
+//! Detectors judged by the camera's ground truth: the score of docs/detector.md.
+//!
+//! Two judgements over the same frames. The *realism score* asks how much of our pictures a detector
+//! trained elsewhere believes: recall at a score of 0.3 in groups of classes, since a van is a car to one
+//! and a truck to another. *Average precision* is COCO's, class by class, for any detector.
+//!
+//! A hit overlaps the box of an object's visible pixels by an IoU of 0.5 or more. Objects of which less
+//! than [`LEAST_VISIBLE`] shows, and those lower than the wanted height, are neither to be found nor wrong
+//! to find: detections that lie in their box by half or more do not count.
+
+use super::Detection;
+use super::coco::{CLASSES, class_index, class_name};
+use super::metrics::{Fate, Found, Scored, Truth, average_precision, coco_ious, fates, mean};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use wad_camera::model::ObjectClass;
+use wad_camera::{Frame, ObjectTruth, Preset};
+
+/// Least share of an object that must be seen for it to be judged.
+pub const LEAST_VISIBLE: f32 = 0.3;
+/// Score from which a detection is believed.
+pub const BELIEVED: f32 = 0.3;
+/// Lowest box in the range that training is judged by, and in the range reported apart (pixels).
+pub const TALL: f32 = 24.0;
+pub const SMALL: f32 = 12.0;
+
+/// Classes that count as one in the realism score.
+pub struct Group {
+    pub name: &'static str,
+    pub classes: &'static [ObjectClass],
+    /// Lowest box that is judged (pixels).
+    pub height: f32,
+    /// Least recall wanted, if any.
+    pub goal: Option<f64>,
+}
+
+/// The groups of the realism score.
+pub const GROUPS: [Group; 5] = [
+    Group {
+        name: "car, bus, truck",
+        classes: &[ObjectClass::Car, ObjectClass::Bus, ObjectClass::Truck],
+        height: 32.0,
+        goal: Some(0.5),
+    },
+    Group { name: "person", classes: &[ObjectClass::Person], height: 40.0, goal: Some(0.3) },
+    Group {
+        name: "motorcycle, bicycle",
+        classes: &[ObjectClass::Motorcycle, ObjectClass::Bicycle],
+        height: 40.0,
+        goal: None,
+    },
+    Group { name: "traffic light", classes: &[ObjectClass::TrafficLight], height: 24.0, goal: None },
+    Group { name: "bench", classes: &[ObjectClass::Bench], height: 24.0, goal: None },
+];
+/// False alarms per frame that are too many.
+pub const FALSE_ALARM_GOAL: f64 = 1.0;
+
+/// One frame to be judged.
+pub struct View {
+    pub weather: Preset,
+    pub objects: Vec<ObjectTruth>,
+    pub found: Vec<Detection>,
+}
+
+/// How much of an object shows, 0 to 1: its visible pixels by those that its kind fills of its whole box
+/// (left, top, right, bottom).
+pub fn visible_share(class: ObjectClass, visible_pixels: u32, [l, t, r, b]: [f32; 4]) -> f32 {
+    let fill = match class {
+        ObjectClass::Car | ObjectClass::Bus | ObjectClass::Truck => 0.7,
+        ObjectClass::TrafficLight => 0.6,
+        ObjectClass::Person | ObjectClass::Motorcycle | ObjectClass::Bicycle | ObjectClass::Bench => 0.4,
+    };
+    (visible_pixels as f32 / (fill * (r - l) * (b - t)).max(1.0)).min(1.0)
+}
+
+fn has_rider(class: ObjectClass) -> bool {
+    matches!(class, ObjectClass::Motorcycle | ObjectClass::Bicycle)
+}
+
+fn truth(object: &ObjectTruth, label: usize) -> Truth {
+    let ignored = visible_share(object.class, object.visible_pixels, object.full_box) < LEAST_VISIBLE;
+    let bounds = if ignored { object.full_box } else { object.visible_box.map(|v| v as f32) };
+    Truth { label, bounds, ignored }
+}
+
+impl View {
+    /// The frame's ground truth beside what a detector found in it.
+    pub fn new(weather: Preset, frame: &Frame, found: &[Detection]) -> Self {
+        Self { weather, objects: frame.objects.clone(), found: found.to_vec() }
+    }
+
+    /// For average precision: labels are indices of [`CLASSES`].
+    pub fn by_class(&self) -> Scored {
+        let found = |d: &Detection| Found { label: class_index(d.class), detection: *d };
+        Scored {
+            truths: self.objects.iter().map(|o| truth(o, class_index(o.class))).collect(),
+            found: self.found.iter().map(found).collect(),
+        }
+    }
+
+    /// For the realism score: labels are indices of [`GROUPS`]; only what is believed. A rider is part of
+    /// the motorcycle or bicycle here and a person to COCO: people found on one do not count.
+    pub fn by_group(&self) -> Scored {
+        const PERSON: usize = 1;
+        let group = |class| GROUPS.iter().position(|g| g.classes.contains(&class)).unwrap_or(0);
+        let mut truths: Vec<Truth> = Vec::with_capacity(self.objects.len());
+        for object in &self.objects {
+            let label = group(object.class);
+            let mut one = truth(object, label);
+            let low = one.bounds[3] - one.bounds[1] < GROUPS[label].height;
+            one.ignored |= low;
+            truths.push(one);
+            if has_rider(object.class) {
+                truths.push(Truth { label: PERSON, ignored: true, ..one });
+            }
+        }
+        let believed = self.found.iter().filter(|d| d.score >= BELIEVED);
+        let found = believed.map(|d| Found { label: group(d.class), detection: *d }).collect();
+        Scored { truths, found }
+    }
+}
+
+/// The realism score of some frames.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Realism {
+    pub frames: usize,
+    /// By the names of [`GROUPS`].
+    pub groups: BTreeMap<&'static str, GroupScore>,
+    /// By the class of what is there, found as any class of its group.
+    pub classes: BTreeMap<&'static str, ClassScore>,
+    pub false_alarms_per_frame: f64,
+}
+
+/// One group's part in it.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct GroupScore {
+    pub truths: usize,
+    pub hits: usize,
+    /// None without truths.
+    pub recall: Option<f64>,
+    pub false_alarms: usize,
+}
+
+/// How many of one class's objects were found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct ClassScore {
+    pub truths: usize,
+    pub hits: usize,
+}
+
+/// The realism score of these frames.
+pub fn realism<'a>(views: impl IntoIterator<Item = &'a View>) -> Realism {
+    let mut score = Realism::default();
+    for group in &GROUPS {
+        score.groups.insert(group.name, GroupScore::default());
+    }
+    let mut false_alarms = 0;
+    for view in views {
+        score.frames += 1;
+        let scored = view.by_group();
+        // Low truths are ignored already; detections of any height can be wrong.
+        let fates = fates(&scored, 0.5, |_| true);
+        // A cycle is two truths, the second of them its rider.
+        let classes = view.objects.iter().flat_map(|object| {
+            let count = if has_rider(object.class) { 2 } else { 1 };
+            std::iter::repeat_n(class_name(object.class), count)
+        });
+        let classes: Vec<&'static str> = classes.collect();
+        for (truth, class) in scored.truths.iter().zip(&classes).filter(|(t, _)| !t.ignored) {
+            score.groups.entry(GROUPS[truth.label].name).or_default().truths += 1;
+            score.classes.entry(class).or_default().truths += 1;
+        }
+        for (found, fate) in scored.found.iter().zip(fates) {
+            let group = score.groups.entry(GROUPS[found.label].name).or_default();
+            match fate {
+                Fate::Hit(truth) => {
+                    group.hits += 1;
+                    score.classes.entry(classes[truth]).or_default().hits += 1;
+                }
+                Fate::False => {
+                    group.false_alarms += 1;
+                    false_alarms += 1;
+                }
+                Fate::Ignored => {}
+            }
+        }
+    }
+    for group in score.groups.values_mut() {
+        group.recall = (group.truths > 0).then(|| group.hits as f64 / group.truths as f64);
+    }
+    score.false_alarms_per_frame = f64::from(false_alarms) / score.frames.max(1) as f64;
+    score
+}
+
+/// Average precision of one class, or the mean of all.
+#[derive(Clone, Debug, Serialize)]
+pub struct Precision {
+    pub class: &'static str,
+    /// Objects at least [`TALL`] high, visible enough.
+    pub truths: usize,
+    /// At an IoU of 0.5, and the mean over 0.5 to 0.95; None without truths.
+    pub ap50: Option<f64>,
+    pub ap: Option<f64>,
+    /// Objects from [`SMALL`] to [`TALL`] high.
+    pub truths_small: usize,
+    pub ap50_small: Option<f64>,
+}
+
+/// Class by class, and last the mean over classes, called `all`.
+pub fn precision(views: &[&View]) -> Vec<Precision> {
+    let scored: Vec<Scored> = views.iter().map(|v| v.by_class()).collect();
+    let tall = |height: f32| height >= TALL;
+    let small = |height: f32| (SMALL..TALL).contains(&height);
+    let count = |label: usize, counts: &dyn Fn(f32) -> bool| {
+        let judged = |t: &&Truth| t.label == label && !t.ignored && counts(t.bounds[3] - t.bounds[1]);
+        scored.iter().map(|s| s.truths.iter().filter(judged).count()).sum::<usize>()
+    };
+    let mut rows: Vec<Precision> = CLASSES
+        .iter()
+        .enumerate()
+        .map(|(label, &class)| Precision {
+            class: class_name(class),
+            truths: count(label, &tall),
+            ap50: average_precision(&scored, label, 0.5, tall),
+            ap: mean(coco_ious().map(|iou| average_precision(&scored, label, iou, tall))),
+            truths_small: count(label, &small),
+            ap50_small: average_precision(&scored, label, 0.5, small),
+        })
+        .collect();
+    rows.push(Precision {
+        class: "all",
+        truths: rows.iter().map(|r| r.truths).sum(),
+        ap50: mean(rows.iter().map(|r| r.ap50)),
+        ap: mean(rows.iter().map(|r| r.ap)),
+        truths_small: rows.iter().map(|r| r.truths_small).sum(),
+        ap50_small: mean(rows.iter().map(|r| r.ap50_small)),
+    });
+    rows
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sumo_network::geometry::Pose;
+    use wad_camera::model::Box3;
+
+    fn object(class: ObjectClass, at: [u32; 4]) -> ObjectTruth {
+        let full_box = at.map(|v| v as f32);
+        let area = (at[2] - at[0]) * (at[3] - at[1]);
+        let bounds = Box3 { pose: Pose::new(0.0, 0.0, 0.0, 0.0), size: [1.0; 3] };
+        ObjectTruth { class, id: 1, visible_pixels: area / 2, visible_box: at, full_box, bounds, depth: 9.0 }
+    }
+
+    fn seen(class: ObjectClass, at: [f32; 4], score: f32) -> Detection {
+        Detection { class, bounds: at, score }
+    }
+
+    #[test]
+    fn a_van_called_a_truck_is_a_hit_and_a_rider_is_no_false_alarm() {
+        let view = View {
+            weather: Preset::ClearNoon,
+            objects: vec![
+                object(ObjectClass::Car, [0, 0, 60, 40]),
+                object(ObjectClass::Bicycle, [100, 0, 130, 60]),
+                object(ObjectClass::Car, [200, 0, 220, 12]), // low
+                object(ObjectClass::Car, [300, 0, 360, 40]), // missed
+            ],
+            found: vec![
+                seen(ObjectClass::Truck, [0.0, 0.0, 60.0, 40.0], 0.5),
+                seen(ObjectClass::Person, [102.0, 0.0, 128.0, 50.0], 0.9),
+                seen(ObjectClass::Car, [200.0, 0.0, 220.0, 12.0], 0.4),
+                seen(ObjectClass::Car, [400.0, 0.0, 420.0, 12.0], 0.4),
+                seen(ObjectClass::Car, [440.0, 0.0, 460.0, 12.0], 0.2), // not believed
+            ],
+        };
+        let score = realism([&view]);
+        let cars = &score.groups["car, bus, truck"];
+        assert_eq!((cars.truths, cars.hits, cars.false_alarms), (2, 1, 1));
+        assert_eq!(score.classes["car"], ClassScore { truths: 2, hits: 1 });
+        assert_eq!(score.classes["bicycle"], ClassScore { truths: 1, hits: 0 });
+        assert_eq!(score.classes.len(), 2);
+        assert_eq!(score.groups["person"].false_alarms, 0);
+        assert_eq!(score.false_alarms_per_frame, 1.0);
+        // By class the truck is wrong, and the two cars 24 px or more are missed.
+        let rows = precision(&[&view]);
+        assert_eq!((rows[0].truths, rows[0].ap50), (2, Some(0.0)));
+        assert_eq!((rows[0].truths_small, rows[0].ap50_small), (1, Some(1.0)));
+    }
+
+    #[test]
+    fn what_is_hidden_is_not_judged() {
+        let mut hidden = object(ObjectClass::Person, [0, 0, 40, 100]);
+        hidden.visible_pixels = 300;
+        hidden.visible_box = [0, 0, 10, 60];
+        let found = vec![seen(ObjectClass::Person, [0.0, 0.0, 40.0, 100.0], 0.9)];
+        let view = View { weather: Preset::ClearNoon, objects: vec![hidden], found };
+        let score = realism([&view]);
+        assert_eq!(score.groups["person"].truths, 0);
+        assert_eq!(score.false_alarms_per_frame, 0.0);
+    }
+}

@@ -1,0 +1,155 @@
+//! The vehicle in front as detected, against the one that is there.
+
+use super::{Spread, share};
+use crate::observation::LeadState;
+use crate::perception::EgoFacts;
+use crate::perception::lead::{HALF_WAY, SIGHT};
+use serde::Serialize;
+use sumo_network::geometry::{Vector, wrap_angle};
+use sumo_network::world::{Actor, WorldState};
+use wad_camera::Frame;
+
+/// The nearest road user in the ego's path.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LeadTruth {
+    /// Along the route from the front bumper (m).
+    pub gap: f64,
+    /// m/s, positive when nearing.
+    pub closing_speed: f64,
+}
+
+impl LeadTruth {
+    /// The nearest of `world` in the path of which `frame` (with its objects) shows enough.
+    pub fn find(facts: &EgoFacts<'_>, world: &WorldState, frame: &Frame) -> Option<Self> {
+        let actors = world.vehicles.iter().chain(&world.pedestrians).enumerate();
+        actors
+            .filter(|(index, _)| {
+                let id = *index as u32 + 1;
+                frame.objects.iter().any(|object| object.id == id && object.visible_pixels >= 12)
+            })
+            .filter_map(|(_, actor)| Self::of(facts, actor))
+            .min_by(|a, b| a.gap.total_cmp(&b.gap))
+    }
+
+    fn of(facts: &EgoFacts<'_>, actor: &Actor) -> Option<Self> {
+        let on_route = &facts.on_route;
+        let shape = &actor.actor_type;
+        if (actor.pose.xy() - on_route.state.pose.xy()).norm() > SIGHT + 15.0 {
+            return None;
+        }
+        let steps = (shape.length / 0.5).ceil().max(1.0) as usize;
+        let mut nearest: Option<f64> = None;
+        for i in 0..=steps {
+            for side in [-0.5, -0.25, 0.0, 0.25, 0.5] {
+                let along = shape.length * (i as f64 / steps as f64 - 0.5);
+                let place = actor.pose.to_world(Vector::new(along, side * shape.width));
+                let on = facts.route.project_near(place, on_route.s, 0.0, SIGHT + 15.0);
+                // Beyond the ends of the searched stretch a point is off the route.
+                if (on.distance - on.d.abs()).abs() > 0.1 || on.d.abs() > HALF_WAY {
+                    continue;
+                }
+                nearest = Some(nearest.map_or(on.s, |s: f64| s.min(on.s)));
+            }
+        }
+        let gap = nearest? - on_route.front_s;
+        if !(-1.0..=SIGHT).contains(&gap) {
+            return None;
+        }
+        let course = facts.route.at(nearest?).pose.heading;
+        let along = actor.speed * wrap_angle(actor.pose.heading - course).cos();
+        Some(Self { gap: gap.max(0.0), closing_speed: on_route.state.speed - along })
+    }
+}
+
+/// Borders of the distances that are reported apart (m).
+const BORDERS: [f64; 5] = [0.0, 10.0, 20.0, 30.0, SIGHT];
+
+/// Pairs of truth and detection over frames.
+#[derive(Clone, Debug, Default)]
+pub struct LeadScore {
+    pairs: Vec<(Option<LeadTruth>, Option<LeadState>)>,
+}
+
+/// Figures of a range of true gaps.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct LeadBin {
+    /// m.
+    pub from: f64,
+    pub to: f64,
+    pub frames: usize,
+    /// Share in which a vehicle in front was reported within 3 m or a quarter of the gap.
+    pub recall: Option<f64>,
+    /// Absolute errors of gap (m) and closing speed (m/s), whatever was reported.
+    pub gap_error: Spread,
+    pub gap_bias: Option<f64>,
+    pub closing_error: Spread,
+}
+
+/// All figures.
+#[derive(Clone, Debug, Serialize)]
+pub struct LeadReport {
+    pub bins: Vec<LeadBin>,
+    /// Frames without anything in the path, and the share of them in which something was reported.
+    pub free_frames: usize,
+    pub false_leads: Option<f64>,
+}
+
+impl LeadScore {
+    /// Counts a frame.
+    pub fn add(&mut self, truth: Option<LeadTruth>, seen: Option<LeadState>) {
+        self.pairs.push((truth, seen));
+    }
+
+    /// The figures.
+    pub fn report(&self) -> LeadReport {
+        let bins = BORDERS.windows(2).map(|border| self.bin(border[0], border[1])).collect();
+        let free: Vec<_> = self.pairs.iter().filter(|(truth, _)| truth.is_none()).collect();
+        let wrong = free.iter().filter(|(_, seen)| seen.is_some()).count();
+        LeadReport { bins, free_frames: free.len(), false_leads: share(wrong, free.len()) }
+    }
+
+    fn bin(&self, from: f64, to: f64) -> LeadBin {
+        let (mut frames, mut found) = (0, 0);
+        let (mut gaps, mut closings) = (Vec::new(), Vec::new());
+        for (truth, seen) in &self.pairs {
+            let Some(truth) = truth.filter(|t| t.gap >= from && t.gap < to) else { continue };
+            frames += 1;
+            if let Some(seen) = seen {
+                let error = seen.gap - truth.gap;
+                found += usize::from(error.abs() <= 3.0_f64.max(0.25 * truth.gap));
+                gaps.push(error);
+                closings.push(seen.closing_speed - truth.closing_speed);
+            }
+        }
+        let bias = (!gaps.is_empty()).then(|| gaps.iter().sum::<f64>() / gaps.len() as f64);
+        LeadBin {
+            from,
+            to,
+            frames,
+            recall: share(found, frames),
+            gap_error: Spread::of(&gaps),
+            gap_bias: bias,
+            closing_error: Spread::of(&closings),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn misses_lower_recall_and_leave_errors_alone() {
+        let mut score = LeadScore::default();
+        let truth = Some(LeadTruth { gap: 15.0, closing_speed: 2.0 });
+        score.add(truth, Some(LeadState { gap: 15.5, closing_speed: 1.0 }));
+        score.add(truth, None);
+        score.add(None, Some(LeadState { gap: 4.0, closing_speed: 0.0 }));
+        score.add(None, None);
+        let report = score.report();
+        let bin = report.bins[1];
+        assert_eq!((bin.frames, bin.recall, bin.gap_error.median), (2, Some(0.5), Some(0.5)));
+        assert_eq!((report.free_frames, report.false_leads), (2, Some(0.5)));
+        assert_eq!(report.bins[0].recall, None);
+    }
+}

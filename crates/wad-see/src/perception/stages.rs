@@ -1,0 +1,73 @@
+//! The stages of a tick as pictures for people.
+
+use super::paint::{BLUE, GREEN, RED, is_obstacle};
+use super::{Detection, GroundPlane, Percept, TRANSFORMED_SIZE, TransformedImage};
+use wad_camera::model::ObjectClass;
+use wad_camera::{Frame, Picture};
+
+/// The camera's picture with the detections' boxes.
+pub fn detections(frame: &Frame, found: &[Detection]) -> Picture {
+    let mut picture = Picture::rgb(frame);
+    for detection in found {
+        let [l, t, r, b] = detection.bounds.map(|v| v.max(0.0).round() as usize);
+        let colour = if is_obstacle(detection.class) { BLUE } else { [255, 220, 40] };
+        let (right, bottom) = (r.max(l + 1) - 1, b.max(t + 1) - 1);
+        picture.outline([l, t, right, bottom], colour);
+        if right > l + 3 && bottom > t + 3 {
+            let light = if detection.class == ObjectClass::Person { [255, 90, 160] } else { [120, 190, 255] };
+            picture.outline([l + 1, t + 1, right - 1, bottom - 1], light);
+        }
+    }
+    picture
+}
+
+/// The camera's picture with the lane boundaries, and a red border where the light here is red.
+pub fn lanes(frame: &Frame, percept: &Percept, ground: &GroundPlane) -> Picture {
+    let mut picture = Picture::rgb(frame);
+    for boundary in [&percept.lanes.left, &percept.lanes.right].into_iter().flatten() {
+        let points = boundary.pixels(ground);
+        for pair in points.windows(2) {
+            let ([x, y], [to_x, to_y]) = (pair[0], pair[1]);
+            let steps = (to_x - x).abs().max((to_y - y).abs()).min(4096.0).ceil().max(1.0) as usize;
+            for step in 0..=steps {
+                let t = step as f32 / steps as f32;
+                let (px, py) = (x + t * (to_x - x), y + t * (to_y - y));
+                for (dx, dy) in [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)] {
+                    if px + dx >= 0.0 && py + dy >= 0.0 {
+                        picture.set((px + dx) as usize, (py + dy) as usize, GREEN);
+                    }
+                }
+            }
+        }
+    }
+    if percept.light_red {
+        for inset in 0..4 {
+            let (right, bottom) = (picture.width - 1 - inset, picture.height - 1 - inset);
+            picture.outline([inset, inset, right, bottom], RED);
+        }
+    }
+    picture
+}
+
+/// A transformed image (or a reconstruction of one) at its own size.
+pub fn transformed(image: &TransformedImage) -> Picture {
+    Picture { width: TRANSFORMED_SIZE, height: TRANSFORMED_SIZE, rgb: image.bytes().to_vec() }
+}
+
+/// Camera, detections, transformed image and, where there is one, reconstruction, side by side, `side`
+/// pixels each.
+pub fn strip(
+    frame: &Frame,
+    percept: &Percept,
+    reconstruction: Option<&TransformedImage>,
+    side: usize,
+) -> Picture {
+    let mut pictures =
+        vec![Picture::rgb(frame), detections(frame, &percept.detections), transformed(&percept.transformed)];
+    pictures.extend(reconstruction.map(transformed));
+    let mut strip = Picture::new(side * pictures.len(), side);
+    for (n, picture) in pictures.iter().enumerate() {
+        strip.paste(&picture.scaled(side, side), n * side, 0);
+    }
+    strip
+}

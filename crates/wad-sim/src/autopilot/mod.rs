@@ -1,0 +1,457 @@
+//! The rule-based expert: collects data, and is the yardstick for every agent.
+//!
+//! It sees the whole [`WorldState`], drives a [`Route`] and answers one [`Decision`] per tick:
+//! path, then what each rule allows as an acceleration, then the smallest of those, then the pedals.
+//! It draws no random numbers; equal input gives equal output.
+
+mod junction;
+mod lane_change;
+mod leader;
+mod lights;
+mod params;
+mod path;
+mod pedestrians;
+mod right_of_way;
+mod speed;
+mod steering;
+#[cfg(test)]
+mod tests;
+
+pub use params::{AutopilotParams, EgoModel};
+
+use junction::LinkPlan;
+use lane_change::LaneChanger;
+use leader::{Obstacle, Tracker};
+use lights::{Lights, Verdict};
+use path::Path;
+use right_of_way::{ByLane, Motion};
+use serde::{Deserialize, Serialize};
+use speed::{Pedals, follow, stop_in, time_to_cover};
+use sumo_network::network::{LinkDirection, LinkId, Network, Route};
+use sumo_network::world::{SignalState, WorldState};
+use wad_vehicle::{Control, EgoState};
+
+/// What decided the speed.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", tag = "kind")]
+pub enum Reason {
+    /// Nothing: it accelerates as it likes.
+    Free,
+    /// The speed limit.
+    Limit,
+    /// A curve ahead.
+    Curve,
+    /// A vehicle ahead: gap (m) and speed along the path (m/s).
+    Leader { gap: f64, speed: f64 },
+    /// A vehicle with which the ego merges: gap (m) and speed (m/s).
+    Merge { gap: f64, speed: f64 },
+    /// A light (or stop sign) at this distance (m) from the front bumper.
+    RedLight { distance: f64 },
+    /// Others with right of way; where it will stand (m from the front bumper).
+    Yield { distance: f64 },
+    /// No room beyond the junction; distance of the stop line (m).
+    JunctionBlocked { distance: f64 },
+    /// A pedestrian away from crossings; where it will stand (m from the front bumper).
+    Pedestrian { distance: f64 },
+    /// A pedestrian on or about to step onto a crossing; the same.
+    Crossing { distance: f64 },
+    /// No gap yet on the lane that the route needs.
+    LaneChange { distance: f64 },
+    /// The end of the route is near.
+    RouteEnd { distance: f64 },
+    /// Far off the route's line.
+    OffRoute,
+}
+
+/// The vehicle ahead.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Leader {
+    /// Bumper to bumper (m).
+    pub gap_m: f64,
+    /// Along the path (m/s).
+    pub speed_mps: f64,
+}
+
+/// What to do over the next tick, and why.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Decision {
+    pub control: Control,
+    pub reason: Reason,
+    /// Speed wanted here without others (m/s): limits and curves.
+    pub target_speed: f64,
+    /// Acceleration asked for (m/s2).
+    pub acceleration: f64,
+    pub leader: Option<Leader>,
+    /// State of the next signal and the distance of its stop line from the front bumper (m).
+    pub light: Option<(SignalState, f64)>,
+    /// Held by a light, a jam (a leader slower than 2 m/s), right of way, a pedestrian or a full junction.
+    pub held: bool,
+    /// Indicators and brake lights to show.
+    pub blinker_left: bool,
+    pub blinker_right: bool,
+    pub brake_light: bool,
+}
+
+/// The rule-based driver of one ego.
+#[derive(Clone, Debug)]
+pub struct Autopilot {
+    params: AutopilotParams,
+    model: EgoModel,
+    path: Path,
+    plans: Vec<LinkPlan>,
+    tracker: Tracker,
+    lights: Lights,
+    changer: LaneChanger,
+    pedals: Pedals,
+    /// Acceleration asked for at the last tick (m/s2).
+    last_acceleration: f64,
+    /// How long it has stood for right of way (s), and at which link.
+    waited: f64,
+    waiting_at: Option<LinkId>,
+}
+
+/// The smallest acceleration so far, and its reason.
+struct Choice {
+    acceleration: f64,
+    reason: Reason,
+}
+
+impl Choice {
+    fn offer(&mut self, acceleration: f64, reason: Reason) {
+        if acceleration < self.acceleration {
+            *self = Self { acceleration, reason };
+        }
+    }
+}
+
+impl Autopilot {
+    /// A driver of the vehicle described by `ego`.
+    pub fn new(params: AutopilotParams, ego: EgoModel) -> Self {
+        Self {
+            params,
+            model: ego,
+            path: Path::default(),
+            plans: Vec::new(),
+            tracker: Tracker::default(),
+            lights: Lights::default(),
+            changer: LaneChanger::default(),
+            pedals: Pedals::default(),
+            last_acceleration: 0.0,
+            waited: 0.0,
+            waiting_at: None,
+        }
+    }
+
+    /// Somebody else drove the last tick, whatever was decided: to be said before the next
+    /// [`Autopilot::control`], or the pedals' correction learns from what it did not do.
+    pub fn overruled(&mut self) {
+        self.pedals.overruled();
+    }
+
+    /// One tick: from the state after the last SUMO step, the control for the next `tick_s` seconds.
+    /// `route_s` is where the ego's centre is on `route` (m).
+    pub fn control(
+        &mut self,
+        network: &Network,
+        route: &Route,
+        route_s: f64,
+        ego: &EgoState,
+        world: &WorldState,
+        tick_s: f64,
+    ) -> Decision {
+        let params = self.params;
+        let model = self.model;
+        let speed = ego.speed.max(0.0);
+        let latency = speed::latency(tick_s);
+        let front_s = route_s + 0.5 * model.length;
+        let rear_s = route_s - 0.5 * model.length;
+
+        self.changer.select(route, route_s, speed);
+        let ahead = (0.25 * speed * speed + 3.5 * speed + 30.0).clamp(50.0, params.sight);
+        let behind = if self.changer.active() { 70.0 } else { 25.0 };
+        let changer = &self.changer;
+        self.path.plan(route, route_s, (behind, ahead), &model, &params, |s, point| {
+            changer.offset(network, s, point)
+        });
+        self.update_plans(network, route, rear_s, front_s + ahead);
+
+        let (located, obstacles) =
+            leader::find(&self.path, route_s, world, &mut self.tracker, tick_s, &model, &params);
+        let profile = speed::profile(&self.path, route_s, speed, tick_s, &params);
+        let mut choice = Choice { acceleration: params.max_acceleration, reason: Reason::Free };
+        let bound = if profile.curve { Reason::Curve } else { Reason::Limit };
+        choice.offer(profile.acceleration.max(-4.5), bound);
+
+        let leader = self.follow_leaders(&obstacles, front_s, speed, latency, &profile, &mut choice);
+        let light = self.pass_junctions(
+            network,
+            world,
+            &obstacles,
+            (front_s, rear_s),
+            speed,
+            &profile,
+            latency,
+            tick_s,
+            &mut choice,
+        );
+
+        let walk = pedestrians::Approach { front_s, rear_s, speed, top: profile.target.max(2.0) };
+        if let Some(halt) = pedestrians::judge(network, &self.path, &self.plans, world, &walk, &params) {
+            let distance = halt.stop_s - front_s;
+            let reason =
+                if halt.crossing { Reason::Crossing { distance } } else { Reason::Pedestrian { distance } };
+            choice.offer(self.stop(speed, distance, latency), reason);
+        }
+
+        let wish = self.changer.decide(network, route_s, speed, world, &located, tick_s, &model, &params);
+        if let Some(wait_s) = wish.wait_s {
+            let distance = wait_s - route_s;
+            choice.offer(self.stop(speed, distance, latency), Reason::LaneChange { distance });
+            if let Some((gap, other)) = wish.beside
+                && speed > 2.0
+            {
+                let a = follow(speed, gap.max(0.5), other, profile.target, &params).max(-1.2);
+                choice.offer(a, Reason::LaneChange { distance });
+            }
+        }
+        let to_end = route.length() - 1.0 - route_s;
+        if to_end < params.sight {
+            choice.offer(self.stop(speed, to_end, latency), Reason::RouteEnd { distance: to_end });
+        }
+        let off = self.path.locate(ego.pose.xy(), self.path.index_at(route_s)).d.abs();
+        if off > 1.5 {
+            choice.offer(speed::track(speed, 3.5).max(-3.0), Reason::OffRoute);
+        }
+
+        // Smooth onset, except where it matters.
+        let mut acceleration = choice.acceleration.min(self.last_acceleration.max(-0.5) + 4.0 * tick_s);
+        if acceleration > -3.5 {
+            acceleration = acceleration.max(self.last_acceleration.min(0.0) - 9.0 * tick_s);
+        }
+        self.last_acceleration = acceleration;
+        let mut control = self.pedals.press(acceleration, speed, tick_s, &model);
+        let wheel = steering::wheel_angle(&self.path, route_s, ego, &model, acceleration, tick_s);
+        // At rest the wheels stay where they are.
+        let wheel = if speed < 0.05 && control.throttle == 0.0 { ego.steer_angle } else { wheel };
+        control.steer = (wheel / model.max_steer).clamp(-1.0, 1.0);
+
+        let blinker =
+            if wish.blinker != 0 { wish.blinker } else { self.turn_signal(network, front_s, speed) };
+        Decision {
+            control,
+            reason: choice.reason,
+            target_speed: profile.target,
+            acceleration,
+            leader,
+            light,
+            held: is_held(&choice.reason),
+            blinker_left: blinker > 0,
+            blinker_right: blinker < 0,
+            brake_light: control.brake > 0.0,
+        }
+    }
+
+    fn stop(&self, speed: f64, distance: f64, latency: f64) -> f64 {
+        let p = &self.params;
+        stop_in(speed, distance - speed * latency, p.comfortable_deceleration, p.emergency_deceleration)
+    }
+
+    /// Keeps the plans of the links between `from` and `to` (m on the route).
+    fn update_plans(&mut self, network: &Network, route: &Route, from: f64, to: f64) {
+        let mut plans = Vec::new();
+        for link in route.links.iter().filter(|l| l.end_s + 10.0 > from && l.stop_s < to) {
+            match self.plans.iter().position(|p| p.is_for(link)) {
+                Some(i) => plans.push(self.plans.swap_remove(i)),
+                None => plans.push(LinkPlan::new(network, route, link, &self.model)),
+            }
+        }
+        self.plans = plans;
+    }
+
+    fn follow_leaders(
+        &self,
+        obstacles: &[Obstacle],
+        front_s: f64,
+        speed: f64,
+        latency: f64,
+        profile: &speed::Profile,
+        choice: &mut Choice,
+    ) -> Option<Leader> {
+        let params = &self.params;
+        let mut leader: Option<Leader> = None;
+        for obstacle in obstacles {
+            let gap = obstacle.near_s - front_s;
+            let passes = obstacle.crossing && obstacle.clear_time.is_finite();
+            if passes {
+                let arrive = time_to_cover(gap - 0.5, speed, 1.5, profile.target.max(3.0));
+                if arrive > obstacle.clear_time + 0.5 {
+                    continue;
+                }
+            }
+            let other = if passes { obstacle.speed.clamp(0.0, 0.5) } else { obstacle.speed };
+            let then = gap - (speed - other) * latency;
+            let mut a = follow(speed, then, other, profile.target.max(1.0), params);
+            if obstacle.predicted {
+                // It is not there yet: open the gap without a shock unless it is tight.
+                a = a.max(if gap < 0.3 * speed { -4.0 } else { -2.5 });
+            }
+            choice.offer(a, Reason::Leader { gap, speed: obstacle.speed });
+            if !obstacle.crossing && leader.is_none_or(|l| gap < l.gap_m) {
+                leader = Some(Leader { gap_m: gap, speed_mps: obstacle.speed });
+            }
+        }
+        leader
+    }
+
+    /// Lights, full junctions and right of way at the links ahead.
+    #[allow(clippy::too_many_arguments)]
+    fn pass_junctions(
+        &mut self,
+        network: &Network,
+        world: &WorldState,
+        obstacles: &[Obstacle],
+        (front_s, rear_s): (f64, f64),
+        speed: f64,
+        profile: &speed::Profile,
+        latency: f64,
+        tick_s: f64,
+        choice: &mut Choice,
+    ) -> Option<(SignalState, f64)> {
+        let params = self.params;
+        let by_lane = ByLane::new(world);
+        let mut light = None;
+        let mut yielding_at = None;
+        for plan in &self.plans {
+            if rear_s > plan.end_s {
+                continue;
+            }
+            let distance = plan.stop_s - front_s;
+            let reach = 15.0 + 4.0 * speed + 0.25 * speed * speed;
+            let mut yields = !network.link(plan.link).must_yield_to.is_empty();
+            if distance > -0.5 {
+                let top = profile.target.max(speed);
+                let (verdict, state) =
+                    self.lights.judge(network, plan, world, distance, speed, top, latency, &params);
+                if light.is_none()
+                    && let Some(state) = state
+                {
+                    light = Some((state, distance));
+                }
+                match verdict {
+                    Verdict::Stop => {
+                        let a = self.stop(speed, distance - params.stop_margin, latency);
+                        choice.offer(a, Reason::RedLight { distance });
+                        break;
+                    }
+                    Verdict::Go { yields: must } => yields = must,
+                }
+                let matters = !plan.conflicts.is_empty() || !plan.crossings.is_empty();
+                let can_stop = speed * speed / (2.0 * (distance - speed * latency).max(0.3)) < 3.0;
+                if matters && can_stop && distance < reach {
+                    let room = leader::room_behind_queue(
+                        obstacles,
+                        front_s,
+                        plan.clear_s,
+                        self.model.length + 12.0,
+                        params.min_gap,
+                    );
+                    if room.is_some_and(|r| r < self.model.length + params.min_gap + 0.5) {
+                        let a = self.stop(speed, distance - params.stop_margin, latency);
+                        choice.offer(a, Reason::JunctionBlocked { distance });
+                    }
+                }
+            } else if network
+                .link(plan.link)
+                .signal
+                .is_some_and(|s| world.signal(s) == Some(SignalState::GreenMajor))
+            {
+                yields = false;
+            }
+            if distance > reach {
+                break;
+            }
+            let waited = if self.waiting_at == Some(plan.link) { self.waited } else { 0.0 };
+            let impatience =
+                ((waited - params.patience) / (params.patience_end - params.patience)).clamp(0.0, 1.0);
+            let from = self.path.index_at(plan.stop_s.max(front_s));
+            let to = self.path.index_at(plan.end_s);
+            let top = self.path.samples[from..=to.max(from)]
+                .iter()
+                .map(|p| p.limit.min(speed::curve_speed(p.curvature, &params)))
+                .fold(f64::INFINITY, f64::min)
+                .max(2.0);
+            let motion = Motion {
+                front_s,
+                rear_s,
+                speed,
+                top,
+                impatience,
+                breaks_deadlock: waited >= params.patience_end,
+                yields,
+                signalled: network
+                    .link(plan.link)
+                    .signal
+                    .is_some_and(|s| world.signal(s) != Some(SignalState::Off)),
+                ends_standoff: waited >= right_of_way::STANDOFF,
+            };
+            let outcome = right_of_way::judge(network, plan, world, &by_lane, &motion, &params);
+            for merging in &outcome.merging {
+                let gap = merging.gap - (speed - merging.speed) * latency;
+                let a = follow(speed, gap, merging.speed, profile.target.max(1.0), &params).max(-4.0);
+                choice.offer(a, Reason::Merge { gap: merging.gap, speed: merging.speed });
+                if merging.speed < 0.3 && front_s > plan.stop_s {
+                    yielding_at = yielding_at.or(Some(plan.link));
+                }
+            }
+            if let Some(hold) = outcome.hold {
+                let distance = hold.stop_s - front_s;
+                let inside = plan.wait_s == Some(hold.stop_s);
+                let margin = if inside || hold.stop_s == plan.stop_s { params.stop_margin } else { 0.3 };
+                let a = self.stop(speed, distance - margin, latency);
+                choice.offer(a, Reason::Yield { distance });
+                yielding_at = yielding_at.or(Some(plan.link));
+            }
+        }
+        if let Some(link) = yielding_at {
+            if self.waiting_at != Some(link) {
+                self.waiting_at = Some(link);
+                self.waited = 0.0;
+            }
+            if speed < 0.5 {
+                self.waited += tick_s;
+            }
+        } else if speed > 3.0 {
+            self.waiting_at = None;
+            self.waited = 0.0;
+        }
+        light
+    }
+
+    /// Which way the next link turns: -1 right, 1 left, 0 neither or too far off.
+    fn turn_signal(&self, network: &Network, front_s: f64, speed: f64) -> i8 {
+        let notice = 15.0 + 2.5 * speed;
+        let next = self.plans.iter().find(|p| front_s < p.end_s + 1.0 && p.stop_s - front_s < notice);
+        next.map_or(0, |plan| match network.link(plan.link).direction {
+            LinkDirection::Left | LinkDirection::PartLeft | LinkDirection::TurnAround => 1,
+            LinkDirection::Right | LinkDirection::PartRight => -1,
+            LinkDirection::Straight | LinkDirection::Invalid => 0,
+        })
+    }
+}
+
+fn is_held(reason: &Reason) -> bool {
+    match *reason {
+        Reason::Leader { speed, .. } | Reason::Merge { speed, .. } => speed < 2.0,
+        Reason::RedLight { .. }
+        | Reason::Yield { .. }
+        | Reason::JunctionBlocked { .. }
+        | Reason::Pedestrian { .. }
+        | Reason::Crossing { .. } => true,
+        Reason::Free
+        | Reason::Limit
+        | Reason::Curve
+        | Reason::LaneChange { .. }
+        | Reason::RouteEnd { .. }
+        | Reason::OffRoute => false,
+    }
+}

@@ -1,0 +1,121 @@
+//! Background traffic by hand: how much there is, and whether a place is free.
+
+use super::{Bridge, BridgeError, OBSTACLE};
+use crate::traffic::{self, Counts, Population};
+use std::sync::Arc;
+use sumo_network::geometry::Point;
+use sumo_network::network::{LaneId, Network};
+use sumo_traci::{Batch, RemoveReason, person, vehicle};
+
+impl Bridge {
+    /// Whether no vehicle is on any of these lanes.
+    ///
+    /// # Errors
+    /// SUMO fails.
+    pub async fn is_free(&mut self, lanes: &[LaneId]) -> Result<bool, BridgeError> {
+        let mut batch = Batch::new();
+        let counts: Vec<_> = lanes
+            .iter()
+            .map(|lane| batch.get(sumo_traci::lane::LAST_STEP_VEHICLE_NUMBER, &self.network.lane(*lane).id))
+            .collect();
+        let replies = self.ask(&batch).await?;
+        for count in counts {
+            if replies.get(count).map_err(sumo_traci::Error::from)? > 0 {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+
+    /// Keeps `counts` of background traffic alive from now on; see [`Population::resize`]. False where
+    /// the population is the config's own.
+    pub fn resize_traffic(&mut self, counts: Counts) -> bool {
+        let Some(population) = &mut self.population else { return false };
+        if population.wanted() != counts {
+            population.resize(counts, &mut self.batch);
+        }
+        true
+    }
+
+    /// The same whatever the population was: the config's own gives way, with the next step, to one that
+    /// is kept alive.
+    ///
+    /// # Errors
+    /// SUMO fails.
+    pub async fn set_traffic(&mut self, counts: Counts) -> Result<(), BridgeError> {
+        self.resized = true;
+        if self.resize_traffic(counts) {
+            return Ok(());
+        }
+        let mut ask = Batch::new();
+        let (vehicles, persons) = (ask.get(vehicle::ID_LIST, ""), ask.get(person::ID_LIST, ""));
+        let replies = self.ask(&ask).await?;
+        let mut population =
+            population_of(&self.traffic_roads, Counts::default(), self.traffic_seed, self.traffic_alone);
+        for id in replies.get(vehicles).map_err(sumo_traci::Error::from)? {
+            if self.traffic_alone && !KEPT.contains(&id.as_str()) {
+                vehicle::remove(&mut self.batch, &id, RemoveReason::Vaporized);
+            }
+        }
+        let persons = replies.get(persons).map_err(sumo_traci::Error::from)?;
+        for id in persons.into_iter().filter(|_| self.traffic_alone) {
+            person::remove(&mut self.batch, &id, RemoveReason::Vaporized);
+        }
+        population.define_types(&mut self.batch);
+        // They come with the next updates, out of the ego's sight.
+        population.resize(counts, &mut self.batch);
+        self.population = Some(population);
+        Ok(())
+    }
+
+    /// Takes background vehicles within `radius` (m) of `place` away with the next step; they come
+    /// back elsewhere. `lanes` are the lanes looked at. False where one stays that is not the
+    /// population's.
+    ///
+    /// # Errors
+    /// SUMO fails.
+    pub async fn clear(&mut self, place: Point, radius: f64, lanes: &[LaneId]) -> Result<bool, BridgeError> {
+        let mut batch = Batch::new();
+        let tickets: Vec<_> = lanes
+            .iter()
+            .map(|lane| batch.get(sumo_traci::lane::LAST_STEP_VEHICLE_IDS, &self.network.lane(*lane).id))
+            .collect();
+        let replies = self.ask(&batch).await?;
+        let mut ids: Vec<String> = Vec::new();
+        for ticket in tickets {
+            ids.extend(replies.get(ticket).map_err(sumo_traci::Error::from)?);
+        }
+        ids.retain(|id| id != "ego");
+        ids.sort_unstable();
+        ids.dedup();
+        if ids.is_empty() {
+            return Ok(true);
+        }
+        let mut batch = Batch::new();
+        let tickets: Vec<_> = ids.iter().map(|id| batch.get(vehicle::POSITION, id)).collect();
+        let replies = self.ask(&batch).await?;
+        let near = ids.iter().zip(tickets).filter(|(_, ticket)| {
+            let position = replies.get(*ticket);
+            position.is_ok_and(|p| (Point::new(p.x, p.y) - place).norm() < radius)
+        });
+        let mut all = true;
+        for (id, _) in near {
+            match &mut self.population {
+                Some(population) if population.owns(id) => {
+                    population.evict([id.as_str()], &mut self.batch);
+                }
+                _ => all = false,
+            }
+        }
+        Ok(all)
+    }
+}
+
+/// Who is in SUMO beside the population.
+const KEPT: [&str; 2] = ["ego", OBSTACLE];
+
+pub(super) fn population_of(network: &Arc<Network>, counts: Counts, seed: u64, alone: bool) -> Population {
+    let keep = KEPT.map(str::to_string).to_vec();
+    let behaviour = traffic::Options { alone, keep, ..Default::default() };
+    Population::new(Arc::clone(network), counts, seed, behaviour)
+}

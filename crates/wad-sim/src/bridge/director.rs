@@ -1,0 +1,23 @@
+//! Who acts in SUMO beside the egos, with the same message.
+
+use super::Ego;
+use sumo_network::network::Network;
+use sumo_traci::Batch;
+
+/// What a director knows when its turn comes.
+pub struct Scene<'a> {
+    pub network: &'a Network,
+    /// s since the bridge began, and the length of a tick.
+    pub time: f64,
+    pub tick: f64,
+    /// The first ego, with the world as it saw it after the last step.
+    pub ego: &'a Ego,
+}
+
+/// Plays what a scenario has written: it appends commands to the message that carries the next step.
+pub trait Director: Send {
+    /// Once, with the message that brings the egos in. SUMO must refuse none of its commands.
+    fn begin(&mut self, scene: &Scene<'_>, batch: &mut Batch);
+    /// Before every step, that first one too.
+    fn direct(&mut self, scene: &Scene<'_>, batch: &mut Batch);
+}

@@ -1,0 +1,493 @@
+//! The co-simulation: one SUMO, one network, any number of egos in it.
+//!
+//! One tick is one message: population changes, the egos' poses, the step; the reply brings
+//! everything within sight of each ego.
+//!
+//! ```text
+//! ego.advance(control)        physics of one tick, contacts
+//! bridge.step(&mut [&mut ego]) poses in, one SUMO step, a new WorldState for each ego
+//! ```
+
+mod background;
+mod director;
+mod ego;
+mod error;
+mod observe;
+mod signals;
+
+pub use director::{Director, Scene};
+pub use ego::{Ego, Lamps};
+pub use error::BridgeError;
+
+use crate::cores::SharedCore;
+use crate::destination::EGO_CLASS;
+use crate::sumo_config::{OptionSchema, Overrides, SumoConfig};
+use crate::traffic::{Population, StepEvents, TrafficSpec};
+use background::population_of;
+use observe::ActorCatalog;
+use serde::{Deserialize, Serialize};
+use signals::SignalWatch;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use sumo_network::geometry::Point;
+use sumo_network::network::Network;
+use sumo_network::seeds;
+use sumo_traci::process::{LaunchOptions, SumoInstall, SumoProcess};
+use sumo_traci::{Batch, Replies, TcpClient, gui, simulation, vehicle};
+
+/// How to start a co-simulation.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct BridgeOptions {
+    /// A `.sumocfg` or `.net.xml(.gz)`.
+    pub config: PathBuf,
+    /// The run's seed; SUMO's and the traffic's derive from it.
+    pub seed: u64,
+    /// Tick length (ms); None: the config's step-length, else 167.
+    pub tick_ms: Option<f64>,
+    /// Background population.
+    pub traffic: TrafficSpec,
+    /// How far an ego sees (m).
+    pub sight: f64,
+    /// sumo-gui instead of sumo, the ego followed.
+    pub gui: bool,
+    /// `host:port` of a running SUMO to use instead of an own one.
+    pub attach: Option<String>,
+    /// Longest time a tick may take before SUMO counts as hung (s).
+    pub tick_timeout: f64,
+    /// Folder for SUMO's files: effective config, log, redirected outputs.
+    pub output_dir: PathBuf,
+    /// The config is a scenario: what it has drawn stays beside the background population, but for its ego.
+    #[serde(default)]
+    pub scenario: bool,
+    /// Lanes that the scenario closes: the background population keeps off them from the start.
+    #[serde(default)]
+    pub closed_lanes: Vec<String>,
+}
+
+impl BridgeOptions {
+    /// The defaults of `wad-cosim run` for a config, SUMO's files going to `output_dir`.
+    pub fn new(config: impl Into<PathBuf>, output_dir: impl Into<PathBuf>) -> Self {
+        Self {
+            config: config.into(),
+            seed: 0,
+            tick_ms: None,
+            traffic: TrafficSpec::AsIs,
+            sight: 100.0,
+            gui: false,
+            attach: None,
+            tick_timeout: 60.0,
+            output_dir: output_dir.into(),
+            scenario: false,
+            closed_lanes: Vec::new(),
+        }
+    }
+}
+
+/// The paper's six ticks a second, in SUMO's whole milliseconds.
+pub const DEFAULT_TICK_MS: f64 = 167.0;
+
+/// Id of the vehicle that stands in the ego's way in the obstacle task.
+pub const OBSTACLE: &str = "obstacle";
+
+/// A running co-simulation.
+pub struct Bridge {
+    client: TcpClient,
+    /// None where attached to somebody else's SUMO.
+    process: Option<SumoProcess>,
+    _core: Option<SharedCore>,
+    network: Arc<Network>,
+    config: SumoConfig,
+    catalog: ActorCatalog,
+    signals: SignalWatch,
+    population: Option<Population>,
+    /// Where background traffic drives: the network less the lanes that are closed.
+    traffic_roads: Arc<Network>,
+    traffic_seed: u64,
+    /// Those that the config brings are taken out.
+    traffic_alone: bool,
+    /// Vehicles have been taken out by hand: arrivals no longer tell how many there are.
+    resized: bool,
+    director: Option<Box<dyn Director>>,
+    batch: Batch,
+    sight: f64,
+    gui: bool,
+    subscribed: bool,
+    /// SUMO's clock when the bridge began (ms), tick length (ms), ticks since.
+    begin_ms: f64,
+    tick_ms: f64,
+    ticks: u64,
+    /// Background vehicles and pedestrians in the network after the last step.
+    counts: (usize, usize),
+    /// Vehicles in the network after the last step, egos included.
+    in_network: usize,
+    /// Time spent waiting for SUMO's answers to steps (s), and their size (bytes).
+    sumo_seconds: f64,
+    answer_bytes: u64,
+}
+
+impl Bridge {
+    /// Reads config and network, starts SUMO (or attaches to one) and shakes hands with it.
+    ///
+    /// # Errors
+    /// See [`BridgeError`]; nothing is left running.
+    pub async fn start(options: &BridgeOptions) -> Result<Self, BridgeError> {
+        Self::start_on(options, None).await
+    }
+
+    /// The same with the config's network where it has been read already, to be shared.
+    ///
+    /// # Errors
+    /// As [`Bridge::start`].
+    pub async fn start_on(
+        options: &BridgeOptions,
+        network: Option<Arc<Network>>,
+    ) -> Result<Self, BridgeError> {
+        let install = SumoInstall::find()?;
+        if options.attach.is_none() {
+            install.check_version()?;
+        }
+        let schema = OptionSchema::cached(&install, options.gui)?;
+        let config = SumoConfig::load(&options.config, &schema)?;
+        for option in &config.ignored {
+            tracing::info!("{}: {option} is not an option of this SUMO, left out", config.path().display());
+        }
+        let network = match network {
+            Some(network) => network,
+            None => Arc::new(Network::load(&config.net_file()?)?),
+        };
+        network.require_drivable(EGO_CLASS)?;
+        let timeout = Duration::from_secs_f64(options.tick_timeout.max(0.001));
+        let wanted = match options.tick_ms {
+            Some(ms) => Some(ms),
+            None => config.time("step-length")?.map(|s| s * 1000.0),
+        };
+        let (mut client, process, begin_ms, tick_ms) = match &options.attach {
+            Some(address) => {
+                let mut client = TcpClient::attach(address).await?;
+                let step = client.get(simulation::DELTA_T, "").await? * 1000.0;
+                if let Some(wanted) = options.tick_ms.filter(|ms| (ms - step).abs() > 0.5) {
+                    return Err(BridgeError::AttachedTick { address: address.clone(), found: step, wanted });
+                }
+                let now = client.get(simulation::TIME, "").await? * 1000.0;
+                (client, None, now, step)
+            }
+            None => {
+                let tick_ms = wanted.unwrap_or(DEFAULT_TICK_MS).round();
+                if !(1.0..=1000.0).contains(&tick_ms) {
+                    return Err(BridgeError::Tick { found: tick_ms });
+                }
+                let effective = config.write_effective(&schema, &overrides(options, &config, tick_ms))?;
+                let launch = LaunchOptions {
+                    gui: options.gui,
+                    log_file: Some(options.output_dir.join("sumo.log")),
+                    ..LaunchOptions::config(effective)
+                };
+                let (process, client) = SumoProcess::launch_with(&install, &launch).await?;
+                let begin = config.time("begin")?.unwrap_or(0.0) * 1000.0;
+                (client, Some(process), begin, tick_ms)
+            }
+        };
+        client.set_timeout(Some(timeout));
+        let traffic_seed = seeds::derive(options.seed, "traffic");
+        let traffic_alone = !options.scenario;
+        let traffic_roads = match options.closed_lanes.as_slice() {
+            [] => Arc::clone(&network),
+            closed => Arc::new(network.without_lanes(closed)),
+        };
+        let population = options.traffic.counts(&config.town());
+        let population =
+            population.map(|counts| population_of(&traffic_roads, counts, traffic_seed, traffic_alone));
+        let core = process.as_ref().filter(|_| !options.gui).map(|process| SharedCore::with(process.id()));
+        Ok(Self {
+            client,
+            process,
+            _core: core,
+            signals: SignalWatch::new(&network, options.sight),
+            network,
+            config,
+            catalog: ActorCatalog::default(),
+            population,
+            traffic_roads,
+            traffic_seed,
+            traffic_alone,
+            resized: false,
+            director: None,
+            batch: Batch::new(),
+            sight: options.sight,
+            gui: options.gui,
+            subscribed: false,
+            begin_ms,
+            tick_ms,
+            ticks: 0,
+            counts: (0, 0),
+            in_network: 0,
+            sumo_seconds: 0.0,
+            answer_bytes: 0,
+        })
+    }
+
+    /// The network.
+    pub fn network(&self) -> &Arc<Network> {
+        &self.network
+    }
+
+    /// The configuration that the run began from.
+    pub fn config(&self) -> &SumoConfig {
+        &self.config
+    }
+
+    /// Length of a tick (s).
+    pub fn tick(&self) -> f64 {
+        self.tick_ms / 1000.0
+    }
+
+    /// SUMO's clock (s).
+    pub fn time(&self) -> f64 {
+        (self.begin_ms + self.ticks as f64 * self.tick_ms) / 1000.0
+    }
+
+    /// Background vehicles and pedestrians in the network after the last step.
+    pub fn counts(&self) -> (usize, usize) {
+        self.counts
+    }
+
+    /// Time spent so far waiting for SUMO's answers to steps (s).
+    pub fn sumo_seconds(&self) -> f64 {
+        self.sumo_seconds
+    }
+
+    /// Size of SUMO's answers to steps so far (bytes): what it gathers, sends and we decode. It grows with
+    /// what the egos see, not with the town.
+    pub fn answer_bytes(&self) -> u64 {
+        self.answer_bytes
+    }
+
+    /// Id of SUMO's process, None where attached.
+    pub fn sumo_pid(&self) -> Option<u32> {
+        self.process.as_ref().map(SumoProcess::id)
+    }
+
+    /// Has somebody act beside the egos from the first spawn on: a scenario's events. To be set before it.
+    pub fn set_director(&mut self, director: Box<dyn Director>) {
+        self.director = Some(director);
+    }
+
+    /// Brings an ego into SUMO with its first step. The population appears round it.
+    ///
+    /// # Errors
+    /// SUMO refuses the ego, or fails.
+    pub async fn spawn(&mut self, ego: &mut Ego) -> Result<(), BridgeError> {
+        self.spawn_all(&mut [ego]).await
+    }
+
+    /// Brings several egos into SUMO with one step; the population appears round the first.
+    ///
+    /// # Errors
+    /// SUMO refuses one of them, or fails.
+    pub async fn spawn_all(&mut self, egos: &mut [&mut Ego]) -> Result<(), BridgeError> {
+        for ego in egos.iter_mut() {
+            ego.params().check()?;
+            ego.insert(&self.network, &mut self.batch);
+            observe::subscribe(&mut self.batch, &ego.id, self.sight);
+        }
+        if !self.subscribed {
+            self.subscribed = true;
+            // Asked once: from then on departures and arrivals say it. SUMO's count costs it a copy of
+            // every vehicle's id.
+            let found = self.client.get(vehicle::ID_COUNT, "").await?;
+            self.in_network = usize::try_from(found).unwrap_or(0);
+            StepEvents::subscribe(&mut self.batch);
+            if let Some(population) = &mut self.population {
+                population.define_types(&mut self.batch);
+            }
+            let (time, tick) = (self.ticks as f64 * self.tick(), self.tick());
+            if let (Some(director), Some(ego)) = (&mut self.director, egos.first()) {
+                // Before the population: what the scenario has put somewhere stands there.
+                director.begin(&Scene { network: &self.network, time, tick, ego }, &mut self.batch);
+            }
+            if let Some(population) = &mut self.population {
+                population.populate(&mut self.batch, egos.first().map(|ego| ego.state().pose));
+            }
+        }
+        if let (true, Some(ego)) = (self.gui, egos.first()) {
+            self.batch.set(gui::TRACK_VEHICLE, gui::MAIN_VIEW, &ego.id);
+            self.batch.set(gui::SET_ZOOM, gui::MAIN_VIEW, 800.0);
+        }
+        let replies = self.exchange(egos).await?;
+        if let Err(refusal) = replies.check() {
+            return Err(sumo_traci::Error::from(refusal).into());
+        }
+        Ok(())
+    }
+
+    /// The connection, for what the bridge does not ask for itself. It must not step SUMO, and what it
+    /// sets holds from the next tick on.
+    pub fn client_mut(&mut self) -> &mut TcpClient {
+        &mut self.client
+    }
+
+    /// One SUMO step with the egos where their physics put them; each then has a new world.
+    ///
+    /// # Errors
+    /// SUMO died, hung, sent garbage or lost an ego.
+    pub async fn step(&mut self, egos: &mut [&mut Ego]) -> Result<(), BridgeError> {
+        let replies = self.exchange(egos).await?;
+        for refusal in replies.failures() {
+            tracing::debug!("SUMO refused: {refusal}");
+        }
+        Ok(())
+    }
+
+    /// Sends what is in the batch with the egos' poses and the step, and reads the new worlds.
+    async fn exchange(&mut self, egos: &mut [&mut Ego]) -> Result<Replies, BridgeError> {
+        let (time, tick) = (self.ticks as f64 * self.tick(), self.tick());
+        if let (Some(director), Some(ego)) = (&mut self.director, egos.first()) {
+            director.direct(&Scene { network: &self.network, time, tick, ego }, &mut self.batch);
+        }
+        let observers: Vec<Point> = egos.iter().map(|ego| ego.state().pose.xy()).collect();
+        self.signals.follow(&self.network, &observers, &mut self.batch);
+        let reported: Vec<_> =
+            egos.iter_mut().map(|ego| ego.report(&self.network, &mut self.batch)).collect();
+        self.batch.step();
+        let sent = Instant::now();
+        let replies = match self.client.send(&self.batch).await {
+            Ok(replies) => replies,
+            Err(error) => return Err(self.explain(error).await),
+        };
+        self.sumo_seconds += sent.elapsed().as_secs_f64();
+        self.answer_bytes += replies.bytes() as u64;
+        // From here on the batch is the next tick's.
+        self.batch.clear();
+        self.ticks += 1;
+        let (time, tick) = (self.time(), self.tick());
+        self.catalog.next_tick();
+        for (ego, reported) in egos.iter_mut().zip(reported) {
+            if let Err(refusal) = ego.confirm(reported, &replies) {
+                let (id, why) = (ego.id.clone(), refusal.to_string());
+                return Err(BridgeError::EgoLost { id, time: self.time(), why });
+            }
+        }
+        let subscriptions = replies.subscriptions();
+        self.signals.read(&self.network, &subscriptions);
+        let events = StepEvents::read(&replies).map_err(sumo_traci::Error::from)?;
+        self.in_network = (self.in_network + events.departed.len()).saturating_sub(events.arrived.len());
+        self.counts.0 = self.in_network.saturating_sub(egos.len());
+        // SUMO's own number of persons counts those who have yet to depart.
+        self.counts.1 =
+            (self.counts.1 + events.departed_persons.len()).saturating_sub(events.arrived_persons.len());
+        for ego in egos.iter_mut() {
+            let Ego { id, world, previous, extras, vehicle, .. } = &mut **ego;
+            std::mem::swap(world, previous);
+            let actors = (&mut world.vehicles, &mut world.pedestrians);
+            let observed =
+                self.catalog.observe(&mut self.client, &self.network, &replies, id, tick, actors).await;
+            if let Err(error) = observed {
+                return Err(self.explain(error).await);
+            }
+            let reach = self.sight;
+            let position = vehicle.state().pose.xy();
+            for extra in extras.iter().filter(|e| (e.pose.xy() - position).norm() < reach) {
+                let person = extra.actor_type.kind == sumo_network::world::ActorKind::Pedestrian;
+                if person { &mut world.pedestrians } else { &mut world.vehicles }.push(extra.clone());
+            }
+            world.tick = self.ticks;
+            world.time = time;
+            world.traffic_lights.clear();
+            world.traffic_lights.extend_from_slice(self.signals.states());
+        }
+        if let Some(population) = &mut self.population {
+            let ego = egos.first();
+            let near: Vec<Point> = ego
+                .iter()
+                .flat_map(|ego| ego.world.vehicles.iter().chain(&ego.world.pedestrians))
+                .map(|actor| actor.pose.xy())
+                .collect();
+            let pose = ego.map(|ego| ego.state().pose);
+            population.update(&events, &replies, pose, &near, &mut self.batch);
+            // Those that the population itself took out do not arrive.
+            self.counts.1 = population.alive().pedestrians;
+            if self.resized {
+                self.counts.0 = population.alive().vehicles;
+            }
+        }
+        Ok(replies)
+    }
+
+    async fn ask(&mut self, batch: &Batch) -> Result<Replies, BridgeError> {
+        match self.client.send(batch).await {
+            Ok(replies) => Ok(replies),
+            Err(error) => Err(self.explain(error).await),
+        }
+    }
+
+    /// Commands that go to SUMO with the next step, before it.
+    pub fn next_batch(&mut self) -> &mut Batch {
+        &mut self.batch
+    }
+
+    /// Saves SUMO's state, persons and random generators included.
+    ///
+    /// # Errors
+    /// SUMO fails or cannot write the file.
+    pub async fn save_state(&mut self, file: &Path) -> Result<(), BridgeError> {
+        Ok(self.client.save_state(&file.to_string_lossy()).await?)
+    }
+
+    /// A broken connection's error with SUMO's end and its last log lines, where SUMO was our child.
+    async fn explain(&mut self, error: sumo_traci::Error) -> BridgeError {
+        match &mut self.process {
+            Some(process) if error.is_fatal() => process.explain(error).await.into(),
+            _ => error.into(),
+        }
+    }
+
+    /// Ends the co-simulation: closes the connection and waits for an own SUMO to end.
+    ///
+    /// # Errors
+    /// SUMO did not take leave properly; it is gone all the same.
+    pub async fn close(self) -> Result<(), BridgeError> {
+        let closed = self.client.close().await;
+        if let Some(mut process) = self.process {
+            // Dropping it kills what is still there.
+            process.wait_at_most(Duration::from_secs(5)).await;
+        }
+        Ok(closed?)
+    }
+}
+
+fn overrides(options: &BridgeOptions, config: &SumoConfig, tick_ms: f64) -> Overrides {
+    let own = |pairs: &[(&str, &str)]| -> Vec<(String, String)> {
+        pairs.iter().map(|(k, v)| ((*k).to_string(), (*v).to_string())).collect()
+    };
+    let mut default = own(&[
+        ("collision.action", "warn"),
+        ("collision.check-junctions", "true"),
+        ("collision.mingap-factor", "0"),
+        ("time-to-teleport", "-1"),
+        // Pedestrians wait at an ego that blocks their crossing rather than squeeze through it.
+        ("pedestrian.striping.jamtime.crossing", "300"),
+    ]);
+    if !config.has("lateral-resolution") {
+        // Without it cars jump a lane within a tick; the sublane model has its own way.
+        default.push(("lanechange.duration".to_string(), "2".to_string()));
+    }
+    let mut set = own(&[
+        ("no-step-log", "true"),
+        ("duration-log.disable", "true"),
+        ("save-state.transportables", "true"),
+        ("save-state.rng", "true"),
+    ]);
+    set.push(("step-length".to_string(), format!("{}", tick_ms / 1000.0)));
+    set.push(("seed".to_string(), seeds::sumo(options.seed).to_string()));
+    if options.gui {
+        set.extend(own(&[("start", "true"), ("quit-on-end", "true")]));
+    }
+    Overrides {
+        output_dir: options.output_dir.clone(),
+        set,
+        default,
+        drop_demand: !options.traffic.keeps_config_demand() && !options.scenario,
+        drop_type: options.scenario.then_some(crate::scenario::EGO_TYPE),
+    }
+}

@@ -1,0 +1,292 @@
+//! From the subscriptions that come with a step to a [`WorldState`].
+
+use nalgebra::Point3;
+use std::collections::{BTreeMap, HashMap};
+use std::sync::Arc;
+use sumo_network::geometry::Pose;
+use sumo_network::network::Network;
+use sumo_network::world::{Actor, ActorKind, ActorType, VehicleSignals};
+use sumo_traci::{Batch, TcpClient, person, vehicle, vehicle_type};
+
+/// Ticks after which an actor that is out of sight is forgotten.
+const FORGET_AFTER: u64 = 2000;
+
+/// Begins the types of things that SUMO takes for vehicles.
+const OBJECTS: &str = "wad_object";
+
+/// Remembers ids and types of the actors seen, so that a tick copies numbers only.
+///
+/// What can be known without SUMO is not subscribed to, since each value costs SUMO about a
+/// microsecond: types are asked for once per actor, lane positions come from the lane's shape, and
+/// speeds from the way since the last tick.
+#[derive(Debug, Default)]
+pub struct ActorCatalog {
+    types: BTreeMap<String, Arc<ActorType>>,
+    // Only looked up, never iterated: its order does not matter.
+    seen: HashMap<Arc<str>, Seen>,
+    next_key: u64,
+    tick: u64,
+}
+
+#[derive(Debug)]
+struct Seen {
+    key: u64,
+    actor_type: Arc<ActorType>,
+    last_tick: u64,
+    /// Front bumper (m) and speed (m/s) at that tick.
+    position: Point3<f64>,
+    speed: f64,
+}
+
+/// Where SUMO keeps an actor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Domain {
+    Vehicle,
+    Person,
+}
+
+/// What a context subscription says of one actor.
+struct Observed<'a> {
+    domain: Domain,
+    id: &'a str,
+    /// Front bumper (m).
+    position: Point3<f64>,
+    degrees: f64,
+    signals: u32,
+    lane: &'a str,
+}
+
+/// Subscribes the ego `id` to everything within `sight` (m).
+pub fn subscribe(batch: &mut Batch, id: &str, sight: f64) {
+    batch.subscribe_context(
+        vehicle::Vehicle,
+        id,
+        vehicle::Vehicle,
+        sight,
+        &[vehicle::POSITION_3D.id(), vehicle::ANGLE.id(), vehicle::SIGNALS.id(), vehicle::LANE_ID.id()],
+    );
+    batch.subscribe_context(
+        vehicle::Vehicle,
+        id,
+        person::Person,
+        sight,
+        &[person::POSITION_3D.id(), person::ANGLE.id(), person::LANE_ID.id()],
+    );
+}
+
+impl ActorCatalog {
+    /// Begins a new tick.
+    pub fn next_tick(&mut self) {
+        self.tick += 1;
+        if self.tick.is_multiple_of(FORGET_AFTER) {
+            let oldest = self.tick - FORGET_AFTER;
+            self.seen.retain(|_, seen| seen.last_tick > oldest);
+        }
+    }
+
+    /// Vehicles (without the ego `id` itself) and pedestrians round the ego after a tick of `tick` s,
+    /// each ordered by id. Those who come into sight are asked about, which costs a message.
+    pub async fn observe(
+        &mut self,
+        client: &mut TcpClient,
+        network: &Network,
+        replies: &sumo_traci::Replies,
+        id: &str,
+        tick: f64,
+        world: (&mut Vec<Actor>, &mut Vec<Actor>),
+    ) -> Result<(), sumo_traci::Error> {
+        let (vehicles, pedestrians) = world;
+        vehicles.clear();
+        pedestrians.clear();
+        let observed = read(replies, id)?;
+        let new: Vec<&Observed<'_>> = observed.iter().filter(|actor| !self.knows(actor.id)).collect();
+        if !new.is_empty() {
+            self.ask(client, &new).await?;
+        }
+        for actor in &observed {
+            let list = if actor.domain == Domain::Vehicle { &mut *vehicles } else { &mut *pedestrians };
+            self.push(actor, network, tick, list);
+        }
+        vehicles.sort_unstable_by(|a, b| a.id.cmp(&b.id));
+        pedestrians.sort_unstable_by(|a, b| a.id.cmp(&b.id));
+        Ok(())
+    }
+
+    /// Whether an actor was seen a tick ago (or in this one, by another ego), so that its speed is known.
+    fn knows(&self, id: &str) -> bool {
+        self.seen.get(id).is_some_and(|seen| seen.last_tick + 1 >= self.tick)
+    }
+
+    fn push(&mut self, observed: &Observed<'_>, network: &Network, tick: f64, actors: &mut Vec<Actor>) {
+        // One that left in this very step could not be asked about.
+        let Some((id, _)) = self.seen.get_key_value(observed.id) else { return };
+        let id = Arc::clone(id);
+        let Some(seen) = self.seen.get_mut(observed.id) else { return };
+        if seen.last_tick + 1 == self.tick {
+            seen.speed = (observed.position - seen.position).norm() / tick;
+        }
+        (seen.last_tick, seen.position) = (self.tick, observed.position);
+        let lane = network.lane_by_id(observed.lane);
+        let lane_position = match (observed.domain, lane) {
+            (Domain::Vehicle, Some(lane)) => {
+                let lane = network.lane(lane);
+                lane.lane_position(lane.shape.project(observed.position.xy()).s)
+            }
+            _ => 0.0,
+        };
+        actors.push(Actor {
+            id,
+            key: seen.key,
+            pose: Pose::from_sumo(observed.position, observed.degrees, seen.actor_type.length),
+            actor_type: Arc::clone(&seen.actor_type),
+            speed: seen.speed,
+            signals: VehicleSignals(observed.signals),
+            lane,
+            lane_position,
+        });
+    }
+
+    /// Learns types and speeds of actors that come into sight, and the measures of new types.
+    async fn ask(
+        &mut self,
+        client: &mut TcpClient,
+        actors: &[&Observed<'_>],
+    ) -> Result<(), sumo_traci::Error> {
+        let mut batch = Batch::new();
+        let tickets: Vec<_> = actors
+            .iter()
+            .map(|actor| match actor.domain {
+                Domain::Vehicle => (batch.get(vehicle::TYPE, actor.id), batch.get(vehicle::SPEED, actor.id)),
+                Domain::Person => (batch.get(person::TYPE, actor.id), batch.get(person::SPEED, actor.id)),
+            })
+            .collect();
+        let replies = client.send(&batch).await?;
+        let mut answers = Vec::with_capacity(actors.len());
+        for (actor, (actor_type, speed)) in actors.iter().zip(tickets) {
+            // It may have arrived in the step itself: then there is nothing to know of it.
+            if let (Ok(actor_type), Ok(speed)) = (replies.get_ref(actor_type), replies.get(speed)) {
+                answers.push((actor, actor_type, speed));
+            }
+        }
+        let mut new: Vec<&str> =
+            answers.iter().map(|answer| answer.1).filter(|t| !self.types.contains_key(*t)).collect();
+        new.sort_unstable();
+        new.dedup();
+        if !new.is_empty() {
+            self.ask_types(client, &new).await?;
+        }
+        for (actor, type_id, speed) in answers {
+            let Some(actor_type) = self.types.get(type_id) else { continue };
+            let key = self.seen.get(actor.id).map_or(self.next_key + 1, |seen| seen.key);
+            self.next_key = self.next_key.max(key);
+            let seen = Seen {
+                key,
+                actor_type: Arc::clone(actor_type),
+                last_tick: self.tick,
+                position: actor.position,
+                speed,
+            };
+            self.seen.insert(Arc::from(actor.id), seen);
+        }
+        Ok(())
+    }
+
+    async fn ask_types(&mut self, client: &mut TcpClient, names: &[&str]) -> Result<(), sumo_traci::Error> {
+        let mut batch = Batch::new();
+        let tickets: Vec<_> = names
+            .iter()
+            .map(|name| {
+                (
+                    batch.get(vehicle_type::VEHICLE_CLASS, name),
+                    batch.get(vehicle_type::SHAPE_CLASS, name),
+                    [vehicle_type::LENGTH, vehicle_type::WIDTH, vehicle_type::HEIGHT, vehicle_type::MIN_GAP]
+                        .map(|variable| batch.get(variable, name)),
+                )
+            })
+            .collect();
+        let replies = client.send(&batch).await?;
+        for (name, (class, shape, measures)) in names.iter().zip(tickets) {
+            let [length, width, height, min_gap] = measures;
+            let actor_type = ActorType {
+                id: (*name).to_string(),
+                kind: if name.starts_with(OBJECTS) {
+                    ActorKind::Object
+                } else {
+                    kind_of(replies.get_ref(class)?, replies.get_ref(shape)?)
+                },
+                length: replies.get(length)?,
+                width: replies.get(width)?,
+                height: replies.get(height)?,
+                min_gap: replies.get(min_gap)?,
+            };
+            self.types.insert(actor_type.id.clone(), Arc::new(actor_type));
+        }
+        Ok(())
+    }
+}
+
+/// The actors that the subscriptions of ego `id` brought with a step.
+fn read<'a>(replies: &'a sumo_traci::Replies, id: &str) -> Result<Vec<Observed<'a>>, sumo_traci::Error> {
+    let mut actors = Vec::new();
+    let results = replies.subscriptions();
+    for object in results.context(vehicle::Vehicle, id, vehicle::Vehicle).filter(|o| o.id() != id) {
+        let position = object.value(vehicle::POSITION_3D)?;
+        actors.push(Observed {
+            domain: Domain::Vehicle,
+            id: object.id(),
+            position: Point3::new(position.x, position.y, position.z),
+            degrees: object.value(vehicle::ANGLE)?,
+            signals: object.value(vehicle::SIGNALS)? as u32,
+            lane: object.str(vehicle::LANE_ID)?,
+        });
+    }
+    for object in results.context(vehicle::Vehicle, id, person::Person) {
+        let position = object.value(person::POSITION_3D)?;
+        actors.push(Observed {
+            domain: Domain::Person,
+            id: object.id(),
+            position: Point3::new(position.x, position.y, position.z),
+            degrees: object.value(person::ANGLE)?,
+            signals: 0,
+            lane: object.str(person::LANE_ID)?,
+        });
+    }
+    // Not in the network yet, or not any more: SUMO's "no value".
+    actors.retain(|actor| actor.position.x.is_finite() && actor.position.x > -1e9);
+    Ok(actors)
+}
+
+/// The kind of a road user, by SUMO's vehicle class, then by its gui shape.
+fn kind_of(class: &str, shape: &str) -> ActorKind {
+    match class {
+        "pedestrian" | "wheelchair" => ActorKind::Pedestrian,
+        "bicycle" | "scooter" => ActorKind::Bicycle,
+        "motorcycle" | "moped" => ActorKind::Motorcycle,
+        "bus" | "coach" | "tram" | "rail_urban" | "rail" | "rail_electric" | "rail_fast" | "subway"
+        | "cable_car" => ActorKind::Bus,
+        "truck" | "trailer" => ActorKind::Truck,
+        "delivery" => ActorKind::Van,
+        _ => match shape.split('/').next().unwrap_or_default() {
+            "pedestrian" => ActorKind::Pedestrian,
+            "bicycle" => ActorKind::Bicycle,
+            "motorcycle" | "moped" | "scooter" => ActorKind::Motorcycle,
+            "bus" => ActorKind::Bus,
+            "truck" | "firebrigade" => ActorKind::Truck,
+            "delivery" | "emergency" => ActorKind::Van,
+            _ => ActorKind::Car,
+        },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn class_wins_over_shape() {
+        assert_eq!(kind_of("passenger", "passenger/sedan"), ActorKind::Car);
+        assert_eq!(kind_of("passenger", "delivery"), ActorKind::Van);
+        assert_eq!(kind_of("delivery", "passenger"), ActorKind::Van);
+        assert_eq!(kind_of("bus", ""), ActorKind::Bus);
+    }
+}

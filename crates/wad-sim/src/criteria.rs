@@ -1,0 +1,242 @@
+//! Facts about the ego's driving, tick by tick: collisions, red lights, leaving the lane,
+//! blocking, arrival (spec.md "Events"). What ends an episode is decided elsewhere.
+
+mod cause;
+mod surface;
+
+pub use cause::Cause;
+
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use sumo_network::geometry::Vector;
+use sumo_network::network::{Network, Route};
+use sumo_network::world::WorldState;
+use wad_vehicle::{Contact, EgoState, PartnerKind};
+
+/// Thresholds of the events.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct CriteriaParams {
+    /// Contacts below this impulse (N s) are no collision. Default 200.
+    pub collision_impulse: f64,
+    /// The same partner collides again only after this long apart (s). Default 1.
+    pub collision_separation: f64,
+    /// Largest distance of the ego's centre from the centre of its lane or lane-change corridor (m). Default 1.75.
+    pub outside_lane: f64,
+    /// Standing this long for no reason is blocking (s). Default 90.
+    pub blocked_after: f64,
+    /// Below this speed the ego stands (m/s). Default 0.1.
+    pub blocked_speed: f64,
+    /// This close to the route's end the ego has arrived (m). Default 5.
+    pub arrival_distance: f64,
+}
+
+impl Default for CriteriaParams {
+    fn default() -> Self {
+        Self {
+            collision_impulse: 200.0,
+            collision_separation: 1.0,
+            outside_lane: 1.75,
+            blocked_after: 90.0,
+            blocked_speed: 0.1,
+            arrival_distance: 5.0,
+        }
+    }
+}
+
+/// Something that happened during a tick.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "event", rename_all = "snake_case")]
+pub enum Event {
+    Collision {
+        kind: PartnerKind,
+        /// SUMO's id, or the static body's label.
+        partner: String,
+        /// N s.
+        impulse: f64,
+        cause: Cause,
+        /// Where on the ego (m): x forward, y left of its centre.
+        point: Vector,
+        /// Ego's longitudinal speed before the contact (m/s).
+        ego_speed: f64,
+        /// The partner's speed (m/s).
+        partner_speed: f64,
+        /// Why the cause is what it is.
+        reason: String,
+    },
+    RedLight {
+        traffic_light: String,
+        /// m/s.
+        speed: f64,
+    },
+    OutsideLane {
+        /// Lateral distance from the corridor (m).
+        offset: f64,
+    },
+    Sidewalk,
+    VehicleBlocked,
+    Arrival,
+}
+
+/// The ego on its route.
+#[derive(Clone, Copy, Debug)]
+pub struct EgoOnRoute {
+    pub state: EgoState,
+    /// Route coordinates of its centre (m).
+    pub s: f64,
+    pub d: f64,
+    /// Route coordinate of its front bumper (m).
+    pub front_s: f64,
+}
+
+/// Everything that one check looks at.
+pub struct Situation<'a> {
+    pub network: &'a Network,
+    pub route: &'a Route,
+    /// The world that the ego saw when it chose its control.
+    pub world: &'a WorldState,
+    pub before: EgoOnRoute,
+    pub after: EgoOnRoute,
+    pub contacts: &'a [Contact],
+    /// Label of a static body by its key.
+    pub static_label: &'a dyn Fn(u64) -> String,
+    /// Ego's length, width, wheelbase and track (m).
+    pub length: f64,
+    pub width: f64,
+    pub wheelbase: f64,
+    pub track: f64,
+    /// Duration of the tick (s).
+    pub tick: f64,
+}
+
+/// Remembers what is needed to see each event once.
+#[derive(Clone, Debug, Default)]
+pub struct Criteria {
+    params: CriteriaParams,
+    /// Simulation time (s) since the criteria began.
+    clock: f64,
+    /// Last time of contact by partner.
+    in_contact: BTreeMap<(u8, u64), f64>,
+    outside: bool,
+    sidewalk: bool,
+    standing: f64,
+    /// Links whose stop line was passed on the current route, so that rolling back and forth counts once.
+    last_red_stop: Option<f64>,
+}
+
+impl Criteria {
+    /// Criteria with the given thresholds.
+    pub fn new(params: CriteriaParams) -> Self {
+        Self { params, ..Self::default() }
+    }
+
+    /// The thresholds.
+    pub fn params(&self) -> &CriteriaParams {
+        &self.params
+    }
+
+    /// Forgets what belongs to the old route; call when the route changes.
+    pub fn route_changed(&mut self) {
+        self.last_red_stop = None;
+    }
+
+    /// Whether the ego is outside its lane now (the event itself is given once, when it leaves).
+    pub fn is_outside_lane(&self) -> bool {
+        self.outside
+    }
+
+    /// The events of one tick.
+    pub fn check(&mut self, now: &Situation<'_>) -> Vec<Event> {
+        self.clock += now.tick;
+        let mut events = Vec::new();
+        self.collisions(now, &mut events);
+        self.red_light(now, &mut events);
+        self.lane(now, &mut events);
+        self.blocked(now, &mut events);
+        let left = now.route.length() - now.after.s;
+        if left <= self.params.arrival_distance {
+            events.push(Event::Arrival);
+        }
+        events
+    }
+
+    fn collisions(&mut self, now: &Situation<'_>, events: &mut Vec<Event>) {
+        for contact in now.contacts {
+            let partner = (contact.kind as u8, contact.key);
+            let apart = self.in_contact.get(&partner).map(|last| self.clock - last);
+            let fresh = apart.is_none_or(|apart| apart > self.params.collision_separation + now.tick);
+            if contact.impulse > self.params.collision_impulse {
+                if fresh {
+                    events.push(cause::collision(now, contact));
+                }
+                self.in_contact.insert(partner, self.clock);
+            } else if let Some(last) = self.in_contact.get_mut(&partner) {
+                *last = self.clock;
+            }
+        }
+        let (clock, separation) = (self.clock, self.params.collision_separation);
+        self.in_contact.retain(|_, last| clock - *last <= separation + 1.0);
+    }
+
+    fn red_light(&mut self, now: &Situation<'_>, events: &mut Vec<Event>) {
+        let Some(link) = now.route.next_link(now.before.front_s) else { return };
+        if now.after.front_s < link.stop_s || self.last_red_stop == Some(link.stop_s) {
+            return;
+        }
+        let Some(signal) = now.network.link(link.link).signal else { return };
+        if now.world.signal(signal).is_some_and(|state| state.is_red()) {
+            self.last_red_stop = Some(link.stop_s);
+            events.push(Event::RedLight {
+                traffic_light: now.network.traffic_light(signal.traffic_light).id.clone(),
+                speed: now.after.state.speed,
+            });
+        }
+    }
+
+    fn lane(&mut self, now: &Situation<'_>, events: &mut Vec<Event>) {
+        let offset = now.route.corridor_offset(now.after.s, now.after.d);
+        let outside = offset > self.params.outside_lane;
+        if outside && !self.outside {
+            events.push(Event::OutsideLane { offset });
+        }
+        self.outside = outside;
+        let sidewalk = surface::wheel_off_road(now);
+        if sidewalk && !self.sidewalk {
+            events.push(Event::Sidewalk);
+        }
+        self.sidewalk = sidewalk;
+    }
+
+    fn blocked(&mut self, now: &Situation<'_>, events: &mut Vec<Event>) {
+        if now.after.state.speed.abs() >= self.params.blocked_speed || is_held(now) {
+            self.standing = 0.0;
+            return;
+        }
+        self.standing += now.tick;
+        if self.standing >= self.params.blocked_after {
+            self.standing = 0.0;
+            events.push(Event::VehicleBlocked);
+        }
+    }
+}
+
+/// Whether a red light or somebody in the ego's path is a reason to stand.
+fn is_held(now: &Situation<'_>) -> bool {
+    const LOOK_AHEAD: f64 = 20.0;
+    let red = now.route.next_link(now.after.front_s - 1.0).is_some_and(|link| {
+        let signal = now.network.link(link.link).signal;
+        link.stop_s - now.after.front_s < LOOK_AHEAD
+            && signal.and_then(|s| now.world.signal(s)).is_some_and(|state| state.is_red())
+    });
+    let reach = LOOK_AHEAD + now.length;
+    red || now.world.vehicles.iter().chain(&now.world.pedestrians).any(|actor| {
+        let offset = actor.pose.xy() - now.after.state.pose.xy();
+        if offset.norm() > reach {
+            return false;
+        }
+        let at = now.route.project_near(actor.pose.xy(), now.after.s, 0.0, reach);
+        let ahead = at.s - now.after.s;
+        let half = 0.5 * (actor.actor_type.width + now.width) + 0.5;
+        ahead > 0.5 && ahead < reach && at.distance < half.max(0.5 * actor.actor_type.length.min(4.0))
+    })
+}

@@ -1,0 +1,79 @@
+//! Nets from elsewhere: what is in one, and SUMO's tools that build, import and enrich them.
+//!
+//! ```text
+//! plain XML, OpenDRIVE, OSM, a bare net --build, import, enrich--> NAME.net.xml, NAME.poly.xml, NAME.sumocfg
+//! ```
+//!
+//! The work is netconvert's and polyconvert's, those of the SUMO that drives too; what is ours is which
+//! options they get, and to see to it that lanes stay where they were.
+
+mod enrich;
+mod info;
+mod make;
+mod restore;
+
+pub use enrich::{Enriched, Wanted, enrich};
+pub use info::{Facts, NetProblem, TaskPlaces, facts};
+pub use make::{Made, build, import};
+pub use restore::{Moved, compare};
+
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+use sumo_network::network::NetworkError;
+use sumo_traci::process::{InstallError, SumoInstall};
+
+/// Why a net could not be made.
+#[derive(Debug, thiserror::Error)]
+pub enum NetError {
+    #[error(transparent)]
+    Install(#[from] InstallError),
+    #[error(transparent)]
+    Network(#[from] NetworkError),
+    #[error("cannot read {}: {source}", path.display())]
+    Read { path: PathBuf, source: std::io::Error },
+    #[error("cannot write {}: {source}", path.display())]
+    Write { path: PathBuf, source: std::io::Error },
+    #[error("{} is there already: name another folder with --out, or remove it first", path.display())]
+    Taken { path: PathBuf },
+    #[error("`{}` is no source of a net: expected {expected}", path.display())]
+    Source { path: PathBuf, expected: &'static str },
+    #[error("{tool} failed on {}: {said}", path.display())]
+    Tool { tool: &'static str, path: PathBuf, said: String },
+    #[error(
+        "{} lanes would leave their line, `{}` by {:.2} m: nothing is written", .0.lanes, .0.worst_lane, .0.worst
+    )]
+    Moved(Moved),
+    #[error("`{}` is not XML as netconvert writes it: {problem}", path.display())]
+    Malformed { path: PathBuf, problem: String },
+    #[error("nothing to add to `{}`: it has signals, sidewalks and crossings already; ask for more of them with --signals, --sidewalks, --crossings", path.display())]
+    Nothing { path: PathBuf },
+}
+
+/// Runs one of SUMO's tools; `about` is what an error names. Returns its warnings.
+fn run(
+    install: &SumoInstall,
+    tool: &'static str,
+    about: &Path,
+    arguments: Vec<OsString>,
+) -> Result<Vec<String>, NetError> {
+    let fail = |said: String| NetError::Tool { tool, path: about.to_path_buf(), said };
+    let output = install.command(tool).args(arguments).output().map_err(|error| fail(error.to_string()))?;
+    let text = String::from_utf8_lossy(&output.stderr);
+    let of = |begin: &str| -> Vec<String> {
+        text.lines().filter_map(|line| Some(line.strip_prefix(begin)?.trim().to_string())).collect()
+    };
+    if !output.status.success() {
+        let errors = of("Error:");
+        let said = if errors.is_empty() { text.trim().to_string() } else { errors.join("; ") };
+        return Err(fail(said));
+    }
+    Ok(of("Warning:"))
+}
+
+/// `--option value` pairs as arguments.
+fn arguments(pairs: &[(&str, &str)]) -> Vec<OsString> {
+    pairs
+        .iter()
+        .flat_map(|(option, value)| [OsString::from(format!("--{option}")), OsString::from(value)])
+        .collect()
+}

@@ -1,0 +1,284 @@
+//! Recorded drives: what an ego and those in its sight did, tick by tick, to be played or driven again.
+//!
+//! A recording is one file, `states.jsonl.gz`: JSON Lines, compressed. Its first line is a [`Header`];
+//! each further line is one tick. The ego is kept exactly; others to a millimetre, with 64 bits per tick
+//! that stand for every bit of the whole state ([`digest`]), so that a second simulation can be compared.
+//!
+//! ```no_run
+//! # fn example() -> Result<(), wad_cosim::replay::ReplayError> {
+//! use wad_cosim::replay::Recording;
+//! let recording = Recording::open("runs/nocrash/episodes/wad-t-000".as_ref())?;
+//! for frame in recording.frames() {
+//!     println!("{:.1} s: {:?}, {} others", frame.world.time, frame.ego.pose, frame.world.vehicles.len());
+//! }
+//! # Ok(())
+//! # }
+//! ```
+
+mod format;
+mod recorder;
+
+pub use format::{Body, Header};
+pub use recorder::{Moment, Recorder, digest};
+
+use crate::criteria::Event;
+use flate2::read::GzDecoder;
+use format::{FORMAT, Line, Memory};
+use std::fs::File;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use sumo_network::world::{Actor, ActorKind, ActorType, VehicleSignals, WorldState};
+use wad_vehicle::{Control, EgoParams, EgoState};
+
+/// The recording's name in its folder.
+pub const FILE: &str = "states.jsonl.gz";
+
+/// Why a recording cannot be written or read.
+#[derive(Debug, thiserror::Error)]
+pub enum ReplayError {
+    #[error("cannot {what} the recording {}: {source}", path.display())]
+    File { what: &'static str, path: PathBuf, source: std::io::Error },
+    #[error(
+        "{} is no recording: {why}; expected a folder with {FILE}, as `eval` keeps of each failure, or that file",
+        path.display()
+    )]
+    Format { path: PathBuf, why: String },
+}
+
+/// The state after one tick.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    /// Ticks of the episode so far; 0 is the state before the first control.
+    pub tick: u64,
+    /// What was driven in the tick, exactly.
+    pub control: Control,
+    /// The ego, exactly.
+    pub ego: EgoState,
+    /// Its place on its route: along it, and to the left of it (m).
+    pub s: f64,
+    pub d: f64,
+    /// Those in its sight, to the millimetre, without their lanes; and the lights in its sight.
+    pub world: WorldState,
+    /// What happened in the tick.
+    pub events: Vec<Event>,
+    /// Stands for every bit of the state; see [`digest`].
+    pub bits: u64,
+}
+
+/// A recording, read whole.
+#[derive(Clone, Debug)]
+pub struct Recording {
+    header: Header,
+    frames: Vec<Frame>,
+}
+
+impl Recording {
+    /// Reads the recording at `path`: the file, or the folder that it lies in.
+    ///
+    /// # Errors
+    /// It cannot be read, or is none, or is cut short.
+    pub fn open(path: &Path) -> Result<Self, ReplayError> {
+        let path = if path.is_dir() { path.join(FILE) } else { path.to_path_buf() };
+        let broken = |why: String| ReplayError::Format { path: path.clone(), why };
+        let file = File::open(&path).map_err(|source| ReplayError::File {
+            what: "open",
+            path: path.clone(),
+            source,
+        })?;
+        let mut lines = BufReader::new(GzDecoder::new(BufReader::new(file))).lines();
+        let first = match lines.next() {
+            Some(Ok(line)) => line,
+            Some(Err(error)) => return Err(broken(error.to_string())),
+            None => return Err(broken("it is empty".to_string())),
+        };
+        let header: Header = serde_json::from_str(&first).map_err(|e| broken(format!("its header: {e}")))?;
+        if header.format != FORMAT {
+            return Err(broken(format!("expected the format `{FORMAT}`, found `{}`", header.format)));
+        }
+        let mut memory = Memory::new(header.lights.len());
+        let mut frames = Vec::new();
+        for (index, line) in lines.enumerate() {
+            let line = line.map_err(|e| broken(format!("it is cut short after tick {index}: {e}")))?;
+            let line: Line =
+                serde_json::from_str(&line).map_err(|e| broken(format!("line {}: {e}", index + 2)))?;
+            frames.push(memory.frame(line).map_err(|why| broken(format!("line {}: {why}", index + 2)))?);
+        }
+        Ok(Self { header, frames })
+    }
+
+    /// What holds for all of it.
+    pub fn header(&self) -> &Header {
+        &self.header
+    }
+
+    /// The ticks, the state before the first control in front.
+    pub fn frames(&self) -> &[Frame] {
+        &self.frames
+    }
+
+    /// The ego of a frame as others see it, for cameras that look from outside.
+    pub fn ego_actor(&self, frame: &Frame) -> Actor {
+        self.header.ego.actor(&frame.ego)
+    }
+}
+
+impl Body {
+    /// The ego's.
+    pub fn of(ego: &EgoParams) -> Self {
+        Self { length: ego.length, width: ego.width, height: ego.height }
+    }
+
+    /// A car of this size in the motion `ego`, its brake lights lit when it slows down.
+    pub fn actor(&self, ego: &EgoState) -> Actor {
+        let actor_type = ActorType {
+            id: "ego".to_string(),
+            kind: ActorKind::Car,
+            length: self.length,
+            width: self.width,
+            height: self.height,
+            min_gap: 0.0,
+        };
+        let braking = if ego.acceleration < -0.5 { VehicleSignals::BRAKE_LIGHT } else { 0 };
+        Actor {
+            id: Arc::from("ego"),
+            key: u64::MAX,
+            actor_type: Arc::new(actor_type),
+            pose: ego.pose,
+            speed: ego.speed,
+            signals: VehicleSignals(braking),
+            lane: None,
+            lane_position: 0.0,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sumo_network::geometry::{Pose, Vector};
+    use wad_camera::Preset;
+
+    fn ego(x: f64) -> EgoState {
+        EgoState {
+            pose: Pose::new(x, 2.0, 0.0, 0.1),
+            roll: 0.0,
+            pitch: 0.0,
+            velocity: Vector::zeros(),
+            speed: 1.0 / 3.0,
+            lateral_speed: 0.0,
+            yaw_rate: 0.0,
+            acceleration: -1.0,
+            steer_angle: 0.0,
+        }
+    }
+
+    fn other(id: &str, key: u64, x: f64) -> Actor {
+        let actor_type = ActorType {
+            id: "passenger".into(),
+            kind: ActorKind::Car,
+            length: 4.3,
+            width: 1.8,
+            height: 1.5,
+            min_gap: 2.5,
+        };
+        Actor {
+            id: Arc::from(id),
+            key,
+            actor_type: Arc::new(actor_type),
+            pose: Pose::new(x, 0.1 + 0.2, 0.0, 3.0),
+            speed: 7.123_456,
+            signals: VehicleSignals(8),
+            lane: None,
+            lane_position: 0.0,
+        }
+    }
+
+    fn header() -> Header {
+        let ego = Body { length: 4.5, width: 1.9, height: 1.5 };
+        let lights = vec!["near".to_string(), "far".to_string()];
+        Header { lights, ..Header::new("town3", "town3", 167.0, Preset::WetNoon, ego) }
+    }
+
+    fn recorded() -> Recorder {
+        let mut recorder = Recorder::new(&header());
+        for tick in 0..3_u64 {
+            let mut world = WorldState { tick, time: tick as f64 * 0.167, ..WorldState::default() };
+            world.vehicles.push(other("car 1", 4, tick as f64));
+            if tick > 0 {
+                world.vehicles.push(other("car 2", 7, 5.0));
+            }
+            let state: Arc<str> = Arc::from(if tick < 2 { "rG" } else { "Gr" });
+            world.traffic_lights = vec![None, (tick > 0).then_some(state)];
+            let control = Control { throttle: 0.1 + 0.2, steer: -1.0 / 7.0, brake: 0.0 };
+            let events = if tick == 2 { vec![Event::Sidewalk] } else { Vec::new() };
+            let ego = ego(tick as f64 / 3.0);
+            recorder.add(&Moment {
+                tick,
+                control,
+                ego: &ego,
+                s: 1.0,
+                d: 0.1,
+                world: &world,
+                events: &events,
+            });
+        }
+        recorder
+    }
+
+    #[test]
+    fn what_was_recorded_is_read_back() {
+        let folder = tempfile::tempdir().unwrap();
+        recorded().save(&folder.path().join(FILE)).unwrap();
+        let recording = Recording::open(folder.path()).unwrap();
+        assert_eq!((recording.header().town.as_str(), recording.frames().len()), ("town3", 3));
+        let last = &recording.frames()[2];
+        assert_eq!(last.ego, ego(2.0 / 3.0));
+        assert_eq!(last.control, Control { throttle: 0.1 + 0.2, steer: -1.0 / 7.0, brake: 0.0 });
+        let ids: Vec<&str> = last.world.vehicles.iter().map(|actor| &*actor.id).collect();
+        assert_eq!(ids, ["car 1", "car 2"]);
+        assert!((last.world.vehicles[0].pose.position.x - 2.0).abs() < 1e-3);
+        assert_eq!(last.world.vehicles[1].actor_type.length, 4.3);
+        assert_eq!(recording.frames()[0].world.traffic_lights.get(1), Some(&None));
+        assert_eq!(last.world.traffic_lights[1].as_deref(), Some("Gr"));
+        assert_eq!(last.events, [Event::Sidewalk]);
+    }
+
+    #[test]
+    fn every_bit_counts_in_the_digest() {
+        let (folder, mut changed) = (tempfile::tempdir().unwrap(), recorded());
+        let (ego, mut world) = (ego(1.0), WorldState::default());
+        world.vehicles.push(other("car 1", 4, 1.0));
+        let moment = Moment {
+            tick: 3,
+            control: Control::default(),
+            ego: &ego,
+            s: 0.0,
+            d: 0.0,
+            world: &world,
+            events: &[],
+        };
+        changed.add(&moment);
+        let mut second = world.clone();
+        second.vehicles[0].pose.position.x = f64::from_bits(1.0_f64.to_bits() + 1);
+        let other = Moment { world: &second, ..moment };
+        assert_ne!(digest(&moment), digest(&other));
+        changed.save(&folder.path().join(FILE)).unwrap();
+        let recording = Recording::open(folder.path()).unwrap();
+        assert_eq!(recording.frames()[3].bits, digest(&moment));
+    }
+
+    #[test]
+    fn a_recording_that_is_cut_short_says_so() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(FILE);
+        let error = Recording::open(&path).unwrap_err().to_string();
+        assert!(error.contains("states.jsonl.gz"), "{error}");
+        recorded().save(&path).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        for keep in [0, 10, bytes.len() / 2, bytes.len() - 1] {
+            std::fs::write(&path, &bytes[..keep]).unwrap();
+            assert!(Recording::open(&path).is_err(), "{keep} of {} bytes", bytes.len());
+        }
+    }
+}

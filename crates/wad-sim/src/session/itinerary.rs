@@ -1,0 +1,124 @@
+//! From destination to destination: where an ego goes that has nowhere in particular to go.
+
+use super::Session;
+use crate::bridge::BridgeError;
+use crate::destination::{self, DestinationError, Destinations};
+use rand_chacha::ChaCha8Rng;
+use std::f64::consts::FRAC_PI_2;
+use sumo_network::geometry;
+use sumo_network::network::{LanePosition, NearLane, Network, Route};
+
+/// A shorter way to the next destination is not worth going (m).
+const SHORTEST: f64 = 60.0;
+/// How far from a lane the ego may be to set out on it (m).
+const FIND_WITHIN: f64 = 30.0;
+/// Places drawn for one that is long enough, and for one that is free.
+const DRAWS: usize = 20;
+
+/// Draws destinations, and the ways to them.
+pub struct Itinerary {
+    destinations: Destinations,
+}
+
+/// Why there is nowhere to go.
+#[derive(Debug, thiserror::Error)]
+pub enum ItineraryError {
+    #[error(transparent)]
+    Bridge(#[from] BridgeError),
+    #[error(transparent)]
+    Destination(#[from] DestinationError),
+}
+
+impl Itinerary {
+    /// On the roads of `network`, drawn with `rng`.
+    ///
+    /// # Errors
+    /// No lane is open to the ego.
+    pub fn new(network: &Network, rng: ChaCha8Rng) -> Result<Self, DestinationError> {
+        Ok(Self { destinations: Destinations::new(network, rng)? })
+    }
+
+    /// A random route from a random place: the first of some length, else the longest found.
+    ///
+    /// # Errors
+    /// No place leads to another.
+    pub fn first_route(&mut self, network: &Network) -> Result<Route, DestinationError> {
+        let mut best: Result<Route, DestinationError> = Err(DestinationError::NoLane);
+        for _ in 0..DRAWS {
+            let from: LanePosition = self.destinations.place(network);
+            match (self.destinations.route_from(network, from), &best) {
+                (Ok(route), _) if route.length() >= 4.0 * SHORTEST => return Ok(route),
+                (Ok(route), Ok(longest)) if route.length() <= longest.length() => {}
+                (Ok(route), _) => best = Ok(route),
+                (Err(error), Err(_)) => best = Err(error.into()),
+                (Err(_), Ok(_)) => {}
+            }
+        }
+        best
+    }
+
+    /// Sends ego `index`, which has arrived, to another destination; false where no way leads on.
+    pub fn go_on(&mut self, session: &mut Session, index: usize) -> bool {
+        let network = session.network().clone();
+        let ego = session.ego(index);
+        // The new route begins a car's length behind the ego, on the lane that it is on.
+        let lane = ego.lane();
+        let here = network.lane(lane).shape.project(ego.state().pose.xy()).s;
+        let from = LanePosition { lane, s: (here - ego.params().length).max(0.0) };
+        match self.destinations.route_from(&network, from) {
+            Ok(route) if route.length() >= SHORTEST => {
+                session.seat_mut(index).set_route(route, here - from.s);
+                return true;
+            }
+            Ok(route) => tracing::info!("only {:.0} m of way on, starting elsewhere", route.length()),
+            Err(error) => tracing::info!("no way on from the destination, starting elsewhere: {error}"),
+        }
+        false
+    }
+
+    /// Puts ego `index` down at another place, a free one where one is found.
+    ///
+    /// # Errors
+    /// SUMO fails, or no place leads to another.
+    pub async fn start_elsewhere(
+        &mut self,
+        session: &mut Session,
+        index: usize,
+    ) -> Result<(), ItineraryError> {
+        let network = session.network().clone();
+        let mut route = self.first_route(&network)?;
+        for _ in 0..DRAWS {
+            if session.bridge_mut().is_free(&[route.at(0.0).lane]).await? {
+                break;
+            }
+            route = self.first_route(&network)?;
+        }
+        session.place(index, route, 0.0);
+        Ok(())
+    }
+
+    /// Sends ego `index` from where it is to `to`, or to a place that is drawn; false where no way leads there.
+    pub fn leave_for(&mut self, session: &mut Session, index: usize, to: Option<LanePosition>) -> bool {
+        let network = session.network().clone();
+        let ego = session.ego(index);
+        let (pose, length) = (ego.state().pose, ego.params().length);
+        let drivable = network.drivable_lanes(destination::EGO_CLASS);
+        let along = |near: &NearLane| {
+            let heading = network.lane(near.lane).shape.at(near.s).heading;
+            geometry::wrap_angle(heading - pose.heading).abs() < FRAC_PI_2
+        };
+        let near = network.lanes_near(pose.xy(), None, FIND_WITHIN);
+        for near in near.iter().filter(|near| drivable.binary_search(&near.lane).is_ok() && along(near)) {
+            let from = LanePosition { lane: near.lane, s: (near.s - length).max(0.0) };
+            let route = match to {
+                Some(to) => network.route(from, to, destination::EGO_CLASS),
+                None => self.destinations.route_from(&network, from),
+            };
+            if let Some(route) = route.ok().filter(|route| route.length() >= 0.5 * SHORTEST) {
+                session.seat_mut(index).set_route(route, near.s - from.s);
+                return true;
+            }
+        }
+        false
+    }
+}

@@ -1,0 +1,243 @@
+//! One tick of the co-simulation for any number of egos: the only place where a tick happens.
+//!
+//! ```text
+//! decide   the expert, where it drives or is asked        Session::plan, Act
+//! signal   blinkers and brake lights for the others       Lamps
+//! move     each ego's physics, contacts                   Ego::advance
+//! step     poses to SUMO, one step, new worlds back       Bridge::step
+//! judge    collisions, red lights, lane, arrival          Criteria::check
+//! ```
+//!
+//! `run`, the environment, data collection and the benches add what they need before and after
+//! [`Session::step`].
+
+mod itinerary;
+mod seat;
+
+pub use itinerary::{Itinerary, ItineraryError};
+pub use seat::Seat;
+
+use crate::assets::Assets;
+use crate::autopilot::Decision;
+use crate::bridge::{Bridge, BridgeError, BridgeOptions, Ego};
+use crate::cpu_time;
+use crate::criteria::{EgoOnRoute, Event};
+use crate::scenario::Director;
+use std::sync::Arc;
+use std::time::Instant;
+use sumo_network::network::{Network, Route};
+use wad_vehicle::{Contact, Control};
+
+/// What an ego does in a tick.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Act {
+    /// The expert (autopilot) drives: its control and its lamps.
+    Expert,
+    /// The expert drives, with this control in place of its own: noise, a slip, a learner. Its lamps.
+    Disturbed(Control),
+    /// Another driver's control. The lamps follow the route and the brake pedal.
+    Control(Control),
+}
+
+/// What happened to an ego in a tick.
+#[derive(Clone, Debug)]
+pub struct Tick {
+    /// What was driven.
+    pub control: Control,
+    /// What the expert decided, where it drove or was asked.
+    pub decision: Option<Decision>,
+    /// Motion and place on the route before and after.
+    pub before: EgoOnRoute,
+    pub after: EgoOnRoute,
+    pub contacts: Vec<Contact>,
+    pub events: Vec<Event>,
+}
+
+/// Where the wall time of the ticks so far went (s).
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Timings {
+    /// The expert's decisions.
+    pub expert: f64,
+    /// The egos' physics.
+    pub physics: f64,
+    /// Poses out, SUMO's step, the new worlds decoded.
+    pub bridge: f64,
+    /// Of that: from sending the message to having the whole answer.
+    pub sumo: f64,
+    /// CPU time of `bridge` on our side.
+    pub bridge_cpu: f64,
+}
+
+/// A co-simulation with its egos.
+pub struct Session {
+    assets: Arc<Assets>,
+    bridge: Bridge,
+    seats: Vec<Seat>,
+    timings: Timings,
+}
+
+impl Session {
+    /// Starts SUMO in the town of `assets`, and brings the egos of `seats` into it. A scenario that the town
+    /// has is played where `options.scenario` says so.
+    ///
+    /// # Errors
+    /// See [`BridgeError`]; nothing is left running.
+    pub async fn start(
+        assets: &Arc<Assets>,
+        options: &BridgeOptions,
+        mut seats: Vec<Seat>,
+    ) -> Result<Self, BridgeError> {
+        let mut bridge = Bridge::start_on(options, Some(Arc::clone(assets.network()))).await?;
+        if let Some(scenario) = assets.scenario().filter(|_| options.scenario) {
+            bridge.set_director(Box::new(Director::new(Arc::clone(scenario))));
+        }
+        bridge.spawn_all(&mut egos(&mut seats)).await?;
+        Ok(Self { assets: Arc::clone(assets), bridge, seats, timings: Timings::default() })
+    }
+
+    /// The town.
+    pub fn assets(&self) -> &Arc<Assets> {
+        &self.assets
+    }
+
+    /// The co-simulation.
+    pub fn bridge(&self) -> &Bridge {
+        &self.bridge
+    }
+
+    /// The same, for what is to be asked of SUMO beside the ticks.
+    pub fn bridge_mut(&mut self) -> &mut Bridge {
+        &mut self.bridge
+    }
+
+    /// The network.
+    pub fn network(&self) -> &Arc<Network> {
+        self.bridge.network()
+    }
+
+    /// The egos, in the order of [`Session::start`].
+    pub fn seats(&self) -> &[Seat] {
+        &self.seats
+    }
+
+    /// Ego number `index`.
+    ///
+    /// # Panics
+    /// There are not so many.
+    pub fn ego(&self, index: usize) -> &Ego {
+        self.seats[index].ego()
+    }
+
+    /// The same, to be changed.
+    ///
+    /// # Panics
+    /// There are not so many.
+    pub fn seat_mut(&mut self, index: usize) -> &mut Seat {
+        &mut self.seats[index]
+    }
+
+    /// Bridge and ego together, for what concerns both.
+    ///
+    /// # Panics
+    /// There are not so many egos.
+    pub fn bridge_and_seat(&mut self, index: usize) -> (&mut Bridge, &mut Seat) {
+        (&mut self.bridge, &mut self.seats[index])
+    }
+
+    /// Where the time went.
+    pub fn timings(&self) -> Timings {
+        self.timings
+    }
+
+    /// What the expert of ego `index` decides for the next tick. It looks once a tick, however often it is
+    /// asked.
+    ///
+    /// # Panics
+    /// There are not so many egos.
+    pub fn plan(&mut self, index: usize) -> Decision {
+        let clock = Instant::now();
+        let tick = self.bridge.tick();
+        let decision = self.seats[index].plan(self.bridge.network(), tick);
+        self.timings.expert += clock.elapsed().as_secs_f64();
+        decision
+    }
+
+    /// One tick: `acts` has what each ego does, in the order of [`Session::seats`].
+    ///
+    /// # Errors
+    /// SUMO died, hung, sent garbage or lost an ego.
+    ///
+    /// # Panics
+    /// There is not one act for each ego.
+    pub async fn step(&mut self, acts: &[Act]) -> Result<Vec<Tick>, BridgeError> {
+        assert_eq!(acts.len(), self.seats.len(), "one act for each ego");
+        for (index, act) in acts.iter().enumerate() {
+            if matches!(act, Act::Expert | Act::Disturbed(_)) {
+                self.plan(index);
+            }
+        }
+        let tick = self.bridge.tick();
+        let clock = Instant::now();
+        let mut ticks: Vec<Tick> =
+            self.seats.iter_mut().zip(acts).map(|(seat, act)| seat.drive(*act, tick)).collect();
+        self.timings.physics += clock.elapsed().as_secs_f64();
+        self.settle().await?;
+        let network = self.bridge.network();
+        for (seat, tick_of) in self.seats.iter_mut().zip(&mut ticks) {
+            seat.judge(network, tick, tick_of);
+        }
+        Ok(ticks)
+    }
+
+    /// One tick of a session with one ego.
+    ///
+    /// # Errors
+    /// As [`Session::step`].
+    ///
+    /// # Panics
+    /// There are more egos.
+    pub async fn step_one(&mut self, act: Act) -> Result<Tick, BridgeError> {
+        Ok(self.step(&[act]).await?.remove(0))
+    }
+
+    /// One step of SUMO in which no ego moves: it learns where they are put down, and they get a world.
+    ///
+    /// # Errors
+    /// As [`Session::step`].
+    pub async fn settle(&mut self) -> Result<(), BridgeError> {
+        let clock = Instant::now();
+        let cpu = cpu_time::of_thread();
+        let stepped = self.bridge.step(&mut egos(&mut self.seats)).await;
+        let cpu = cpu_time::of_thread().zip(cpu).map_or(0.0, |(after, before)| after - before);
+        self.timings.bridge_cpu += cpu;
+        self.timings.bridge += clock.elapsed().as_secs_f64();
+        self.timings.sumo = self.bridge.sumo_seconds();
+        stepped
+    }
+
+    /// Puts ego `index` down on `route` at `s` (m), standing, with a memory that begins anew. It is there from
+    /// the next step on.
+    ///
+    /// # Panics
+    /// There are not so many egos.
+    pub fn place(&mut self, index: usize, route: Route, s: f64) {
+        self.seats[index].place(route, s, (0.0, 0.0));
+    }
+
+    /// Lets SUMO go at once, and keeps the egos for another session.
+    pub fn into_seats(self) -> Vec<Seat> {
+        self.seats
+    }
+
+    /// Ends SUMO in an orderly way.
+    ///
+    /// # Errors
+    /// SUMO did not take leave properly; it is gone all the same.
+    pub async fn close(self) -> Result<(), BridgeError> {
+        self.bridge.close().await
+    }
+}
+
+fn egos(seats: &mut [Seat]) -> Vec<&mut Ego> {
+    seats.iter_mut().map(Seat::ego_mut).collect()
+}

@@ -1,0 +1,582 @@
+//! A user's SUMO configuration, and the effective one that a run is made of.
+//!
+//! The user's own begin, routes and additional files are honoured; every output is redirected
+//! into the run folder, so that parallel runs never write beside a user's files; what headless
+//! SUMO does not know (gui-only options such as `osg-view`) is left out. The result is one file,
+//! `sumo.sumocfg` in the run folder, which reruns the same simulation with plain SUMO.
+
+use quick_xml::XmlVersion;
+use quick_xml::events::{BytesStart, Event};
+use std::collections::BTreeMap;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+use sumo_traci::process::SumoInstall;
+
+/// Why a configuration could not be used.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    #[error("could not read `{}`: {source}", path.display())]
+    Read { path: PathBuf, source: std::io::Error },
+    #[error("`{}` is not a SUMO configuration: {problem}; expected XML with a <net-file value=\"...\"/>", path.display())]
+    Malformed { path: PathBuf, problem: String },
+    #[error("`{}` names no net-file; add <net-file value=\"...\"/> to its <input>", path.display())]
+    NoNet { path: PathBuf },
+    #[error("`{}` names {option} `{}`, which does not exist (paths count from the config's folder)", config.display(), missing.display())]
+    MissingInput { config: PathBuf, option: String, missing: PathBuf },
+    #[error("`{}` gives {option} the value `{value}`; expected {expected}", path.display())]
+    BadValue { path: PathBuf, option: String, value: String, expected: &'static str },
+    #[error("could not write `{}`: {source}", path.display())]
+    Write { path: PathBuf, source: std::io::Error },
+    #[error("could not ask SUMO at `{}` for its options: {problem}", binary.display())]
+    Schema { binary: PathBuf, problem: String },
+}
+
+/// The options that a SUMO binary knows, as it lists them itself.
+#[derive(Clone, Debug, Default)]
+pub struct OptionSchema {
+    /// Canonical name by every name, synonyms included.
+    canonical: BTreeMap<String, String>,
+    /// Type (`FILE`, `BOOL`, ...) by canonical name.
+    types: BTreeMap<String, String>,
+}
+
+impl OptionSchema {
+    /// Asks the `sumo` (or `sumo-gui`) binary of an installation.
+    pub fn query(install: &SumoInstall, gui: bool) -> Result<Self, ConfigError> {
+        let program = if gui { "sumo-gui" } else { "sumo" };
+        let binary = install.program(program);
+        let fail = |problem: String| ConfigError::Schema { binary: binary.clone(), problem };
+        let output = install
+            .command(program)
+            .args(["--save-template", "/dev/stdout", "--save-template.commented", "true"])
+            .output()
+            .map_err(|e| fail(e.to_string()))?;
+        let text = String::from_utf8_lossy(&output.stdout);
+        let schema = Self::parse(&text).map_err(fail)?;
+        if schema.types.is_empty() {
+            return Err(fail(String::from_utf8_lossy(&output.stderr).trim().to_string()));
+        }
+        Ok(schema)
+    }
+
+    /// The same, asked once per process and binary: the question costs as much as starting SUMO.
+    pub fn cached(install: &SumoInstall, gui: bool) -> Result<Arc<Self>, ConfigError> {
+        static KNOWN: Mutex<BTreeMap<PathBuf, Arc<OptionSchema>>> = Mutex::new(BTreeMap::new());
+        let binary = install.program(if gui { "sumo-gui" } else { "sumo" });
+        let known = || KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(schema) = known().get(&binary) {
+            return Ok(Arc::clone(schema));
+        }
+        let schema = Arc::new(Self::query(install, gui)?);
+        known().insert(binary, Arc::clone(&schema));
+        Ok(schema)
+    }
+
+    fn parse(template: &str) -> Result<Self, String> {
+        let mut schema = Self::default();
+        // What precedes the document (a greeting on stdout) is not XML.
+        let start = template.find("<?xml").unwrap_or(0);
+        for_each_element(&template[start..], |name, attributes| {
+            let Some(kind) = attributes.get("type") else { return };
+            schema.types.insert(name.to_string(), kind.clone());
+            schema.canonical.insert(name.to_string(), name.to_string());
+            for synonym in attributes.get("synonymes").into_iter().flat_map(|s| s.split_whitespace()) {
+                schema.canonical.insert(synonym.to_string(), name.to_string());
+            }
+        })?;
+        Ok(schema)
+    }
+
+    fn is_file(&self, option: &str) -> bool {
+        self.types.get(option).is_some_and(|t| t.eq_ignore_ascii_case("FILE"))
+    }
+}
+
+/// A parsed configuration: options with their values, file paths made absolute.
+#[derive(Clone, Debug)]
+pub struct SumoConfig {
+    path: PathBuf,
+    options: BTreeMap<String, String>,
+    /// Options of the file that this SUMO does not know, left out.
+    pub ignored: Vec<String>,
+}
+
+/// What a run adds to or takes from the user's configuration.
+#[derive(Clone, Debug, Default)]
+pub struct Overrides {
+    /// Folder for everything that SUMO writes.
+    pub output_dir: PathBuf,
+    /// Options that win over the file's.
+    pub set: Vec<(String, String)>,
+    /// Options for when the file says nothing.
+    pub default: Vec<(String, String)>,
+    /// Leaves out the file's own routes.
+    pub drop_demand: bool,
+    /// Leaves out trips and vehicles of this type, as a scenario's ego, which the bridge brings itself.
+    pub drop_type: Option<&'static str>,
+}
+
+impl SumoConfig {
+    /// Reads a `.sumocfg`, or makes one of a bare `.net.xml(.gz)`.
+    ///
+    /// # Errors
+    /// The file is unreadable or not XML, names no net, or names a file that does not exist.
+    pub fn load(path: &Path, schema: &OptionSchema) -> Result<Self, ConfigError> {
+        let path = std::path::absolute(path)
+            .map_err(|source| ConfigError::Read { path: path.to_path_buf(), source })?;
+        let name = path.to_string_lossy();
+        if name.ends_with(".net.xml") || name.ends_with(".net.xml.gz") {
+            let options = BTreeMap::from([("net-file".to_string(), name.to_string())]);
+            return Ok(Self { path: path.clone(), options, ignored: Vec::new() });
+        }
+        let text = std::fs::read_to_string(&path)
+            .map_err(|source| ConfigError::Read { path: path.clone(), source })?;
+        let folder = path.parent().map(Path::to_path_buf).unwrap_or_default();
+        let mut options = BTreeMap::new();
+        let mut ignored = Vec::new();
+        for_each_element(&text, |name, attributes| {
+            let Some(value) = attributes.get("value").or_else(|| attributes.get("v")) else { return };
+            match schema.canonical.get(name) {
+                Some(option) => {
+                    let value =
+                        if schema.is_file(option) { absolute_list(&folder, value) } else { value.clone() };
+                    options.insert(option.clone(), value);
+                }
+                None => ignored.push(name.to_string()),
+            }
+        })
+        .map_err(|problem| ConfigError::Malformed { path: path.clone(), problem })?;
+        let config = Self { path: path.clone(), options, ignored };
+        if config.net_files().is_empty() {
+            return Err(ConfigError::NoNet { path });
+        }
+        for option in ["net-file", "route-files", "additional-files"] {
+            for file in config.files(option) {
+                if !file.exists() {
+                    return Err(ConfigError::MissingInput {
+                        config: path,
+                        option: option.to_string(),
+                        missing: file,
+                    });
+                }
+            }
+        }
+        Ok(config)
+    }
+
+    /// The configuration's own path, absolute.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Town or net name: the file name without its endings.
+    pub fn name(&self) -> String {
+        let file = self.path.file_name().map(|f| f.to_string_lossy().to_string()).unwrap_or_default();
+        file.split('.').next().unwrap_or_default().to_string()
+    }
+
+    /// The network file.
+    pub fn net_file(&self) -> Result<PathBuf, ConfigError> {
+        self.net_files().into_iter().next().ok_or_else(|| ConfigError::NoNet { path: self.path.clone() })
+    }
+
+    fn net_files(&self) -> Vec<PathBuf> {
+        self.files("net-file")
+    }
+
+    /// Additional files (polygons, detectors, stops, ...), absolute.
+    pub fn additional_files(&self) -> Vec<PathBuf> {
+        self.files("additional-files")
+    }
+
+    /// Route files (the demand), absolute.
+    pub fn route_files(&self) -> Vec<PathBuf> {
+        self.files("route-files")
+    }
+
+    /// The town: the net's file name without its endings.
+    pub fn town(&self) -> String {
+        let net = self.net_files().into_iter().next().unwrap_or_else(|| self.path.clone());
+        let file = net.file_name().map(|f| f.to_string_lossy().to_string()).unwrap_or_default();
+        file.split('.').next().unwrap_or_default().to_string()
+    }
+
+    fn files(&self, option: &str) -> Vec<PathBuf> {
+        let value = self.options.get(option).map(String::as_str).unwrap_or_default();
+        value.split(',').map(str::trim).filter(|v| !v.is_empty()).map(PathBuf::from).collect()
+    }
+
+    /// A time option in seconds (`90`, `15:0:0`, `1:00:00:00`), None where the file says nothing
+    /// or the time is negative (SUMO's "never").
+    pub fn time(&self, option: &str) -> Result<Option<f64>, ConfigError> {
+        let Some(text) = self.options.get(option) else { return Ok(None) };
+        let parts: Option<Vec<f64>> = text.split(':').map(|p| p.trim().parse().ok()).collect();
+        let seconds = match parts.as_deref() {
+            Some([s]) => *s,
+            Some([h, m, s]) => h * 3600.0 + m * 60.0 + s,
+            Some([d, h, m, s]) => d * 86400.0 + h * 3600.0 + m * 60.0 + s,
+            _ => f64::NAN,
+        };
+        if !seconds.is_finite() {
+            return Err(ConfigError::BadValue {
+                path: self.path.clone(),
+                option: option.to_string(),
+                value: text.clone(),
+                expected: "seconds or [days:]hours:minutes:seconds",
+            });
+        }
+        Ok((seconds >= 0.0).then_some(seconds))
+    }
+
+    /// Whether the file gives this option.
+    pub fn has(&self, option: &str) -> bool {
+        self.options.contains_key(option)
+    }
+
+    /// SUMO's seed in the file.
+    pub fn seed(&self) -> Option<u64> {
+        self.options.get("seed")?.parse().ok()
+    }
+
+    /// Writes the effective configuration into `overrides.output_dir` and returns its path.
+    pub fn write_effective(
+        &self,
+        schema: &OptionSchema,
+        overrides: &Overrides,
+    ) -> Result<PathBuf, ConfigError> {
+        // SUMO counts relative paths from the configuration's own folder, not from ours.
+        let dir =
+            &std::path::absolute(&overrides.output_dir).unwrap_or_else(|_| overrides.output_dir.clone());
+        std::fs::create_dir_all(dir).map_err(|source| ConfigError::Write { path: dir.clone(), source })?;
+        let mut options = self.options.clone();
+        for dropped in DROPPED {
+            options.remove(*dropped);
+        }
+        if overrides.drop_demand {
+            options.remove("route-files");
+        }
+        for (option, value) in options.iter_mut() {
+            if is_output(option) && schema.is_file(option) {
+                *value = redirected(value, dir);
+            }
+        }
+        if let Some(value) = options.get_mut("additional-files") {
+            let files = self.additional_files();
+            let mut kept = Vec::with_capacity(files.len());
+            for file in files {
+                kept.push(redirect_outputs(&file, dir)?.to_string_lossy().to_string());
+            }
+            *value = kept.join(",");
+        }
+        if let (Some(dropped), Some(value)) = (overrides.drop_type, options.get_mut("route-files")) {
+            let mut kept = Vec::new();
+            for file in self.route_files() {
+                kept.push(without_type(&file, dropped, dir)?.to_string_lossy().to_string());
+            }
+            *value = kept.join(",");
+        }
+        for (option, value) in &overrides.default {
+            options.entry(option.clone()).or_insert_with(|| value.clone());
+        }
+        for (option, value) in &overrides.set {
+            options.insert(option.clone(), value.clone());
+        }
+        let mut text = String::from("<sumoConfiguration>\n");
+        for (option, value) in &options {
+            let value = quick_xml::escape::escape(value.as_str());
+            text.push_str(&format!("    <{option} value=\"{value}\"/>\n"));
+        }
+        text.push_str("</sumoConfiguration>\n");
+        let path = dir.join("sumo.sumocfg");
+        std::fs::write(&path, text).map_err(|source| ConfigError::Write { path: path.clone(), source })?;
+        Ok(path)
+    }
+}
+
+/// Options that a run decides itself or that would act on the user's files.
+const DROPPED: &[&str] = &[
+    "configuration-file",
+    "save-configuration",
+    "save-template",
+    "save-schema",
+    "remote-port",
+    "num-clients",
+    "random",
+    "output-prefix",
+    "start",
+    "quit-on-end",
+    "demo",
+    "game",
+    "game.mode",
+    "breakpoints",
+];
+
+fn is_output(option: &str) -> bool {
+    option.ends_with("-output")
+        || option.ends_with(".output")
+        || matches!(
+            option,
+            "netstate-dump" | "log" | "message-log" | "error-log" | "save-state.prefix" | "save-state.files"
+        )
+}
+
+/// The same file names inside `dir`.
+fn redirected(value: &str, dir: &Path) -> String {
+    let moved: Vec<String> = value
+        .split(',')
+        .map(|file| {
+            let name = Path::new(file.trim()).file_name().map(|f| f.to_string_lossy().to_string());
+            dir.join(name.unwrap_or_else(|| "output.xml".to_string())).to_string_lossy().to_string()
+        })
+        .collect();
+    moved.join(",")
+}
+
+fn absolute_list(folder: &Path, value: &str) -> String {
+    let absolute: Vec<String> = value
+        .split(',')
+        .map(str::trim)
+        .filter(|file| !file.is_empty())
+        .map(|file| absolute(folder, file))
+        .collect();
+    absolute.join(",")
+}
+
+fn absolute(folder: &Path, file: &str) -> String {
+    // `${VARIABLE}` is SUMO's to fill in; `stdout`, `NUL` and sockets are not files.
+    if file.starts_with("${") || file == "stdout" || file == "stderr" || file == "NUL" {
+        return file.to_string();
+    }
+    folder.join(file).to_string_lossy().to_string()
+}
+
+/// Elements of additional files that write, with the attribute that names where.
+fn output_attribute(element: &str) -> Option<&'static str> {
+    match element {
+        "e1Detector"
+        | "inductionLoop"
+        | "instantInductionLoop"
+        | "e2Detector"
+        | "laneAreaDetector"
+        | "e3Detector"
+        | "entryExitDetector"
+        | "edgeData"
+        | "laneData"
+        | "meanData"
+        | "routeProbe"
+        | "vTypeProbe" => Some("file"),
+        "calibrator" => Some("output"),
+        "timedEvent" => Some("dest"),
+        _ => None,
+    }
+}
+
+/// `file` itself where nobody in it is of type `dropped`, else a copy in `dir` without those.
+fn without_type(file: &Path, dropped: &str, dir: &Path) -> Result<PathBuf, ConfigError> {
+    let text = read_plain(file)?;
+    let malformed = |problem: String| ConfigError::Malformed { path: file.to_path_buf(), problem };
+    let mut reader = quick_xml::Reader::from_str(&text);
+    let mut writer = quick_xml::Writer::new(Vec::with_capacity(text.len()));
+    let (mut inside, mut found) = (0usize, false);
+    let is_dropped = |start: &BytesStart<'_>| {
+        start.attributes().flatten().any(|a| a.key.0 == "type" && a.value.as_ref() == dropped)
+    };
+    loop {
+        let event = reader.read_event().map_err(|e| malformed(e.to_string()))?;
+        let drop = match &event {
+            Event::Eof => break,
+            Event::Start(start) if inside > 0 || is_dropped(start) => {
+                inside += 1;
+                true
+            }
+            Event::End(_) if inside > 0 => {
+                inside -= 1;
+                true
+            }
+            Event::Empty(start) => inside > 0 || is_dropped(start),
+            _ => inside > 0,
+        };
+        found |= drop;
+        if !drop {
+            writer.write_event(event).map_err(|e| malformed(e.to_string()))?;
+        }
+    }
+    if !found {
+        return Ok(file.to_path_buf());
+    }
+    let name = file.file_name().map(|f| f.to_string_lossy().to_string()).unwrap_or_default();
+    let path = dir.join(format!("without-{dropped}-{}", name.trim_end_matches(".gz")));
+    std::fs::write(&path, writer.into_inner())
+        .map_err(|source| ConfigError::Write { path: path.clone(), source })?;
+    Ok(path)
+}
+
+/// A file's text, plain or gzipped.
+fn read_plain(file: &Path) -> Result<String, ConfigError> {
+    let read_error = |source| ConfigError::Read { path: file.to_path_buf(), source };
+    let bytes = std::fs::read(file).map_err(read_error)?;
+    if !bytes.starts_with(&[0x1f, 0x8b]) {
+        return Ok(String::from_utf8_lossy(&bytes).into_owned());
+    }
+    let mut text = String::new();
+    flate2::read::MultiGzDecoder::new(&bytes[..]).read_to_string(&mut text).map_err(read_error)?;
+    Ok(text)
+}
+
+/// `file` itself where it writes nothing, else a copy in `dir` whose outputs go to `dir`.
+fn redirect_outputs(file: &Path, dir: &Path) -> Result<PathBuf, ConfigError> {
+    let text = read_plain(file)?;
+    let writers =
+        ["Detector", "ductionLoop", "edgeData", "laneData", "meanData", "Probe", "calibrator", "timedEvent"];
+    if !writers.iter().any(|w| text.contains(w)) {
+        return Ok(file.to_path_buf());
+    }
+    let folder = file.parent().map(Path::to_path_buf).unwrap_or_default();
+    let malformed = |problem: String| ConfigError::Malformed { path: file.to_path_buf(), problem };
+    let mut reader = quick_xml::Reader::from_str(&text);
+    let mut writer = quick_xml::Writer::new(Vec::with_capacity(text.len()));
+    loop {
+        let event = reader.read_event().map_err(|e| malformed(e.to_string()))?;
+        let event = match event {
+            Event::Eof => break,
+            Event::Start(start) => Event::Start(redirect_element(&start, &folder, dir).map_err(malformed)?),
+            Event::Empty(start) => Event::Empty(redirect_element(&start, &folder, dir).map_err(malformed)?),
+            other => other,
+        };
+        writer.write_event(event).map_err(|e| malformed(e.to_string()))?;
+    }
+    let name = file.file_name().map(|f| f.to_string_lossy().to_string()).unwrap_or_default();
+    let path = dir.join(format!("redirected-{}", name.trim_end_matches(".gz")));
+    std::fs::write(&path, writer.into_inner())
+        .map_err(|source| ConfigError::Write { path: path.clone(), source })?;
+    Ok(path)
+}
+
+fn redirect_element(
+    start: &BytesStart<'_>,
+    folder: &Path,
+    dir: &Path,
+) -> Result<BytesStart<'static>, String> {
+    let name = start.name().0.to_string();
+    let written = output_attribute(&name);
+    let mut out = BytesStart::new(name);
+    for attribute in start.attributes() {
+        let attribute = attribute.map_err(|e| e.to_string())?;
+        let key = attribute.key.0;
+        let value = attribute.normalized_value(XmlVersion::Implicit1_0).map_err(|e| e.to_string())?;
+        let value = if written == Some(key) {
+            redirected(&value, dir)
+        } else if matches!(key, "file" | "href" | "imgFile" | "osgFile") && !value.is_empty() {
+            absolute(folder, &value)
+        } else {
+            value.into_owned()
+        };
+        out.push_attribute((key, value.as_str()));
+    }
+    Ok(out)
+}
+
+/// Calls `visit` with each element's name and attributes.
+fn for_each_element(
+    text: &str,
+    mut visit: impl FnMut(&str, &BTreeMap<String, String>),
+) -> Result<(), String> {
+    let mut reader = quick_xml::Reader::from_str(text);
+    let mut elements = 0usize;
+    loop {
+        let event = reader.read_event().map_err(|e| format!("{e} (at byte {})", reader.error_position()))?;
+        match event {
+            Event::Eof => break,
+            Event::Start(start) | Event::Empty(start) => {
+                elements += 1;
+                let mut attributes = BTreeMap::new();
+                for attribute in start.attributes() {
+                    let attribute = attribute.map_err(|e| e.to_string())?;
+                    let value =
+                        attribute.normalized_value(XmlVersion::Implicit1_0).map_err(|e| e.to_string())?;
+                    attributes.insert(attribute.key.0.to_string(), value.into_owned());
+                }
+                visit(start.name().0, &attributes);
+            }
+            _ => {}
+        }
+    }
+    if elements == 0 { Err("it holds no XML element".to_string()) } else { Ok(()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TEMPLATE: &str = r#"greeting <?xml version="1.0"?><c><input>
+        <net-file value="" synonymes="n net" type="FILE"/>
+        <route-files value="" synonymes="r routes" type="FILE"/>
+        <additional-files value="" synonymes="a additional" type="FILE"/>
+        <tripinfo-output value="" synonymes="tripinfo" type="FILE"/>
+        <begin value="0" synonymes="b" type="TIME"/><end value="-1" type="TIME"/>
+        <seed value="23423" type="INT"/></input></c>"#;
+
+    fn write(dir: &Path, name: &str, text: &str) -> PathBuf {
+        let path = dir.join(name);
+        std::fs::write(&path, text).unwrap();
+        path
+    }
+
+    #[test]
+    fn outputs_go_to_the_run_folder_and_inputs_stay() {
+        let dir = tempfile::tempdir().unwrap();
+        let schema = OptionSchema::parse(TEMPLATE).unwrap();
+        write(dir.path(), "n.net.xml", "<net/>");
+        write(
+            dir.path(),
+            "d.add.xml",
+            r#"<additional><e1Detector id="d" lane="a_0" file="out/d.xml"/><variableSpeedSign id="v" file="vss.xml"/></additional>"#,
+        );
+        let config = write(
+            dir.path(),
+            "x.sumocfg",
+            r#"<configuration><input><net value="n.net.xml"/><a value="d.add.xml"/><tripinfo value="t.xml"/></input>
+               <b value="15:0:0"/><end value="-1"/><osg-view value="true"/></configuration>"#,
+        );
+        let config = SumoConfig::load(&config, &schema).unwrap();
+        assert_eq!(config.ignored, ["osg-view"]);
+        assert_eq!(config.time("begin").unwrap(), Some(54000.0));
+        assert_eq!(config.time("end").unwrap(), None);
+        let run = dir.path().join("run");
+        let overrides = Overrides {
+            output_dir: run.clone(),
+            set: vec![("seed".into(), "7".into())],
+            ..Overrides::default()
+        };
+        let effective =
+            std::fs::read_to_string(config.write_effective(&schema, &overrides).unwrap()).unwrap();
+        let inside = |name: &str| run.join(name).to_string_lossy().to_string();
+        assert!(effective.contains(&inside("t.xml")), "{effective}");
+        assert!(effective.contains(&inside("redirected-d.add.xml")), "{effective}");
+        assert!(effective.contains(&dir.path().join("n.net.xml").to_string_lossy().to_string()));
+        assert!(effective.contains(r#"<seed value="7"/>"#));
+        let additional = std::fs::read_to_string(run.join("redirected-d.add.xml")).unwrap();
+        assert!(additional.contains(&inside("d.xml")), "{additional}");
+        assert!(
+            additional.contains(&dir.path().join("vss.xml").to_string_lossy().to_string()),
+            "{additional}"
+        );
+    }
+
+    #[test]
+    fn a_config_that_is_not_xml_or_names_a_missing_net_says_so() {
+        let dir = tempfile::tempdir().unwrap();
+        let schema = OptionSchema::parse(TEMPLATE).unwrap();
+        for (text, expected) in [
+            ("hello", "not a SUMO configuration"),
+            ("<configuration><net-file value=", "not a SUMO configuration"),
+            ("<configuration/>", "names no net-file"),
+            (r#"<configuration><n value="gone.net.xml"/></configuration>"#, "gone.net.xml"),
+        ] {
+            let path = write(dir.path(), "x.sumocfg", text);
+            let error = SumoConfig::load(&path, &schema).unwrap_err().to_string();
+            assert!(error.contains(expected), "{text}: {error}");
+        }
+    }
+}

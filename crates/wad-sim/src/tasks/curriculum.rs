@@ -1,0 +1,224 @@
+//! Step-by-step learning: the tasks in order, when to move on, and how often to go back.
+
+use super::{TaskKind, TaskSpec};
+use crate::traffic::TrafficSpec;
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
+use wad_camera::Preset;
+
+/// Why a curriculum cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum CurriculumError {
+    #[error("cannot read the curriculum {}: {source}", path.display())]
+    Read { path: PathBuf, source: std::io::Error },
+    #[error("{} is no curriculum: {problem}; scenarios/curriculum.json is one", path.display())]
+    Malformed { path: PathBuf, problem: String },
+    #[error("{}: {problem}", path.display())]
+    Value { path: PathBuf, problem: String },
+}
+
+/// One stage.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Stage {
+    pub task: TaskKind,
+    /// The next stage comes when this share (0..1) of the last `window` episodes of this task was
+    /// successful.
+    pub threshold: f64,
+    pub window: usize,
+    /// Environment steps after which the next stage comes all the same; None: never.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub most_steps: Option<u64>,
+    /// Background traffic; None: the task's own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub traffic: Option<TrafficSpec>,
+}
+
+/// A curriculum, as in `scenarios/curriculum.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Curriculum {
+    /// A CONFIG, e.g. `town3`.
+    pub town: String,
+    /// One of them is drawn per episode.
+    pub weathers: Vec<Preset>,
+    /// Share (0..1) of episodes that go back to an earlier stage's task, drawn evenly.
+    pub replay: f64,
+    pub stages: Vec<Stage>,
+}
+
+impl Curriculum {
+    /// Reads a curriculum.
+    ///
+    /// # Errors
+    /// The file cannot be read, has a field that is not known or lacks one, or a value that cannot be.
+    pub fn load(path: &Path) -> Result<Self, CurriculumError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| CurriculumError::Read { path: path.to_path_buf(), source })?;
+        Self::parse(path, &text)
+    }
+
+    /// The curriculum of a JSON text; `path` is what errors call it.
+    ///
+    /// # Errors
+    /// As [`Curriculum::load`].
+    pub fn parse(path: &Path, text: &str) -> Result<Self, CurriculumError> {
+        let path = || path.to_path_buf();
+        let curriculum: Self = serde_json::from_str(text)
+            .map_err(|error| CurriculumError::Malformed { path: path(), problem: error.to_string() })?;
+        match curriculum.problem() {
+            Some(problem) => Err(CurriculumError::Value { path: path(), problem }),
+            None => Ok(curriculum),
+        }
+    }
+
+    fn problem(&self) -> Option<String> {
+        if self.stages.is_empty() {
+            return Some("expected one stage or more in `stages`, found none".to_string());
+        }
+        if self.weathers.is_empty() {
+            return Some("expected one weather or more in `weathers`, found none".to_string());
+        }
+        if !(0.0..1.0).contains(&self.replay) {
+            return Some(format!("expected `replay` from 0 to below 1, found {}", self.replay));
+        }
+        self.stages.iter().enumerate().find_map(|(i, stage)| {
+            let at = format!("stage {i} ({})", stage.task);
+            if !(0.0..=1.0).contains(&stage.threshold) {
+                Some(format!("{at}: expected `threshold` from 0 to 1, found {}", stage.threshold))
+            } else if stage.window == 0 {
+                Some(format!("{at}: expected `window` of 1 or more, found 0"))
+            } else {
+                None
+            }
+        })
+    }
+}
+
+/// Where training is in a curriculum; saved with checkpoints.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Progress {
+    /// Index of the stage.
+    pub stage: usize,
+    /// Environment steps spent in it.
+    pub steps: u64,
+    /// Success of the last episodes of its task, oldest first.
+    pub recent: VecDeque<bool>,
+    /// The last stage's threshold has been passed too.
+    pub done: bool,
+}
+
+impl Progress {
+    /// The next episode's task: the stage's, or an earlier one's, in one of the weathers.
+    pub fn draw(&self, curriculum: &Curriculum, rng: &mut ChaCha8Rng) -> TaskSpec {
+        let current = self.stage.min(curriculum.stages.len().saturating_sub(1));
+        let back = current > 0 && rng.random_range(0.0..1.0) < curriculum.replay;
+        let index = if back { rng.random_range(0..current) } else { current };
+        let stage = &curriculum.stages[index];
+        let weather = curriculum.weathers[rng.random_range(0..curriculum.weathers.len())];
+        TaskSpec { traffic: stage.traffic, ..TaskSpec::new(stage.task) }.in_weather(weather)
+    }
+
+    /// Notes an episode of `steps` environment steps. True where it was the one that brings the next
+    /// stage (or, in the last one, passes the last threshold).
+    pub fn note(&mut self, curriculum: &Curriculum, task: TaskKind, steps: u64, success: bool) -> bool {
+        let Some(stage) = curriculum.stages.get(self.stage) else { return false };
+        self.steps += steps;
+        if task == stage.task {
+            self.recent.push_back(success);
+            while self.recent.len() > stage.window {
+                self.recent.pop_front();
+            }
+        }
+        let passed = self.recent.len() == stage.window && self.success_rate() >= stage.threshold;
+        let spent = stage.most_steps.is_some_and(|most| self.steps >= most);
+        if self.stage + 1 == curriculum.stages.len() {
+            let first = passed && !self.done;
+            self.done |= passed;
+            return first;
+        }
+        if passed || spent {
+            *self = Self { stage: self.stage + 1, ..Self::default() };
+            return true;
+        }
+        false
+    }
+
+    /// Share of the last episodes of the stage's task that were successful; 0 before the first.
+    pub fn success_rate(&self) -> f64 {
+        let successes = self.recent.iter().filter(|success| **success).count();
+        successes as f64 / self.recent.len().max(1) as f64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sumo_network::seeds;
+
+    const SHIPPED: &str = include_str!("../../../../scenarios/curriculum.json");
+
+    fn parse(text: &str) -> Result<Curriculum, CurriculumError> {
+        Curriculum::parse(Path::new("c.json"), text)
+    }
+
+    #[test]
+    fn the_shipped_one_has_the_papers_tasks_in_order() {
+        let curriculum = parse(SHIPPED).unwrap();
+        let tasks: Vec<TaskKind> = curriculum.stages.iter().map(|stage| stage.task).collect();
+        assert_eq!(tasks[..5], TaskKind::FIVE);
+        assert_eq!(tasks[5], TaskKind::Composite);
+        assert_eq!(curriculum.town, "town3");
+    }
+
+    #[test]
+    fn an_unknown_field_or_value_is_an_error_that_names_it() {
+        for (from, to, expected) in [
+            ("\"replay\"", "\"repaly\"", "repaly"),
+            ("\"window\": 20, \"most_steps\": 60000", "\"window\": 20, \"most_step\": 1", "most_step"),
+            ("0.3", "1.5", "1.5"),
+            ("\"one_turn\"", "\"two_turns\"", "two_turns"),
+            ("\"window\": 50", "\"window\": 0", "window"),
+            ("\"ClearNoon\", ", "\"Fog\", ", "Fog"),
+        ] {
+            let error = parse(&SHIPPED.replacen(from, to, 1)).unwrap_err().to_string();
+            assert!(error.contains(expected) && error.contains("c.json"), "{error}");
+        }
+    }
+
+    #[test]
+    fn stages_follow_on_success_and_at_the_latest_when_their_steps_are_spent() {
+        let curriculum = parse(SHIPPED).unwrap();
+        let mut progress = Progress::default();
+        for _ in 0..19 {
+            assert!(!progress.note(&curriculum, TaskKind::Straight, 100, true));
+        }
+        assert!(progress.note(&curriculum, TaskKind::Straight, 100, true));
+        assert_eq!((progress.stage, progress.steps), (1, 0));
+        // A replay's success says nothing about this stage.
+        for _ in 0..40 {
+            assert!(!progress.note(&curriculum, TaskKind::Straight, 100, true));
+        }
+        assert!(progress.note(&curriculum, TaskKind::OneTurn, 80_000, false));
+        assert_eq!(progress.stage, 2);
+        let mut last = Progress { stage: 5, ..Progress::default() };
+        let passed = (0..60).filter(|_| last.note(&curriculum, TaskKind::Composite, 1000, true)).count();
+        assert_eq!((passed, last.stage, last.done), (1, 5, true));
+    }
+
+    #[test]
+    fn replays_go_to_earlier_stages_alone() {
+        let curriculum = parse(SHIPPED).unwrap();
+        let mut rng = seeds::rng(3, "curriculum");
+        let progress = Progress { stage: 2, ..Progress::default() };
+        let tasks: Vec<TaskKind> = (0..400).map(|_| progress.draw(&curriculum, &mut rng).kind).collect();
+        let count = |kind: TaskKind| tasks.iter().filter(|task| **task == kind).count();
+        assert!((80..160).contains(&(count(TaskKind::Straight) + count(TaskKind::OneTurn))));
+        assert_eq!(count(TaskKind::Obstacle) + count(TaskKind::Cross) + count(TaskKind::Composite), 0);
+        let first = Progress::default();
+        assert!((0..50).all(|_| first.draw(&curriculum, &mut rng).kind == TaskKind::Straight));
+    }
+}

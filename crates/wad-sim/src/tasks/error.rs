@@ -1,0 +1,18 @@
+//! Why a task cannot be driven.
+
+use super::TaskKind;
+use sumo_network::network::RouteError;
+
+/// Why there is no such task, or none on this net.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum TaskError {
+    #[error("no task is called `{found}`: expected {}", TaskKind::ALL.map(|k| k.name()).join(", "))]
+    Unknown { found: String },
+    /// No place on the net meets every condition; says which one fails.
+    #[error("the task `{task}` cannot be placed on this net: {condition}")]
+    NoPlace { task: TaskKind, condition: String },
+    #[error("the task's place names {kind} `{id}`, which this net does not have: it belongs to another net")]
+    OtherNet { kind: &'static str, id: String },
+    #[error("the task's place cannot be driven: {0}")]
+    Route(#[from] RouteError),
+}

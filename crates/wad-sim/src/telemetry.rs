@@ -1,0 +1,182 @@
+//! A run's files: `config.json`, `telemetry.jsonl` (one line per tick), `summary.json`.
+//!
+//! Telemetry holds nothing that depends on wall time, so equal seeds give equal bytes.
+
+use crate::autopilot::Reason;
+use crate::criteria::Event;
+use serde::{Deserialize, Serialize};
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+use sumo_network::network::RoadOption;
+use sumo_network::world::SignalState;
+use wad_vehicle::{Control, EgoState};
+
+/// Why a result could not be written.
+#[derive(Debug, thiserror::Error)]
+#[error("could not write `{}`: {source}; what was written before stays readable", path.display())]
+pub struct WriteError {
+    pub path: PathBuf,
+    pub source: std::io::Error,
+}
+
+/// Why there is no run folder.
+#[derive(Debug, thiserror::Error)]
+pub enum FolderError {
+    #[error("`{}` already holds a run ({found}); name another folder with --out, or remove it", path.display())]
+    Taken { path: PathBuf, found: &'static str },
+    #[error(transparent)]
+    Write(#[from] WriteError),
+}
+
+/// Where the ego is on its route.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RouteRecord {
+    /// SUMO lane id under the route.
+    pub lane: String,
+    /// Distance along the route and offset to its left (m).
+    pub s: f64,
+    pub d: f64,
+    /// Route length (m).
+    pub length: f64,
+    pub option: RoadOption,
+}
+
+/// Distance to the next signal's stop line (m) and what it shows.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LightRecord {
+    pub state: SignalState,
+    pub distance: f64,
+}
+
+/// The vehicle or pedestrian ahead.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LeaderRecord {
+    /// Bumper to bumper (m).
+    pub gap: f64,
+    /// m/s.
+    pub speed: f64,
+}
+
+/// One line of `telemetry.jsonl`: the control of a tick and the state after it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TickRecord {
+    pub tick: u64,
+    /// Simulation time after the tick (s).
+    pub time: f64,
+    pub control: Control,
+    pub ego: EgoState,
+    pub route: RouteRecord,
+    /// Speed limit (m/s).
+    pub limit: f64,
+    pub light: Option<LightRecord>,
+    pub leader: Option<LeaderRecord>,
+    /// What the autopilot's decision was about; None for other agents.
+    pub reason: Option<Reason>,
+    pub events: Vec<Event>,
+    /// Background vehicles and pedestrians in the network.
+    pub vehicles: usize,
+    pub pedestrians: usize,
+    /// What people asked of the run before this tick.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub wishes: Vec<Wish>,
+    /// Who drove, where somebody took the wheel from the run's own driver.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub driver: Option<String>,
+}
+
+/// What a person may ask of a run; it is recorded, so that the run can be driven again.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "wish", rename_all = "snake_case")]
+pub enum Wish {
+    /// Put the ego down elsewhere.
+    Respawn,
+    /// Another destination from where the ego is.
+    NewRoute,
+    /// To the same destination from where the ego is, which has left its route.
+    FindBack,
+    /// So much background traffic from now on.
+    Traffic { vehicles: usize, pedestrians: usize },
+}
+
+/// A run's folder with its telemetry open.
+#[derive(Debug)]
+pub struct RunFolder {
+    path: PathBuf,
+    telemetry_path: PathBuf,
+    telemetry: BufWriter<File>,
+    line: Vec<u8>,
+    unflushed: usize,
+}
+
+/// Lines between flushes: what a SIGKILL can lose at most.
+const FLUSH_EVERY: usize = 50;
+
+impl RunFolder {
+    /// Makes the folder and writes `config.json`.
+    ///
+    /// # Errors
+    /// The folder holds a run already, or cannot be written.
+    pub fn create(path: &Path, config: &impl Serialize) -> Result<Self, FolderError> {
+        let telemetry_path = path.join("telemetry.jsonl");
+        for found in ["telemetry.jsonl", "summary.json"] {
+            if path.join(found).exists() {
+                return Err(FolderError::Taken { path: path.to_path_buf(), found });
+            }
+        }
+        let fail = |path: &Path| {
+            let path = path.to_path_buf();
+            move |source| WriteError { path, source }
+        };
+        std::fs::create_dir_all(path).map_err(fail(path))?;
+        write_json(&path.join("config.json"), config)?;
+        let file = File::create(&telemetry_path).map_err(fail(&telemetry_path))?;
+        Ok(Self {
+            path: path.to_path_buf(),
+            telemetry: BufWriter::with_capacity(1 << 16, file),
+            telemetry_path,
+            line: Vec::new(),
+            unflushed: 0,
+        })
+    }
+
+    /// The folder.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Appends one tick.
+    pub fn record(&mut self, record: &TickRecord) -> Result<(), WriteError> {
+        self.line.clear();
+        let fail = |source| WriteError { path: self.telemetry_path.clone(), source };
+        serde_json::to_writer(&mut self.line, record).map_err(|e| fail(e.into()))?;
+        self.line.push(b'\n');
+        self.telemetry.write_all(&self.line).map_err(fail)?;
+        self.unflushed += 1;
+        if self.unflushed >= FLUSH_EVERY {
+            self.flush()?;
+        }
+        Ok(())
+    }
+
+    /// Hands what is buffered to the system.
+    pub fn flush(&mut self) -> Result<(), WriteError> {
+        self.unflushed = 0;
+        self.telemetry.flush().map_err(|source| WriteError { path: self.telemetry_path.clone(), source })
+    }
+
+    /// Writes `summary.json`, whole or not at all.
+    pub fn finish(&mut self, summary: &impl Serialize) -> Result<(), WriteError> {
+        self.flush()?;
+        write_json(&self.path.join("summary.json"), summary)
+    }
+}
+
+/// Writes pretty JSON beside its place and moves it there.
+pub fn write_json(path: &Path, value: &impl Serialize) -> Result<(), WriteError> {
+    let fail = |source| WriteError { path: path.to_path_buf(), source };
+    let mut text = serde_json::to_vec_pretty(value).map_err(|e| fail(e.into()))?;
+    text.push(b'\n');
+    let staging = path.with_extension("json.tmp");
+    std::fs::write(&staging, text).and_then(|()| std::fs::rename(&staging, path)).map_err(fail)
+}

@@ -1,0 +1,71 @@
+//! Edges lately seen empty: places where a replacement gets onto the road at once.
+//!
+//! Up to three edges' vehicle counts are asked per tick, and only while few fresh answers are at hand.
+
+use std::collections::VecDeque;
+use sumo_network::network::{EdgeId, Network};
+use sumo_traci::{Batch, Replies, Ticket, edge};
+
+/// An answer older than this (s) says nothing any more.
+const FRESH: f64 = 2.0;
+/// Enough answers at hand.
+const ENOUGH: usize = 6;
+/// Questions in one tick at the most.
+const PER_TICK: usize = 3;
+/// For so long (s) an edge that was used is not used again.
+const REST: f64 = 4.0;
+
+#[derive(Debug)]
+pub(super) struct Reserve {
+    /// Edges with the time (s) at which they were empty, oldest first.
+    empty: VecDeque<(EdgeId, f64)>,
+    asked: Vec<(EdgeId, f64, Ticket<i32>)>,
+    /// By edge: when it was last used (s).
+    used: Vec<f64>,
+}
+
+impl Reserve {
+    pub fn new(edges: usize) -> Self {
+        Self { empty: VecDeque::new(), asked: Vec::new(), used: vec![f64::NEG_INFINITY; edges] }
+    }
+
+    /// Takes in the answer that came with the step that ended at `time` (s).
+    pub fn read(&mut self, replies: &Replies, time: f64) {
+        while self.empty.front().is_some_and(|&(_, seen)| time - seen > FRESH) {
+            self.empty.pop_front();
+        }
+        for (edge, seen, ticket) in self.asked.drain(..) {
+            if replies.get(ticket).is_ok_and(|count| count == 0) {
+                self.empty.retain(|&(e, _)| e != edge);
+                self.empty.push_back((edge, seen));
+            }
+        }
+    }
+
+    /// Whether another answer is wanted.
+    pub fn wants_more(&self) -> bool {
+        self.empty.len() + self.asked.len() < ENOUGH && self.asked.len() < PER_TICK
+    }
+
+    /// Asks about an edge at `time` (s).
+    pub fn ask(&mut self, network: &Network, edge: EdgeId, time: f64, batch: &mut Batch) {
+        let ticket = batch.get(edge::LAST_STEP_VEHICLE_NUMBER, &network.edge(edge).id);
+        self.asked.push((edge, time, ticket));
+    }
+
+    /// Edges seen empty, the last seen first, with the time (s).
+    pub fn fresh(&self, time: f64) -> Vec<(EdgeId, f64)> {
+        let usable = |&&(edge, seen): &&(EdgeId, f64)| time - seen <= FRESH && !self.is_used(edge, time);
+        self.empty.iter().rev().filter(usable).copied().collect()
+    }
+
+    /// Notes that somebody was put on an edge.
+    pub fn used(&mut self, edge: EdgeId, time: f64) {
+        self.used[edge.index()] = time;
+    }
+
+    /// Whether somebody was put there a moment ago.
+    pub fn is_used(&self, edge: EdgeId, time: f64) -> bool {
+        time - self.used[edge.index()] < REST
+    }
+}
