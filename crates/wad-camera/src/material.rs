@@ -8,7 +8,7 @@ pub fn srgb(red: u8, green: u8, blue: u8) -> Rgb {
     [red, green, blue].map(|c| (f32::from(c) / 255.0).powf(2.2))
 }
 
-/// Index into [`Library::materials`].
+/// Index into [`Library::materials`](super::model::Library::materials).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct MaterialId(pub u16);
 
@@ -173,7 +173,7 @@ pub enum Channel {
     Always = 1,
     /// Brake lamps.
     Brake = 2,
-    /// Rear lamps: on with [`Lamps::HEAD`].
+    /// Rear lamps: on with the headlamps.
     Head = 3,
     /// Rear lamps.
     Tail = 4,

@@ -13,7 +13,7 @@ pub struct Vertex {
     pub normal: [f32; 3],
     /// Texture coordinates (m); what they mean is the [`Texture`]'s.
     pub uv: [f32; 2],
-    /// Index into [`Model::bones`]; 0 where the model has none, and in chunks.
+    /// Index into [`Model::bones`](super::model::Model::bones); 0 where the model has none, and in chunks.
     pub bone: u8,
 }
 

@@ -16,17 +16,17 @@ macro_rules! index_type {
         }
     };
 }
-index_type!(/// An edge of [`Network::edges`].
+index_type!(/// An edge of [`Network::edges`](super::Network::edges).
     EdgeId);
-index_type!(/// A lane of [`Network::lanes`].
+index_type!(/// A lane of [`Network::lanes`](super::Network::lanes).
     LaneId);
-index_type!(/// A junction of [`Network::junctions`].
+index_type!(/// A junction of [`Network::junctions`](super::Network::junctions).
     JunctionId);
-index_type!(/// A link of [`Network::links`].
+index_type!(/// A link of [`Network::links`](super::Network::links).
     LinkId);
-index_type!(/// A crossing of [`Network::crossings`].
+index_type!(/// A crossing of [`Network::crossings`](super::Network::crossings).
     CrossingId);
-index_type!(/// A signal program of [`Network::traffic_lights`].
+index_type!(/// A signal program of [`Network::traffic_lights`](super::Network::traffic_lights).
     TrafficLightId);
 
 /// What an edge is for.

@@ -1,7 +1,7 @@
 //! The town without its road users, built once from a network and its polygons.
 //!
 //! Deterministic from the network, the polygons and a seed. Everything that stands keeps off lanes,
-//! crossings and walkingareas: [`ground`] knows what each half metre is used for, and whatever is put up
+//! crossings and walkingareas: `ground` knows what each half metre is used for, and whatever is put up
 //! asks it first.
 
 mod areas;
