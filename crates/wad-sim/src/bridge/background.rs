@@ -52,8 +52,9 @@ impl Bridge {
         let replies = self.ask(&ask).await?;
         let mut population =
             population_of(&self.traffic_roads, Counts::default(), self.traffic_seed, self.traffic_alone);
+        self.egos.iter().for_each(|id| population.keep(id));
         for id in replies.get(vehicles).map_err(sumo_traci::Error::from)? {
-            if self.traffic_alone && !KEPT.contains(&id.as_str()) {
+            if self.traffic_alone && id != OBSTACLE && !self.egos.contains(&id) {
                 vehicle::remove(&mut self.batch, &id, RemoveReason::Vaporized);
             }
         }
@@ -85,7 +86,7 @@ impl Bridge {
         for ticket in tickets {
             ids.extend(replies.get(ticket).map_err(sumo_traci::Error::from)?);
         }
-        ids.retain(|id| id != "ego");
+        ids.retain(|id| !self.egos.contains(id));
         ids.sort_unstable();
         ids.dedup();
         if ids.is_empty() {
@@ -111,11 +112,8 @@ impl Bridge {
     }
 }
 
-/// Who is in SUMO beside the population.
-const KEPT: [&str; 2] = ["ego", OBSTACLE];
-
 pub(super) fn population_of(network: &Arc<Network>, counts: Counts, seed: u64, alone: bool) -> Population {
-    let keep = KEPT.map(str::to_string).to_vec();
+    let keep = vec![OBSTACLE.to_string()];
     let behaviour = traffic::Options { alone, keep, ..Default::default() };
     Population::new(Arc::clone(network), counts, seed, behaviour)
 }

@@ -87,6 +87,9 @@ impl BridgeOptions {
 /// The paper's six ticks a second, in SUMO's whole milliseconds.
 pub const DEFAULT_TICK_MS: f64 = 167.0;
 
+/// The vehicle type that a scenario draws its ego with: the drawn vehicle gives way to the real ego.
+pub const EGO_TYPE: &str = "ego";
+
 /// Id of the vehicle that stands in the ego's way in the obstacle task.
 pub const OBSTACLE: &str = "obstacle";
 
@@ -106,6 +109,8 @@ pub struct Bridge {
     traffic_seed: u64,
     /// Those that the config brings are taken out.
     traffic_alone: bool,
+    /// Ids of the egos.
+    egos: Vec<String>,
     /// Vehicles have been taken out by hand: arrivals no longer tell how many there are.
     resized: bool,
     director: Option<Box<dyn Director>>,
@@ -211,6 +216,7 @@ impl Bridge {
             traffic_roads,
             traffic_seed,
             traffic_alone,
+            egos: Vec::new(),
             resized: false,
             director: None,
             batch: Batch::new(),
@@ -289,6 +295,10 @@ impl Bridge {
         for ego in egos.iter_mut() {
             ego.params().check()?;
             ego.insert(&self.network, &mut self.batch);
+            self.egos.push(ego.id.clone());
+            if let Some(population) = &mut self.population {
+                population.keep(&ego.id);
+            }
             observe::subscribe(&mut self.batch, &ego.id, self.sight);
         }
         if !self.subscribed {
@@ -488,6 +498,6 @@ fn overrides(options: &BridgeOptions, config: &SumoConfig, tick_ms: f64) -> Over
         set,
         default,
         drop_demand: !options.traffic.keeps_config_demand() && !options.scenario,
-        drop_type: options.scenario.then_some(crate::scenario::EGO_TYPE),
+        drop_type: options.scenario.then_some(EGO_TYPE),
     }
 }

@@ -3,15 +3,13 @@
 use super::params::{EGO, Reader};
 use super::problem::{Problem, meant, near};
 use super::xml::Element;
+use crate::bridge::EGO_TYPE;
 use crate::destination::EGO_CLASS;
 use crate::tasks::{Placement, Spot, TaskKind};
 use crate::traffic::TrafficSpec;
 use sumo_network::network::{EdgeKind, LaneId, LanePosition, Network, Route};
 use wad_camera::Preset;
 use wad_vehicle::EgoParams;
-
-/// The vehicle type that makes a trip the ego.
-pub const EGO_TYPE: &str = "ego";
 
 /// What the ego's element says.
 #[derive(Clone, Debug)]

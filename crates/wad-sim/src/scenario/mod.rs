@@ -19,8 +19,8 @@ pub mod template;
 mod things;
 mod xml;
 
+pub use crate::bridge::EGO_TYPE;
 pub use director::Director;
-pub use ego::EGO_TYPE;
 pub use problem::{Problem, ScenarioError};
 pub use things::{Closure, Kind, Leader, ObjectShape, POINTS, POLYGONS, Thing, Trigger, VEHICLES};
 

@@ -190,6 +190,11 @@ impl Population {
         self.pedestrians.resize(pedestrians, batch);
     }
 
+    /// Never takes out the vehicle `id`: an ego.
+    pub fn keep(&mut self, id: &str) {
+        self.options.keep.push(id.to_string());
+    }
+
     /// How many are to be kept alive.
     pub fn wanted(&self) -> Counts {
         self.wanted
