@@ -23,7 +23,7 @@ mod tally;
 pub use driver::{Driver, DriverError, DriverSpec};
 pub use manifest::Manifest;
 pub use plan::{Case, Selection, Shard};
-pub use record::{EpisodeRecord, Fault};
+pub use record::{EpisodeRecord, Fault, RecordingFolder};
 pub use rows::{Row, Score, grouped, rows, wilson};
 pub use runner::{EvalError, Evaluation, Keep, Made, MakeAgent, run};
 pub use store::{Results, Store, StoreError, in_order};

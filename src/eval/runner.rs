@@ -3,7 +3,7 @@
 use super::kept::{self, Kept};
 use super::record::Fault;
 use super::tally::Tally;
-use super::{Case, Driver, DriverError, DriverSpec, EpisodeRecord, Store};
+use super::{Case, Driver, DriverError, DriverSpec, EpisodeRecord, RecordingFolder};
 use crate::agent::Agent;
 use crate::env::{Assets, End, Ending, Env, EnvError, EnvOptions, ObservationMode};
 use crate::latent::{Encoder, PooledEncoder};
@@ -156,8 +156,9 @@ impl Worker<'_> {
         let wanted = |keep: Keep| keep == Keep::All || keep == Keep::Failures && !record.ending.success;
         let keep = evaluation.keep.as_ref().filter(|(_, keep)| wanted(*keep));
         if let (Some((folder, _)), Some(recorder)) = (keep, recorder) {
-            let place = Store::episode_folder(folder, case);
-            record.recording = Some(format!("episodes/{}", case.name()));
+            let recording = RecordingFolder::of(case);
+            let place = recording.within(folder);
+            record.recording = Some(recording);
             let kept = Kept {
                 build: evaluation.build.to_string(),
                 net: env.assets().net_hash().to_string(),

@@ -89,6 +89,36 @@ pub struct Args {
     json: bool,
 }
 
+impl Args {
+    /// Every value once, with a word about those that were given again.
+    fn each_once(mut self) -> Self {
+        once("--agent", &mut self.agents, DriverSpec::to_string);
+        once("--condition", &mut self.conditions, String::clone);
+        once("--task", &mut self.tasks, String::clone);
+        once("--town", &mut self.towns, String::clone);
+        once("--weather", &mut self.weathers, |weather| weather.name().to_string());
+        once("--traffic", &mut self.traffic, TrafficSpec::to_string);
+        once("--seed", &mut self.seeds, u64::to_string);
+        self
+    }
+}
+
+/// Takes repeated values of `flag` out: each of their episodes would be the same one again.
+fn once<T: PartialEq>(flag: &str, given: &mut Vec<T>, name: impl Fn(&T) -> String) {
+    let mut left: Vec<T> = Vec::new();
+    for value in given.drain(..) {
+        if left.contains(&value) {
+            eprintln!(
+                "warning: {flag} {} is given more than once; its episodes are driven and counted once",
+                name(&value)
+            );
+        } else {
+            left.push(value);
+        }
+    }
+    *given = left;
+}
+
 /// `summary.json`: nothing in it depends on when, where or in which order the episodes were driven.
 #[derive(Serialize)]
 pub struct Summary {
@@ -158,6 +188,7 @@ fn traffic_key(episode: &EpisodeRecord) -> String {
 /// Runs the command.
 pub fn run(suite: &str, args: Args) -> anyhow::Result<Exit> {
     let suite = Suite::find(suite).map_err(|e| Exit::Input.because(e))?;
+    let args = args.each_once();
     let selection = selection(&suite, &args);
     let options = EnvOptions {
         termination: suite.termination,
