@@ -64,6 +64,8 @@ pub mod learned_driver;
 pub mod nets;
 pub mod network;
 pub mod observation;
+#[cfg(feature = "learn")]
+pub mod optim;
 pub mod perception;
 pub mod record;
 pub mod replay;
@@ -74,6 +76,8 @@ pub mod sight;
 pub mod sumo_config;
 pub mod tasks;
 pub mod telemetry;
+#[cfg(feature = "learn")]
+pub mod torch;
 pub mod traci;
 pub mod traffic;
 pub mod train;

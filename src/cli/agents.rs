@@ -41,7 +41,6 @@ fn open(name: &str, _: &CameraConfig) -> Result<Made, DriverError> {
 /// What the latent of an external agent is made with.
 #[cfg(feature = "learn")]
 fn encoder() -> Result<Box<dyn Encoder>, DriverError> {
-    tch::set_num_threads(1);
     Ok(wad_cosim::agent::policy::find_encoder("default")?)
 }
 
@@ -73,7 +72,6 @@ pub type Seeing = (Box<dyn Agent>, Box<dyn Encoder>);
 pub fn for_run(name: &str, encoder: Option<&str>, camera: &CameraConfig) -> Result<Seeing, DriverError> {
     match name.strip_prefix("exec:") {
         Some(command) => {
-            tch::set_num_threads(1);
             let encoder = wad_cosim::agent::policy::find_encoder(encoder.unwrap_or("default"))?;
             Ok((Box::new(ExternalAgent::new(command, Limits::default())), encoder))
         }

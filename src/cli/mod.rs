@@ -127,6 +127,15 @@ fn start_log(verbose: u8, quiet: bool) {
         .init();
 }
 
+/// A command's answer: `text`, or with `json` the text on stderr and `value` as the last line of stdout.
+pub fn answer(text: &str, json: bool, value: &impl serde::Serialize) -> anyhow::Result<()> {
+    if !json {
+        return print(text);
+    }
+    eprint!("{text}");
+    print(&(serde_json::to_string(value)? + "\n"))
+}
+
 /// Write `text` to stdout. A reader that went away (`| head`) is no error.
 pub fn print(text: &str) -> anyhow::Result<()> {
     let mut out = std::io::stdout().lock();

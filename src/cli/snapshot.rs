@@ -163,7 +163,6 @@ fn with_decoder(args: &Args, stage: Stage, watch: Watch) -> anyhow::Result<Watch
     if !matches!(stage, Stage::Latent | Stage::All) {
         return Ok(watch);
     }
-    tch::set_num_threads(1);
     match wad_cosim::latent::TchEncoder::find(&args.encoder) {
         Ok(encoder) => Ok(watch.with_decoder(Box::new(encoder))),
         Err(error) if stage == Stage::Latent => Err(Exit::Input.because(error)),

@@ -1,8 +1,6 @@
 //! Training: the encoder-decoder, and the driving agents.
 
 #[cfg(feature = "learn")]
-pub mod adamw;
-#[cfg(feature = "learn")]
 pub mod agent;
 #[cfg(feature = "learn")]
 pub mod detector;

@@ -49,7 +49,6 @@ const DIMS: Dims = Dims { latent: 3, raw: 3, actions: 1 };
 
 /// Mean return of twenty episodes without noise, after learning from `steps` steps.
 fn learn(algorithm: &Algorithm, steps: usize) -> f64 {
-    tch::set_num_threads(1);
     let mut rng = seeds::rng(1, "pendulum");
     let mut learner = Learner::new(algorithm, DIMS, 1, Device::Cpu);
     let scale = InputScale::identity(DIMS);

@@ -1,7 +1,6 @@
 //! `wad-cosim eval detector`: recall, false alarms and average precision on frames of a town.
 
-use crate::cli::Exit;
-use crate::cli::{print, run};
+use crate::cli::{Exit, answer, run};
 use anyhow::Context;
 use clap::ValueHint;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -110,12 +109,7 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
         precision_unseen_weathers: precision(&unseen),
     };
     let text = text(&report);
-    if args.json {
-        eprint!("{text}");
-        print(&format!("{}\n", serde_json::to_string(&report).context("cannot write the report as JSON")?))?;
-    } else {
-        print(&text)?;
-    }
+    answer(&text, args.json, &report)?;
     Ok(if interrupted { Exit::Interrupted } else { Exit::Done })
 }
 

@@ -3,7 +3,7 @@
 use super::encoder::Device;
 use super::with_exit;
 use crate::cli::progress::Bar;
-use crate::cli::{Exit, dataset, print};
+use crate::cli::{Exit, answer, dataset};
 use anyhow::Context;
 use clap::{ValueEnum, ValueHint};
 use std::path::PathBuf;
@@ -122,7 +122,7 @@ enum Backbone {
 
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<Exit> {
-    tch::set_num_threads(args.threads.max(1));
+    wad_cosim::torch::threads(args.threads);
     let device = args.device.open()?;
     let data = args.data.first().cloned().unwrap_or_else(|| args.out.join("data"));
     let options = options(&args, &data)?;
@@ -229,10 +229,5 @@ fn report(t: &Trained, json: bool) -> anyhow::Result<()> {
         t.validation_frames,
         if t.interrupted { "interrupted; --resume goes on from the last epoch\n" } else { "" },
     );
-    if json {
-        eprint!("{text}");
-        print(&format!("{}\n", serde_json::to_string(t).context("cannot write the result as JSON")?))
-    } else {
-        print(&text)
-    }
+    answer(&text, json, t)
 }

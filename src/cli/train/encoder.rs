@@ -2,7 +2,7 @@
 
 use super::with_exit;
 use crate::cli::progress::Bar;
-use crate::cli::{Exit, dataset, print};
+use crate::cli::{Exit, answer, dataset};
 use anyhow::Context;
 use clap::{ValueEnum, ValueHint};
 use std::path::PathBuf;
@@ -122,7 +122,7 @@ impl Device {
 
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<Exit> {
-    tch::set_num_threads(args.threads.max(1));
+    wad_cosim::torch::threads(args.threads);
     let device = args.device.open()?;
     let options = options(&args)?;
     let interrupt = wad_cosim::interrupt::flag().context("cannot listen for Ctrl-C")?;
@@ -212,10 +212,5 @@ fn report(t: &Trained, json: bool) -> anyhow::Result<()> {
         t.validation_images,
         if t.interrupted { "interrupted; --resume goes on from the last epoch\n" } else { "" },
     );
-    if json {
-        eprint!("{text}");
-        print(&format!("{}\n", serde_json::to_string(t).context("cannot write the result as JSON")?))
-    } else {
-        print(&text)
-    }
+    answer(&text, json, t)
 }

@@ -6,8 +6,8 @@ use super::targets::{Wanted, encode};
 use super::{CenterNetDetector, light, resnet};
 use crate::camera::{CameraConfig, Frame};
 use crate::latent::weights::WeightsError;
+use crate::optim::AdamW;
 use crate::perception::coco::class_index;
-use crate::train::adamw::AdamW;
 use tch::{Device, Kind, Tensor};
 
 const WIDTH: usize = 96;
@@ -31,7 +31,7 @@ fn picture(boxes: &[(usize, [usize; 4], [u8; 3])]) -> (Vec<u8>, Vec<Wanted>) {
 
 /// Trains on two pictures until it should know them by heart, and asks for them.
 fn overfit(backbone: Backbone, steps: usize, rate: f64) {
-    tch::set_num_threads(1);
+    crate::torch::one_thread();
     tch::manual_seed(3);
     let pictures = [
         picture(&[(0, [8, 20, 40, 44], [200, 30, 30]), (3, [70, 10, 82, 50], [30, 30, 200])]),
@@ -139,7 +139,7 @@ fn a_picture_of_a_wrong_size_is_an_error_that_names_it() {
 
 #[test]
 fn the_weights_that_travel_with_the_program_are_of_its_camera() {
-    tch::set_num_threads(1);
+    crate::torch::one_thread();
     let bytes = crate::bundled::detector("light").unwrap();
     assert!(bytes.len() < 6_000_000, "{}", bytes.len());
     let mut detector = crate::perception::detector("centernet", 0.3).unwrap();
