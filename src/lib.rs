@@ -80,6 +80,7 @@ pub mod telemetry;
 pub mod torch;
 pub mod traci;
 pub mod traffic;
+#[cfg(feature = "learn")]
 pub mod train;
 pub mod vehicle;
 pub mod view;

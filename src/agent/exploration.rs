@@ -7,6 +7,7 @@
 
 use super::action::{ACTION_SIZE, Action, HIGH, LOW};
 use crate::observation::{LEAD_NEARNESS, LIGHT_NEARNESS, RawState, nearness};
+use crate::seeds::normal;
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 
@@ -120,12 +121,6 @@ impl Exploration {
             (value as f32).clamp(LOW[i], HIGH[i])
         })
     }
-}
-
-/// A standard normal number (Box and Muller).
-pub fn normal(rng: &mut impl Rng) -> f64 {
-    let radius = (-2.0 * (1.0 - rng.random::<f64>()).ln()).sqrt();
-    radius * (std::f64::consts::TAU * rng.random::<f64>()).cos()
 }
 
 /// Fills `out` with standard normal numbers, two at a time.

@@ -247,18 +247,7 @@ impl Autopilot {
             choice.offer(speed::track(speed, 3.5).max(-3.0), Reason::OffRoute);
         }
 
-        // Smooth onset, except where it matters.
-        let mut acceleration = choice.acceleration.min(self.last_acceleration.max(-0.5) + 4.0 * tick_s);
-        if acceleration > -3.5 {
-            acceleration = acceleration.max(self.last_acceleration.min(0.0) - 9.0 * tick_s);
-        }
-        self.last_acceleration = acceleration;
-        let mut control = self.pedals.press(acceleration, speed, tick_s, &model);
-        let wheel = steering::wheel_angle(&self.path, route_s, ego, &model, acceleration, tick_s);
-        // At rest the wheels stay where they are.
-        let wheel = if speed < 0.05 && control.throttle == 0.0 { ego.steer_angle } else { wheel };
-        control.steer = (wheel / model.max_steer).clamp(-1.0, 1.0);
-
+        let (control, acceleration) = self.act(choice.acceleration, route_s, ego, tick_s);
         let blinker =
             if wish.blinker != 0 { wish.blinker } else { self.turn_signal(network, front_s, speed) };
         Decision {
@@ -273,6 +262,23 @@ impl Autopilot {
             blinker_right: blinker < 0,
             brake_light: control.brake > 0.0,
         }
+    }
+
+    /// Pedals and wheel for the acceleration `wanted`, and the acceleration that they are to give (m/s2).
+    fn act(&mut self, wanted: f64, route_s: f64, ego: &EgoState, tick_s: f64) -> (Control, f64) {
+        let (model, speed) = (self.model, ego.speed.max(0.0));
+        // Smooth onset, except where it matters.
+        let mut acceleration = wanted.min(self.last_acceleration.max(-0.5) + 4.0 * tick_s);
+        if acceleration > -3.5 {
+            acceleration = acceleration.max(self.last_acceleration.min(0.0) - 9.0 * tick_s);
+        }
+        self.last_acceleration = acceleration;
+        let mut control = self.pedals.press(acceleration, speed, tick_s, &model);
+        let wheel = steering::wheel_angle(&self.path, route_s, ego, &model, acceleration, tick_s);
+        // At rest the wheels stay where they are.
+        let wheel = if speed < 0.05 && control.throttle == 0.0 { ego.steer_angle } else { wheel };
+        control.steer = (wheel / model.max_steer).clamp(-1.0, 1.0);
+        (control, acceleration)
     }
 
     fn stop(&self, speed: f64, distance: f64, latency: f64) -> f64 {

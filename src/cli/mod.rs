@@ -23,6 +23,7 @@ mod snapshot;
 mod train;
 mod view;
 
+use anyhow::Context;
 use clap::{ArgAction, Parser, Subcommand};
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
@@ -125,6 +126,12 @@ fn start_log(verbose: u8, quiet: bool) {
         .with_target(verbose > 1)
         .without_time()
         .init();
+}
+
+/// What asynchronous work runs on: this thread.
+pub fn runtime() -> anyhow::Result<tokio::runtime::Runtime> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+    runtime.context("cannot start the asynchronous runtime")
 }
 
 /// A command's answer: `text`, or with `json` the text on stderr and `value` as the last line of stdout.

@@ -143,10 +143,7 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
     // Known before anything is simulated.
     check_place(&numbered(&args, 0))?;
     let watch = args.stage.map(|stage| watch(&args, stage, config)).transpose()?;
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .context("cannot start the asynchronous runtime")?;
+    let runtime = crate::cli::runtime()?;
     runtime.block_on(take(args, camera, watch))
 }
 

@@ -4,8 +4,9 @@
 //! them, and its bus would not fit a lane); trucks and buses have the size of the vehicle that
 //! the model stands for.
 
-use super::draw::{normal, pick_weighted};
+use super::draw::pick_weighted;
 use crate::network::VehicleClass;
+use crate::seeds::normal;
 use crate::traci::{Batch, vehicle_type};
 use crate::world::ActorKind;
 use rand_chacha::ChaCha8Rng;

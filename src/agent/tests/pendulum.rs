@@ -1,14 +1,13 @@
 //! The pendulum that every algorithm must swing up: a rod hung at one end, a motor too weak to lift it
 //! in one go. From its equations of motion; the constants are those that published returns refer to.
 
-use super::super::exploration::normal;
 use super::super::learner::{Actor, Algorithm, Batches, InputScale, Learner, Metrics};
 use super::super::networks::{CriticEnd, Dims};
 use super::super::replay_buffer::{ReplayBuffer, Sampled, Sampling, Segment};
 use super::super::sac::SacParams;
 use super::super::td3::Td3Params;
 use crate::geometry::wrap_angle;
-use crate::seeds;
+use crate::seeds::{self, normal};
 use rand::{Rng, RngExt};
 use tch::Device;
 

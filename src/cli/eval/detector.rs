@@ -83,10 +83,7 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
     let config = bundled::resolve(&args.town).map_err(|e| Exit::Input.because(e))?;
     let mut detector = detector(&args.detector, args.min_score).map_err(|e| Exit::Input.because(e))?;
     let weathers = if args.weather.is_empty() { Preset::ALL.to_vec() } else { args.weather.clone() };
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .context("cannot start the asynchronous runtime")?;
+    let runtime = crate::cli::runtime()?;
     let mut times = Vec::new();
     let (views, interrupted) =
         runtime.block_on(look(&args, config, &weathers, detector.as_mut(), &mut times))?;

@@ -1,11 +1,9 @@
 //! `eval merge`: the results of several shards as one.
 
-use super::suites::{Summary, report, with_exit};
+use super::suites::{Summary, plan, report, with_exit};
 use crate::cli::Exit;
 use clap::ValueHint;
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use wad_cosim::env::Assets;
 use wad_cosim::eval::{self, EpisodeRecord, Manifest, Results, Store, StoreError};
 
 /// Options of `eval merge`.
@@ -40,12 +38,7 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
     }
     let Some(manifest) = first else { return Ok(Exit::Done) };
     let (suite, selection) = (&manifest.suite, &manifest.selection);
-    let mut towns = BTreeMap::new();
-    for town in selection.towns(suite).map_err(|e| Exit::Input.because(e))? {
-        towns.insert(town.clone(), Assets::load(&town).map_err(|e| with_exit(e.into()))?);
-    }
-    let plan = selection.routes(suite, &towns).and_then(|routes| selection.plan(suite, &routes));
-    let plan = plan.map_err(|e| Exit::Input.because(e))?;
+    let (plan, _) = plan(suite, selection)?;
     let found: Vec<_> = runs.iter().map(|run| eval::in_order(&plan, &run.episodes)).collect();
     // Of an episode that two runs have, the last run's counts.
     let last = |index: usize| {

@@ -15,8 +15,8 @@ use wad_cosim::agent::external::Limits;
 use wad_cosim::camera::Preset;
 use wad_cosim::env::{Assets, EnvOptions};
 use wad_cosim::eval::{
-    self, DriverError, DriverSpec, EpisodeRecord, EvalError, Evaluation, Fault, Keep, Manifest, Row, Score,
-    Selection, Shard, Store, StoreError, Suite, SuiteError,
+    self, Case, DriverError, DriverSpec, EpisodeRecord, EvalError, Evaluation, Fault, Keep, Manifest, Row,
+    Score, Selection, Shard, Store, StoreError, Suite,
 };
 use wad_cosim::traci::process::SumoInstall;
 use wad_cosim::traffic::TrafficSpec;
@@ -185,6 +185,20 @@ fn traffic_key(episode: &EpisodeRecord) -> String {
     episode.case.spec.traffic().to_string()
 }
 
+/// The episodes that are selected, and the towns that they are driven in.
+pub fn plan(
+    suite: &Suite,
+    selection: &Selection,
+) -> anyhow::Result<(Vec<Case>, BTreeMap<String, Arc<Assets>>)> {
+    let mut towns = BTreeMap::new();
+    for town in selection.towns(suite).map_err(|e| Exit::Input.because(e))? {
+        let assets = Assets::load(&town).map_err(|e| with_exit(e.into()))?;
+        towns.insert(town, assets);
+    }
+    let plan = selection.routes(suite, &towns).and_then(|routes| selection.plan(suite, &routes));
+    Ok((plan.map_err(|e| Exit::Input.because(e))?, towns))
+}
+
 /// Runs the command.
 pub fn run(suite: &str, args: Args) -> anyhow::Result<Exit> {
     let suite = Suite::find(suite).map_err(|e| Exit::Input.because(e))?;
@@ -195,13 +209,7 @@ pub fn run(suite: &str, args: Args) -> anyhow::Result<Exit> {
         detector: args.detector.clone(),
         ..EnvOptions::evaluation()
     };
-    let mut towns: BTreeMap<String, Arc<Assets>> = BTreeMap::new();
-    for town in selection.towns(&suite).map_err(|e| Exit::Input.because(e))? {
-        let assets = Assets::load(&town).map_err(|e| with_exit(e.into()))?;
-        towns.insert(town, assets);
-    }
-    let plan = (|| -> Result<_, SuiteError> { selection.plan(&suite, &selection.routes(&suite, &towns)?) })()
-        .map_err(|e| Exit::Input.because(e))?;
+    let (plan, towns) = plan(&suite, &selection)?;
     let mine = plan.iter().enumerate().filter(|(i, _)| args.shard.is_none_or(|s| s.has(*i)));
     let mine: Vec<_> = mine.map(|(_, case)| case.clone()).collect();
     let limits = Limits { answer: seconds(args.agent_timeout)?, ..Limits::default() };
