@@ -500,7 +500,7 @@ mod tests {
         std::fs::remove_file(kept.join("link")).unwrap();
         merge().unwrap();
         let merged = Results::open(&out).unwrap();
-        assert_eq!(merged.episodes, [episode.clone()]);
+        assert_eq!(merged.episodes, std::slice::from_ref(&episode));
         assert!(recording.within(&out).join("episode.json").exists());
         assert_eq!(std::fs::read_dir(&out).unwrap().count(), 4, "no draft is left");
         assert!(matches!(merge(), Err(StoreError::Taken { .. })));

@@ -185,12 +185,12 @@ fn traffic_key(episode: &EpisodeRecord) -> String {
     episode.case.spec.traffic().to_string()
 }
 
+/// Towns by name.
+type Towns = BTreeMap<String, Arc<Assets>>;
+
 /// The episodes that are selected, and the towns that they are driven in.
-pub fn plan(
-    suite: &Suite,
-    selection: &Selection,
-) -> anyhow::Result<(Vec<Case>, BTreeMap<String, Arc<Assets>>)> {
-    let mut towns = BTreeMap::new();
+pub fn plan(suite: &Suite, selection: &Selection) -> anyhow::Result<(Vec<Case>, Towns)> {
+    let mut towns = Towns::new();
     for town in selection.towns(suite).map_err(|e| Exit::Input.because(e))? {
         let assets = Assets::load(&town).map_err(|e| with_exit(e.into()))?;
         towns.insert(town, assets);
