@@ -55,9 +55,11 @@ pub use bundle::register as register_bundled;
 pub use sumo_network::{geometry, network, seeds, world};
 pub use sumo_traci as traci;
 pub use wad_camera as camera;
-#[cfg(feature = "learn")]
-pub use wad_learn::train;
 pub use wad_learn::{agent, dataset, drive, driver, encoder_score, env, eval, reward, tour};
+#[cfg(feature = "learn")]
+pub use wad_learn::{optim, train};
+#[cfg(feature = "learn")]
+pub use wad_see::torch;
 pub use wad_see::{eyes, latent, observation, perception, record};
 pub use wad_sim::{
     assets, autopilot, bridge, bundled, cores, cpu_time, criteria, destination, end, nets, program, replay,

@@ -70,7 +70,6 @@ fn trained(name: &str, _: Option<&str>, _: &CameraConfig) -> Result<Made, Driver
 /// What the latent of an external agent is made with.
 #[cfg(feature = "learn")]
 fn encoder_of_external(name: Option<&str>) -> Result<Box<dyn Encoder>, DriverError> {
-    tch::set_num_threads(1);
     Ok(wad_cosim::agent::policy::find_encoder(name.unwrap_or("default"))?)
 }
 

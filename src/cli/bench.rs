@@ -69,10 +69,7 @@ fn population(text: &str) -> Result<(usize, usize), String> {
 
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<Exit> {
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .context("cannot start the asynchronous runtime")?;
+    let runtime = crate::cli::runtime()?;
     match args.what {
         What::Bridge(args) => runtime.block_on(bridge(args)),
         What::Camera(args) => runtime.block_on(bench_camera::run(args)),

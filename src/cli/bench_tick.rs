@@ -1,6 +1,6 @@
 //! `wad-cosim bench tick`: what a tick costs, stage by stage.
 
-use super::{Exit, print, run};
+use super::{Exit, answer, run};
 use anyhow::Context;
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressDrawTarget};
@@ -121,7 +121,6 @@ fn encoder(name: &str) -> anyhow::Result<Option<Box<dyn Encoder>>> {
     if name == "none" {
         return Ok(None);
     }
-    tch::set_num_threads(1);
     let encoder = wad_cosim::latent::TchEncoder::find(name).map_err(|e| Exit::Input.because(e))?;
     Ok(Some(Box::new(encoder)))
 }
@@ -150,9 +149,5 @@ fn show(report: &TickReport, json: bool) -> anyhow::Result<()> {
         text += &format!("; {cpu:.3} ms of processor time on average");
     }
     text.push('\n');
-    if !json {
-        return print(&text);
-    }
-    eprint!("{text}");
-    print(&format!("{}\n", serde_json::to_string(report).context("cannot write the figures as JSON")?))
+    answer(&text, json, report)
 }

@@ -62,7 +62,6 @@ const WARM_UP: u64 = 1000;
 
 /// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<Exit> {
-    tch::set_num_threads(1);
     let device = args.device.open()?;
     let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
     let stage =

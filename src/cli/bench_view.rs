@@ -136,29 +136,7 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
     }
     view.close();
     drive.finish(false).await.map_err(with_exit)?;
-    let alone = median(times[0].ticks.clone());
-    let per_turn = (SETTLE + args.ticks) as f64 / args.ticks as f64;
-    let rows: Vec<Row> = crowds
-        .iter()
-        .zip(&times)
-        .filter(|(_, t)| !t.ticks.is_empty())
-        .map(|(&viewers, t)| {
-            let tick_ms = median(t.ticks.clone());
-            let wanted = viewers as f64 * t.ticks.len() as f64 * per_turn;
-            Row {
-                viewers,
-                ticks: t.ticks.len(),
-                tick_ms,
-                tick_p95_ms: quantile(t.ticks.clone(), 0.95),
-                show_ms: median(t.shows.clone()),
-                cost_ms: tick_ms - alone,
-                share: (tick_ms - alone) / alone,
-                frames_share: if viewers == 0 { 0.0 } else { t.frames as f64 / wanted },
-                late_ms: if t.late.is_empty() { 0.0 } else { median(t.late.clone()) },
-                megabytes_per_second: t.bytes as f64 / 1e6 / t.seconds.max(1e-9),
-            }
-        })
-        .collect();
+    let rows = rows(&crowds, &times, args.ticks);
     for row in &rows {
         let line = format!(
             "{:2} viewers: tick {:.2} ms (95 %: {:.2}), {:+.2} ms = {:+.1} %, handing over {:.3} ms; message after {:.0} ms, {:.0} % of the frames, {:.1} MB/s",
@@ -181,4 +159,28 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
         ))?;
     }
     Ok(Exit::Done)
+}
+
+/// What was measured with each crowd, `turn` ticks to a turn.
+fn rows(crowds: &[usize], times: &[Times], turn: usize) -> Vec<Row> {
+    let alone = times.first().map_or(f64::NAN, |times| median(times.ticks.clone()));
+    let per_turn = (SETTLE + turn) as f64 / turn as f64;
+    let measured = crowds.iter().zip(times).filter(|(_, t)| !t.ticks.is_empty());
+    let row = |(&viewers, t): (&usize, &Times)| {
+        let tick_ms = median(t.ticks.clone());
+        let wanted = viewers as f64 * t.ticks.len() as f64 * per_turn;
+        Row {
+            viewers,
+            ticks: t.ticks.len(),
+            tick_ms,
+            tick_p95_ms: quantile(t.ticks.clone(), 0.95),
+            show_ms: median(t.shows.clone()),
+            cost_ms: tick_ms - alone,
+            share: (tick_ms - alone) / alone,
+            frames_share: if viewers == 0 { 0.0 } else { t.frames as f64 / wanted },
+            late_ms: if t.late.is_empty() { 0.0 } else { median(t.late.clone()) },
+            megabytes_per_second: t.bytes as f64 / 1e6 / t.seconds.max(1e-9),
+        }
+    };
+    measured.map(row).collect()
 }

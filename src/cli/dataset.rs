@@ -1,7 +1,7 @@
 //! `wad-cosim dataset`: training data from the autopilot's drives.
 
 use super::progress::Bar;
-use super::{Exit, print};
+use super::{Exit, answer, print};
 use anyhow::Context;
 use clap::{Subcommand, ValueHint};
 use std::path::PathBuf;
@@ -190,12 +190,7 @@ fn report(c: &Collected, json: bool) -> anyhow::Result<()> {
             _ => "",
         }
     );
-    if json {
-        eprint!("{text}");
-        print(&format!("{}\n", serde_json::to_string(c).context("cannot write the result as JSON")?))
-    } else {
-        print(&text)
-    }
+    answer(&text, json, c)
 }
 
 fn info(args: &InfoArgs) -> anyhow::Result<Exit> {

@@ -23,6 +23,7 @@ mod snapshot;
 mod train;
 mod view;
 
+use anyhow::Context;
 use clap::{ArgAction, Parser, Subcommand};
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
@@ -126,6 +127,21 @@ fn start_log(verbose: u8, quiet: bool) {
         .with_target(verbose > 1)
         .without_time()
         .init();
+}
+
+/// What asynchronous work runs on: this thread.
+pub fn runtime() -> anyhow::Result<tokio::runtime::Runtime> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+    runtime.context("cannot start the asynchronous runtime")
+}
+
+/// A command's answer: `text`, or with `json` the text on stderr and `value` as the last line of stdout.
+pub fn answer(text: &str, json: bool, value: &impl serde::Serialize) -> anyhow::Result<()> {
+    if !json {
+        return print(text);
+    }
+    eprint!("{text}");
+    print(&(serde_json::to_string(value)? + "\n"))
 }
 
 /// Write `text` to stdout. A reader that went away (`| head`) is no error.

@@ -1,6 +1,6 @@
 //! `wad-cosim net`: facts about a net; build, import and enrich nets.
 
-use super::{Exit, print};
+use super::{Exit, answer};
 use clap::{Subcommand, ValueHint};
 use std::path::{Path, PathBuf};
 use wad_cosim::bundled;
@@ -128,12 +128,7 @@ fn info(args: &Info) -> anyhow::Result<Exit> {
     let (net, network, shapes) = open(&args.config)?;
     let facts = nets::facts(&network, &shapes, &args.config);
     let text = describe(&net, &facts);
-    if args.json {
-        eprint!("{text}");
-        print(&format!("{}\n", serde_json::to_string(&facts)?))?;
-    } else {
-        print(&text)?;
-    }
+    answer(&text, args.json, &facts)?;
     Ok(Exit::Done)
 }
 
@@ -182,15 +177,11 @@ fn say_made(made: &Made, json: bool) -> anyhow::Result<Exit> {
         made.config.display(),
         made.config.display()
     );
-    if json {
-        eprint!("{text}");
-        print(&format!(
-            "{}\n",
-            serde_json::json!({ "config": made.config, "net": made.net, "polygons": made.polygons, "warnings": made.warnings.len() })
-        ))?;
-    } else {
-        print(&text)?;
-    }
+    let warnings = made.warnings.len();
+    let made = serde_json::json!({
+        "config": made.config, "net": made.net, "polygons": made.polygons, "warnings": warnings,
+    });
+    answer(&text, json, &made)?;
     Ok(Exit::Done)
 }
 
@@ -234,11 +225,6 @@ fn enrich(args: &Enrich) -> anyhow::Result<Exit> {
         done.moved.cut,
         done.moved.most_cut,
     );
-    if args.json {
-        eprint!("{text}");
-        print(&format!("{}\n", serde_json::to_string(&done)?))?;
-    } else {
-        print(&text)?;
-    }
+    answer(&text, args.json, &done)?;
     Ok(Exit::Done)
 }

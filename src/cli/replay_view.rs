@@ -3,7 +3,6 @@
 use super::run::Interrupt;
 use super::view::{self, ViewArgs};
 use super::{Exit, print};
-use anyhow::Context;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -19,10 +18,7 @@ const FILE: &str = "episode.json";
 
 /// Plays the episode at `path`, or the first one below it, until Ctrl-C.
 pub fn run(path: &Path, args: &ViewArgs) -> anyhow::Result<Exit> {
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .context("cannot start the asynchronous runtime")?;
+    let runtime = crate::cli::runtime()?;
     runtime.block_on(play(path, args))
 }
 

@@ -380,7 +380,7 @@ impl Film {
 /// The reconstruction among the stages, where there is an encoder: the one that the agent sees through.
 #[cfg(feature = "learn")]
 fn with_decoder(args: &Args, eyes: Eyes) -> Eyes {
-    tch::set_num_threads(1);
+    wad_cosim::torch::one_thread();
     let encoder = agents::sees_through(args.encoder.as_deref(), Some(&args.agent.to_string()));
     match wad_cosim::latent::TchEncoder::find(&encoder) {
         Ok(encoder) => eyes.with_decoder(Box::new(encoder)),

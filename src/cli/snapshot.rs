@@ -143,10 +143,7 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
     // Known before anything is simulated.
     check_place(&numbered(&args, 0))?;
     let stage = args.stage.map(|stage| stage_parts(&args, stage)).transpose()?;
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .context("cannot start the asynchronous runtime")?;
+    let runtime = crate::cli::runtime()?;
     runtime.block_on(take(args, camera, stage))
 }
 
@@ -169,7 +166,6 @@ fn decoder(args: &Args, stage: Stage) -> anyhow::Result<Option<Box<dyn Decoder>>
     if !matches!(stage, Stage::Latent | Stage::All) {
         return Ok(None);
     }
-    tch::set_num_threads(1);
     match wad_cosim::latent::TchEncoder::find(&args.encoder) {
         Ok(encoder) => Ok(Some(Box::new(encoder))),
         Err(error) if stage == Stage::Latent => Err(Exit::Input.because(error)),

@@ -11,9 +11,11 @@ mod encoder;
 pub use encoder::Device;
 
 use super::Exit;
+#[cfg(feature = "learn")]
+use super::progress::Bar;
 use clap::Subcommand;
 #[cfg(feature = "learn")]
-use wad_cosim::train::run::TrainError;
+use wad_cosim::train::run::{Progress, TrainError};
 
 /// Train a network.
 #[derive(clap::Args, Debug)]
@@ -40,6 +42,17 @@ enum Command {
 fn with_exit(error: TrainError) -> anyhow::Error {
     let exit = if error.is_input() { Exit::Input } else { Exit::Other };
     exit.because(error)
+}
+
+/// Shows how far a training is, in the `words` of its network; each epoch's end on a line of its own.
+#[cfg(feature = "learn")]
+fn show<V>(bar: &Bar, progress: Progress<V>, words: impl Fn(&Progress<V>) -> String) {
+    bar.set_total(progress.steps);
+    let message = format!("epoch {}: {}", progress.epoch + 1, words(&progress));
+    if progress.validation.is_some() {
+        bar.say(&message);
+    }
+    bar.show(progress.step, &message);
 }
 
 /// Runs the command.

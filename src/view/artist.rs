@@ -68,7 +68,7 @@ impl Artist {
     /// Draws until the hub closes or the artist of another number has taken over.
     pub fn work(mut self, hub: &Hub, number: u64) {
         #[cfg(feature = "learn")]
-        tch::set_num_threads(1);
+        crate::torch::one_thread();
         while let Some(shot) = hub.next_shot(number) {
             if hub.viewers() > 0 {
                 let packet = self.draw(hub, &shot);

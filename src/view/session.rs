@@ -510,7 +510,7 @@ impl RunView {
 
     fn seat(&mut self, name: String, pilot: Pilot, drive: &mut Drive) {
         #[cfg(feature = "learn")]
-        tch::set_num_threads(1);
+        crate::torch::one_thread();
         self.wheel = None;
         self.hub.leave_wheel();
         let guest = (self.setting.driver != name).then_some(name.as_str());

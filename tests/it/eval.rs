@@ -98,6 +98,70 @@ fn the_table_is_the_same_killed_and_resumed_in_parallel_or_in_shards() {
 }
 
 #[test]
+fn results_of_others_are_not_trusted() {
+    let small = Small::new(10, 2);
+    // What is asked for twice counts once, and a word is said.
+    let asked = ["--agent", "constant", "--agent", "constant", "--seed", "3", "--seed", "3", "--keep", "all"];
+    let output = ok(&mut small.eval("run", &asked));
+    assert_eq!(json(&output)["episodes"], 2);
+    assert!(stderr(&output).contains("--seed 3 is given more than once"), "{}", stderr(&output));
+    let run = small.out("run");
+    let (episodes, whole) = (run.join("episodes.jsonl"), read(&run.join("episodes.jsonl")));
+    let merge =
+        |out: &str| wad(&["eval", "merge"]).arg(&run).arg("--out").arg(small.out(out)).output().unwrap();
+
+    // A recording's path that leads elsewhere: nothing is read or written there.
+    let victim = small.out("victim");
+    std::fs::create_dir(&victim).unwrap();
+    std::fs::write(victim.join("file"), "precious").unwrap();
+    for path in [victim.display().to_string(), "../victim".to_string()] {
+        let mut line: serde_json::Value = serde_json::from_str(whole.lines().next().unwrap()).unwrap();
+        line["recording"] = path.clone().into();
+        std::fs::write(&episodes, format!("{line}\n")).unwrap();
+        let refused = merge("merged");
+        assert_eq!(refused.status.code(), Some(2));
+        let error = stderr(&refused);
+        assert!(
+            error.contains(&path) && error.contains("line 1") && error.contains("episodes/NAME"),
+            "{error}"
+        );
+        assert_eq!(read(&victim.join("file")), "precious");
+        assert!(!small.out("merged").exists(), "a merge that fails leaves nothing");
+        let report = wad(&["report"]).arg(&run).output().unwrap();
+        assert_eq!(report.status.code(), Some(2), "{}", stderr(&report));
+    }
+
+    // Lines that are no episodes of this evaluation are named, and do not count.
+    let foreign = whole.lines().next().unwrap().replace("\"seed\":3", "\"seed\":4");
+    let first = whole.lines().next().unwrap();
+    std::fs::write(&episodes, format!("{first}\n{foreign}\nno episode\n")).unwrap();
+    let report = ok(wad(&["report", "--thumbnails", "0"]).arg(&run));
+    for part in ["line 2", "line 3", "1 of the plan's episodes missing"] {
+        assert!(stderr(&report).contains(part), "{part}: {}", stderr(&report));
+    }
+    assert!(read(&run.join("report/report.md")).contains("n 1"));
+
+    // Without the file that says what they were made by, results are nobody's.
+    std::fs::remove_file(run.join("config.json")).unwrap();
+    for more in [&asked[..], &[&asked[..], &["--resume"]].concat()] {
+        let refused = small.eval("run", more).output().unwrap();
+        assert_eq!(refused.status.code(), Some(2));
+        assert!(stderr(&refused).contains("no config.json"), "{}", stderr(&refused));
+    }
+
+    std::fs::write(&episodes, &whole).unwrap();
+    ok(&mut small.eval("again", &asked));
+    std::fs::remove_dir_all(small.out("again").join("episodes")).unwrap();
+    let merge = || {
+        wad(&["eval", "merge"]).arg(small.out("again")).arg("--out").arg(small.out("all")).output().unwrap()
+    };
+    assert_eq!(merge().status.code(), Some(2), "the recordings are gone");
+    std::fs::rename(run.join("episodes"), small.out("again").join("episodes")).unwrap();
+    let merged = merge();
+    assert!(merged.status.success(), "the same --out serves: {}", stderr(&merged));
+}
+
+#[test]
 fn a_failure_is_replayed_to_the_bit_and_reported() {
     let small = Small::new(200, 2);
     let reckless = "constant:1,0.4,0";

@@ -1,6 +1,6 @@
 //! One run seed derives all others: SUMO's, the traffic's, the tasks', later torch's.
 
-use rand::SeedableRng;
+use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 /// The seed of the part of a run called `part`, independent of every other part's.
@@ -19,6 +19,12 @@ pub fn sumo(run_seed: u64) -> u32 {
 /// The random generator of the part of a run called `part`.
 pub fn rng(run_seed: u64, part: &str) -> ChaCha8Rng {
     ChaCha8Rng::seed_from_u64(derive(run_seed, part))
+}
+
+/// A standard normal number (Box and Muller).
+pub fn normal(rng: &mut impl Rng) -> f64 {
+    let radius = (-2.0 * (1.0 - rng.random::<f64>()).ln()).sqrt();
+    radius * (std::f64::consts::TAU * rng.random::<f64>()).cos()
 }
 
 /// Vigna's splitmix64 finaliser: neighbouring seeds end far apart.

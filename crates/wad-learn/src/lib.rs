@@ -20,6 +20,8 @@ pub mod driver;
 pub mod encoder_score;
 pub mod env;
 pub mod eval;
+#[cfg(feature = "learn")]
+pub mod optim;
 pub mod reward;
 pub mod tour;
 #[cfg(feature = "learn")]

@@ -16,4 +16,6 @@ pub mod observation;
 pub mod perception;
 pub mod record;
 #[cfg(feature = "learn")]
+pub mod torch;
+#[cfg(feature = "learn")]
 pub mod weights;

@@ -15,13 +15,3 @@ pub fn of_thread() -> Option<f64> {
     let status = unsafe { libc::clock_gettime(libc::CLOCK_THREAD_CPUTIME_ID, &raw mut time) };
     (status == 0).then_some(time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9)
 }
-
-/// CPU time of all ended children of this process so far (s).
-pub fn of_ended_children() -> Option<f64> {
-    // SAFETY: an all-zero rusage is a valid value of that plain C struct.
-    let mut usage: libc::rusage = unsafe { std::mem::zeroed() };
-    // SAFETY: the call writes one rusage through a pointer to a live one and keeps nothing.
-    let status = unsafe { libc::getrusage(libc::RUSAGE_CHILDREN, &raw mut usage) };
-    let seconds = |time: libc::timeval| time.tv_sec as f64 + time.tv_usec as f64 * 1e-6;
-    (status == 0).then(|| seconds(usage.ru_utime) + seconds(usage.ru_stime))
-}

@@ -1,7 +1,6 @@
 //! `wad-cosim eval detector`: recall, false alarms and average precision on frames of a town.
 
-use crate::cli::Exit;
-use crate::cli::{print, run};
+use crate::cli::{Exit, answer, run};
 use anyhow::Context;
 use clap::ValueHint;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -85,10 +84,7 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
     let config = bundled::resolve(&args.town).map_err(|e| Exit::Input.because(e))?;
     let mut detector = detector(&args.detector, args.min_score).map_err(|e| Exit::Input.because(e))?;
     let weathers = if args.weather.is_empty() { Preset::ALL.to_vec() } else { args.weather.clone() };
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .context("cannot start the asynchronous runtime")?;
+    let runtime = crate::cli::runtime()?;
     let mut times = Vec::new();
     let (views, interrupted) =
         runtime.block_on(look(&args, config, &weathers, detector.as_mut(), &mut times))?;
@@ -111,12 +107,7 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
         precision_unseen_weathers: precision(&unseen),
     };
     let text = text(&report);
-    if args.json {
-        eprint!("{text}");
-        print(&format!("{}\n", serde_json::to_string(&report).context("cannot write the report as JSON")?))?;
-    } else {
-        print(&text)?;
-    }
+    answer(&text, args.json, &report)?;
     Ok(if interrupted { Exit::Interrupted } else { Exit::Done })
 }
 

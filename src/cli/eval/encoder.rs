@@ -1,8 +1,7 @@
 //! `wad-cosim eval encoder`: reconstruction, painted objects and linear probes on unseen frames.
 
 use crate::cli::progress::Bar;
-use crate::cli::{Exit, dataset as data, print};
-use anyhow::Context;
+use crate::cli::{Exit, answer, dataset as data};
 use clap::ValueHint;
 use std::path::PathBuf;
 use wad_cosim::dataset::{Dataset, Role};
@@ -56,7 +55,7 @@ pub fn with_exit(error: JudgeError) -> anyhow::Error {
 
 /// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<Exit> {
-    tch::set_num_threads(args.threads.max(1));
+    wad_cosim::torch::threads(args.threads);
     let encoder = TchEncoder::find(&args.encoder).map_err(|e| Exit::Input.because(e))?;
     let measured = Dataset::open(&args.data, args.partial).map_err(data::with_exit)?;
     let fitted = Dataset::open(&args.probe_data, args.partial).map_err(data::with_exit)?;
@@ -71,12 +70,7 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
     bar.clear();
     let judgement = result.map_err(with_exit)?;
     let text = text(&judgement);
-    if args.json {
-        eprint!("{text}");
-        print(&format!("{}\n", serde_json::to_string(&judgement).context("cannot write JSON")?))?;
-    } else {
-        print(&text)?;
-    }
+    answer(&text, args.json, &judgement)?;
     Ok(Exit::Done)
 }
 

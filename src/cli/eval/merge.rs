@@ -1,12 +1,9 @@
 //! `eval merge`: the results of several shards as one.
 
-use super::suites::{Summary, report, with_exit};
+use super::suites::{Summary, plan, report, with_exit};
 use crate::cli::Exit;
-use anyhow::Context;
 use clap::ValueHint;
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use wad_cosim::env::Assets;
 use wad_cosim::eval::{self, EpisodeRecord, Manifest, Results, Store, StoreError};
 
 /// Options of `eval merge`.
@@ -30,13 +27,8 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
     let mut first: Option<Manifest> = None;
     for path in &args.runs {
         let results = Results::open(path).map_err(store_error)?;
-        if results.broken > 0 {
-            eprintln!(
-                "{}: {} half-written line(s) left out; `eval --resume` there drives those episodes again",
-                path.display(),
-                results.broken
-            );
-        }
+        // What one shard misses may be in another: that is no remark here.
+        results.unread().iter().for_each(|remark| eprintln!("{remark}"));
         let manifest = first.get_or_insert_with(|| Manifest { shard: None, ..results.manifest.clone() });
         let differences = manifest.differences(&results.manifest, false);
         if !differences.is_empty() {
@@ -46,35 +38,17 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
     }
     let Some(manifest) = first else { return Ok(Exit::Done) };
     let (suite, selection) = (&manifest.suite, &manifest.selection);
-    let mut towns = BTreeMap::new();
-    for town in selection.towns(suite).map_err(|e| Exit::Input.because(e))? {
-        towns.insert(town.clone(), Assets::load(&town).map_err(|e| with_exit(e.into()))?);
-    }
-    let plan = selection.routes(suite, &towns).and_then(|routes| selection.plan(suite, &routes));
-    let plan = plan.map_err(|e| Exit::Input.because(e))?;
-    let (mut store, _) = Store::open(&args.out, &manifest, false).map_err(store_error)?;
-    for run in &runs {
-        for recording in run.episodes.iter().filter_map(|episode| episode.recording.as_ref()) {
-            copy_folder(&run.path.join(recording), &args.out.join(recording))
-                .with_context(|| format!("cannot copy {recording} of {}", run.path.display()))?;
-        }
-    }
-    let all: Vec<EpisodeRecord> = runs.into_iter().flat_map(|run| run.episodes).collect();
-    let done: Vec<EpisodeRecord> = eval::in_order(&plan, &all).into_iter().flatten().cloned().collect();
-    for episode in &done {
-        store.add(episode).map_err(store_error)?;
-    }
+    let (plan, _) = plan(suite, selection)?;
+    let found: Vec<_> = runs.iter().map(|run| eval::in_order(&plan, &run.episodes)).collect();
+    // Of an episode that two runs have, the last run's counts.
+    let last = |index: usize| {
+        let mut latest = runs.iter().zip(&found).rev();
+        latest.find_map(|(run, found)| Some((run.path.as_path(), found[index]?)))
+    };
+    let merged: Vec<(&Path, &EpisodeRecord)> = (0..plan.len()).filter_map(last).collect();
+    let done: Vec<EpisodeRecord> = merged.iter().map(|(_, episode)| (*episode).clone()).collect();
     let summary = Summary::of(&suite.name, plan.len(), &done);
-    store.finish(&summary).map_err(store_error)?;
+    Store::merge(&args.out, &manifest, &merged, &summary).map_err(store_error)?;
     report(&summary, args.json.then(|| serde_json::to_string(&summary)).transpose()?)?;
     Ok(Exit::Done)
-}
-
-fn copy_folder(from: &Path, to: &Path) -> std::io::Result<()> {
-    std::fs::create_dir_all(to)?;
-    for entry in std::fs::read_dir(from)? {
-        let entry = entry?;
-        std::fs::copy(entry.path(), to.join(entry.file_name()))?;
-    }
-    Ok(())
 }

@@ -8,8 +8,7 @@ mod routes;
 mod sight;
 mod suites;
 
-use super::Exit;
-use anyhow::Context;
+use super::{Exit, runtime};
 use clap::{Parser, Subcommand};
 
 /// Drive the episodes of a suite, or judge a part of the system by the ground truth.
@@ -80,11 +79,4 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
             suites::run(&suite, args.args)
         }
     }
-}
-
-fn runtime() -> anyhow::Result<tokio::runtime::Runtime> {
-    tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .context("cannot start the asynchronous runtime")
 }

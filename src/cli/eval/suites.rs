@@ -15,8 +15,8 @@ use wad_cosim::agent::external::Limits;
 use wad_cosim::camera::Preset;
 use wad_cosim::env::{Assets, EnvOptions};
 use wad_cosim::eval::{
-    self, DriverError, DriverSpec, EpisodeRecord, EvalError, Evaluation, Fault, Keep, Manifest, Row, Score,
-    Selection, Shard, Store, StoreError, Suite, SuiteError,
+    self, Case, DriverError, DriverSpec, EpisodeRecord, EvalError, Evaluation, Fault, Keep, Manifest, Row,
+    Score, Selection, Shard, Store, StoreError, Suite,
 };
 use wad_cosim::traci::process::SumoInstall;
 use wad_cosim::traffic::TrafficSpec;
@@ -89,6 +89,36 @@ pub struct Args {
     json: bool,
 }
 
+impl Args {
+    /// Every value once, with a word about those that were given again.
+    fn each_once(mut self) -> Self {
+        once("--agent", &mut self.agents, DriverSpec::to_string);
+        once("--condition", &mut self.conditions, String::clone);
+        once("--task", &mut self.tasks, String::clone);
+        once("--town", &mut self.towns, String::clone);
+        once("--weather", &mut self.weathers, |weather| weather.name().to_string());
+        once("--traffic", &mut self.traffic, TrafficSpec::to_string);
+        once("--seed", &mut self.seeds, u64::to_string);
+        self
+    }
+}
+
+/// Takes repeated values of `flag` out: each of their episodes would be the same one again.
+fn once<T: PartialEq>(flag: &str, given: &mut Vec<T>, name: impl Fn(&T) -> String) {
+    let mut left: Vec<T> = Vec::new();
+    for value in given.drain(..) {
+        if left.contains(&value) {
+            eprintln!(
+                "warning: {flag} {} is given more than once; its episodes are driven and counted once",
+                name(&value)
+            );
+        } else {
+            left.push(value);
+        }
+    }
+    *given = left;
+}
+
 /// `summary.json`: nothing in it depends on when, where or in which order the episodes were driven.
 #[derive(Serialize)]
 pub struct Summary {
@@ -155,22 +185,31 @@ fn traffic_key(episode: &EpisodeRecord) -> String {
     episode.case.spec.traffic().to_string()
 }
 
+/// Towns by name.
+type Towns = BTreeMap<String, Arc<Assets>>;
+
+/// The episodes that are selected, and the towns that they are driven in.
+pub fn plan(suite: &Suite, selection: &Selection) -> anyhow::Result<(Vec<Case>, Towns)> {
+    let mut towns = Towns::new();
+    for town in selection.towns(suite).map_err(|e| Exit::Input.because(e))? {
+        let assets = Assets::load(&town).map_err(|e| with_exit(e.into()))?;
+        towns.insert(town, assets);
+    }
+    let plan = selection.routes(suite, &towns).and_then(|routes| selection.plan(suite, &routes));
+    Ok((plan.map_err(|e| Exit::Input.because(e))?, towns))
+}
+
 /// Runs the command.
 pub fn run(suite: &str, args: Args) -> anyhow::Result<Exit> {
     let suite = Suite::find(suite).map_err(|e| Exit::Input.because(e))?;
+    let args = args.each_once();
     let selection = selection(&suite, &args);
     let options = EnvOptions {
         termination: suite.termination,
         detector: args.detector.clone(),
         ..EnvOptions::evaluation()
     };
-    let mut towns: BTreeMap<String, Arc<Assets>> = BTreeMap::new();
-    for town in selection.towns(&suite).map_err(|e| Exit::Input.because(e))? {
-        let assets = Assets::load(&town).map_err(|e| with_exit(e.into()))?;
-        towns.insert(town, assets);
-    }
-    let plan = (|| -> Result<_, SuiteError> { selection.plan(&suite, &selection.routes(&suite, &towns)?) })()
-        .map_err(|e| Exit::Input.because(e))?;
+    let (plan, towns) = plan(&suite, &selection)?;
     let mine = plan.iter().enumerate().filter(|(i, _)| args.shard.is_none_or(|s| s.has(*i)));
     let mine: Vec<_> = mine.map(|(_, case)| case.clone()).collect();
     let limits = Limits { answer: seconds(args.agent_timeout)?, ..Limits::default() };

@@ -38,7 +38,6 @@ const ROW_GAP: usize = 12;
 
 /// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<Exit> {
-    tch::set_num_threads(1);
     let encoder = TchEncoder::find(&args.encoder).map_err(|e| Exit::Input.because(e))?;
     let dataset = Dataset::open(&args.data, args.partial).map_err(data::with_exit)?;
     let (columns, rows) = (args.columns.max(1), args.rows.max(1));

@@ -2,7 +2,6 @@
 
 #[cfg(feature = "learn")]
 mod latents;
-mod plot;
 mod results;
 mod reward;
 

@@ -2,7 +2,7 @@
 
 use super::encoder::Device;
 use crate::cli::progress::Bar;
-use crate::cli::{Exit, agents, dataset, print};
+use crate::cli::{Exit, agents, answer, dataset};
 use anyhow::{Context, anyhow};
 use clap::{ValueEnum, ValueHint};
 use std::path::{Path, PathBuf};
@@ -199,7 +199,6 @@ fn bounds(text: &str) -> Result<(f64, f64), String> {
 
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<Exit> {
-    tch::set_num_threads(1);
     let device = args.device.open()?;
     let config = if args.resume { saved_config(&args)? } else { config(&args)? };
     let limits = Limits {
@@ -416,10 +415,5 @@ fn report(t: &Trained, json: bool) -> anyhow::Result<()> {
         t.out.display(),
         if t.interrupted { "interrupted; --resume goes on from here\n" } else { "" },
     );
-    if json {
-        eprint!("{text}");
-        print(&format!("{}\n", serde_json::to_string(t).context("cannot write the result as JSON")?))
-    } else {
-        print(&text)
-    }
+    answer(&text, json, t)
 }

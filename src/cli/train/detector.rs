@@ -1,9 +1,9 @@
 //! `wad-cosim train detector`.
 
 use super::encoder::Device;
-use super::with_exit;
+use super::{show, with_exit};
 use crate::cli::progress::Bar;
-use crate::cli::{Exit, dataset, print};
+use crate::cli::{Exit, answer, dataset};
 use anyhow::Context;
 use clap::{ValueEnum, ValueHint};
 use std::path::PathBuf;
@@ -122,7 +122,7 @@ enum Backbone {
 
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<Exit> {
-    tch::set_num_threads(args.threads.max(1));
+    wad_cosim::torch::threads(args.threads);
     let device = args.device.open()?;
     let data = args.data.first().cloned().unwrap_or_else(|| args.out.join("data"));
     let options = options(&args, &data)?;
@@ -133,10 +133,10 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
         return Ok(Exit::Interrupted);
     }
     let bar = Bar::new(0, "steps");
-    let result = train(&options, device, args.resume, &interrupt, |progress| show(&bar, progress));
+    let result = train(&options, device, args.resume, &interrupt, |progress| show(&bar, progress, words));
     bar.clear();
     let trained = result.map_err(with_exit)?;
-    report(&trained, args.json)?;
+    answer(&report(&trained), args.json, &trained)?;
     Ok(if trained.interrupted { Exit::Interrupted } else { Exit::Done })
 }
 
@@ -196,26 +196,19 @@ fn collected(
     Ok(!collected.interrupted)
 }
 
-fn show(bar: &Bar, progress: Progress) {
-    bar.set_total(progress.steps);
-    let message = match progress.validation {
-        Some(v) => format!(
-            "epoch {}: loss {:.3}, mAP@0.5 {:.3}, of boxes 12 to 24 px {:.3}",
-            progress.epoch + 1,
-            progress.loss,
-            v.map50,
-            v.map50_small
-        ),
-        None => format!("epoch {}: loss {:.3}", progress.epoch + 1, progress.loss),
-    };
-    if progress.validation.is_some() {
-        bar.say(&message);
+/// What to say on the way.
+fn words(p: &Progress) -> String {
+    let loss = p.loss;
+    match p.validation {
+        Some(v) => {
+            format!("loss {loss:.3}, mAP@0.5 {:.3}, of boxes 12 to 24 px {:.3}", v.map50, v.map50_small)
+        }
+        None => format!("loss {loss:.3}"),
     }
-    bar.show(progress.step, &message);
 }
 
-fn report(t: &Trained, json: bool) -> anyhow::Result<()> {
-    let text = format!(
+fn report(t: &Trained) -> String {
+    format!(
         "{}: {} epochs, {} steps on {} frames in {:.0} s\n\
          best after epoch {}: mAP@0.5 {:.3} of boxes 24 px high or more, {:.3} of 12 to 24 px, on {} frames\n{}",
         t.detector.display(),
@@ -228,11 +221,5 @@ fn report(t: &Trained, json: bool) -> anyhow::Result<()> {
         t.best.map50_small,
         t.validation_frames,
         if t.interrupted { "interrupted; --resume goes on from the last epoch\n" } else { "" },
-    );
-    if json {
-        eprint!("{text}");
-        print(&format!("{}\n", serde_json::to_string(t).context("cannot write the result as JSON")?))
-    } else {
-        print(&text)
-    }
+    )
 }

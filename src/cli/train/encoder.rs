@@ -1,8 +1,8 @@
 //! `wad-cosim train encoder`.
 
-use super::with_exit;
+use super::{show, with_exit};
 use crate::cli::progress::Bar;
-use crate::cli::{Exit, dataset, print};
+use crate::cli::{Exit, answer, dataset};
 use anyhow::Context;
 use clap::{ValueEnum, ValueHint};
 use std::path::PathBuf;
@@ -122,15 +122,15 @@ impl Device {
 
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<Exit> {
-    tch::set_num_threads(args.threads.max(1));
+    wad_cosim::torch::threads(args.threads);
     let device = args.device.open()?;
     let options = options(&args)?;
     let interrupt = wad_cosim::interrupt::flag().context("cannot listen for Ctrl-C")?;
     let bar = Bar::new(0, "steps");
-    let result = train(&options, device, args.resume, &interrupt, |progress| show(&bar, progress));
+    let result = train(&options, device, args.resume, &interrupt, |progress| show(&bar, progress, words));
     bar.clear();
     let trained = result.map_err(with_exit)?;
-    report(&trained, args.json)?;
+    answer(&report(&trained), args.json, &trained)?;
     Ok(if trained.interrupted { Exit::Interrupted } else { Exit::Done })
 }
 
@@ -177,26 +177,18 @@ fn options(args: &Args) -> anyhow::Result<TrainOptions> {
     })
 }
 
-fn show(bar: &Bar, progress: Progress) {
-    bar.set_total(progress.steps);
-    let message = match progress.validation {
-        Some(v) => format!(
-            "epoch {}: validation loss {:.5}, PSNR {:.2} dB, painted IoU {:.3}",
-            progress.epoch + 1,
-            v.loss,
-            v.psnr,
-            v.painted_iou
-        ),
-        None => format!("epoch {}: loss {:.5}", progress.epoch + 1, progress.loss),
-    };
-    if progress.validation.is_some() {
-        bar.say(&message);
+/// What to say on the way.
+fn words(p: &Progress) -> String {
+    match p.validation {
+        Some(v) => {
+            format!("validation loss {:.5}, PSNR {:.2} dB, painted IoU {:.3}", v.loss, v.psnr, v.painted_iou)
+        }
+        None => format!("loss {:.5}", p.loss),
     }
-    bar.show(progress.step, &message);
 }
 
-fn report(t: &Trained, json: bool) -> anyhow::Result<()> {
-    let text = format!(
+fn report(t: &Trained) -> String {
+    format!(
         "{}: {} epochs, {} steps on {} images in {:.0} s ({:.0} images/s)\n\
          best after epoch {}: validation loss {:.5}, PSNR {:.2} dB, painted IoU {:.3} on {} images\n{}",
         t.encoder.display(),
@@ -211,11 +203,5 @@ fn report(t: &Trained, json: bool) -> anyhow::Result<()> {
         t.best.painted_iou,
         t.validation_images,
         if t.interrupted { "interrupted; --resume goes on from the last epoch\n" } else { "" },
-    );
-    if json {
-        eprint!("{text}");
-        print(&format!("{}\n", serde_json::to_string(t).context("cannot write the result as JSON")?))
-    } else {
-        print(&text)
-    }
+    )
 }

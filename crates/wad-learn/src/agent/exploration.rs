@@ -8,6 +8,7 @@
 use super::action::{ACTION_SIZE, Action, HIGH, LOW};
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
+use sumo_network::seeds::normal;
 use wad_see::observation::{LEAD_NEARNESS, LIGHT_NEARNESS, RawState, nearness};
 
 /// How actions are disturbed while experience is collected.
@@ -120,12 +121,6 @@ impl Exploration {
             (value as f32).clamp(LOW[i], HIGH[i])
         })
     }
-}
-
-/// A standard normal number (Box and Muller).
-pub fn normal(rng: &mut impl Rng) -> f64 {
-    let radius = (-2.0 * (1.0 - rng.random::<f64>()).ln()).sqrt();
-    radius * (std::f64::consts::TAU * rng.random::<f64>()).cos()
 }
 
 /// Fills `out` with standard normal numbers, two at a time.

@@ -1,11 +1,11 @@
 //! TD3 or SAC behind one face: batches in, an actor out, and a state that can be saved.
 
 use super::action::{ACTION_SIZE, Action};
-use super::adam::Adam;
 use super::networks::{ActorT, Dims, Params, PolicyS};
 use super::replay_buffer::Sampled;
 use super::sac::{Sac, SacParams};
 use super::td3::{Td3, Td3Params};
+use crate::optim::Adam;
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -243,6 +243,7 @@ const MEASURE_EVERY: u64 = 16;
 impl Learner {
     /// New networks, drawn from `seed`.
     pub fn new(algorithm: &Algorithm, dims: Dims, seed: u64, device: Device) -> Self {
+        wad_see::torch::one_thread();
         let mut rng = sumo_network::seeds::rng(seed, "networks");
         match algorithm {
             Algorithm::Td3(params) => Self::Td3(Box::new(Td3::new(params.clone(), dims, &mut rng, device))),
@@ -417,6 +418,7 @@ enum Net {
 impl Actor {
     /// An actor of the form that `algorithm` has, its parameters still to be [`Actor::set`].
     pub fn new(algorithm: &Algorithm, dims: Dims, scale: &InputScale) -> Self {
+        wad_see::torch::one_thread();
         let mut rng = sumo_network::seeds::rng(0, "networks");
         let net = match algorithm {
             Algorithm::Td3(_) => Net::T(ActorT::new(dims, &mut rng, Device::Cpu)),

@@ -5,7 +5,6 @@
 //! | [`action`] | the three numbers of an action, and the [`Control`] they mean |
 //! | [`exploration`] | noise that explores a road at six decisions a second |
 //! | [`networks`] | WAD-T's and WAD-S' actors and critics |
-//! | [`adam`] | the optimiser, with a state that can be saved |
 //! | [`td3`], [`sac`] | one learning step each, in the papers' order |
 //! | [`imitation`] | an expert's actions as a second teacher, beyond the paper |
 //! | [`replay_buffer`], [`replay_files`] | a million transitions of latents, in memory and on disk |
@@ -13,8 +12,6 @@
 //! | [`external`] | another process as an [`Agent`], over a pipe |
 
 pub mod action;
-#[cfg(feature = "learn")]
-pub mod adam;
 pub mod exploration;
 pub mod external;
 #[cfg(feature = "learn")]

@@ -306,7 +306,6 @@ pub type Opened = (Box<dyn Agent>, Box<dyn Encoder>);
 /// # Errors
 /// There is no such agent or encoder, or they do not belong together or to this camera.
 pub fn open(name: &str, encoder: Option<&str>, camera: &CameraConfig) -> Result<Opened, PolicyError> {
-    tch::set_num_threads(1);
     let (policy, path) = Policy::find(name)?;
     let encoder = match encoder {
         Some(encoder) => find_encoder(encoder)?,
@@ -340,7 +339,6 @@ mod tests {
     }
 
     fn policy() -> Policy {
-        tch::set_num_threads(1);
         let algorithm = Algorithm::Td3(Td3Params::default());
         let learner = Learner::new(&algorithm, Dims::DRIVING, 5, tch::Device::Cpu);
         let card = PolicyCard {

@@ -1,9 +1,9 @@
 //! TD3 (Fujimoto et al. 2018): WAD-T's learning step.
 
-use super::adam::Adam;
 use super::imitation::{Imitation, cloning_loss};
 use super::learner::{Batch, Metrics};
 use super::networks::{ActorT, CriticEnd, Critics, Dims};
+use crate::optim::Adam;
 use rand::Rng;
 use serde::{Deserialize, Serialize};
 use tch::{Device, Kind, Tensor, no_grad};

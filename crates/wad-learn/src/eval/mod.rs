@@ -22,7 +22,7 @@ mod tally;
 pub use crate::driver::{Driver, DriverError, DriverSpec, Made};
 pub use manifest::Manifest;
 pub use plan::{Case, Selection, Shard};
-pub use record::{EpisodeRecord, Fault};
+pub use record::{EpisodeRecord, Fault, RecordingFolder};
 pub use rows::{Row, Score, grouped, rows, wilson};
 pub use runner::{EvalError, Evaluation, Keep, MakeAgent, run};
 pub use store::{Results, Store, StoreError, in_order};

@@ -1,10 +1,10 @@
 //! From a suite and what the user wants of it to the episodes to be driven.
 
-use super::routes::Routes;
-use super::{DriverSpec, Suite, SuiteError};
+use super::routes::{RouteError, Routes};
+use super::{DriverSpec, Suite, SuiteError, SuiteTask};
 use crate::env::Assets;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -29,6 +29,9 @@ pub struct Selection {
     /// Route file for a town that brings none.
     pub routes: Option<PathBuf>,
 }
+
+/// More episodes of one task are a slip of the keyboard.
+pub(super) const MOST_EPISODES: u64 = 1_000_000;
 
 /// One episode to be driven.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -168,13 +171,36 @@ impl Selection {
         suite: &Suite,
         routes: &BTreeMap<String, (Routes, PathBuf)>,
     ) -> Result<Vec<Case>, SuiteError> {
+        let placed = |(mut case, task): (Case, &SuiteTask)| {
+            case.spec.placement = match (&task.routes, routes.get(&case.town)) {
+                (Some(set), Some((routes, path))) => {
+                    let places = routes.set(set, path)?;
+                    Some(places[case.episode as usize % places.len()].clone())
+                }
+                (Some(_), None) => return Err(RouteError::None { town: case.town }.into()),
+                (None, _) => None,
+            };
+            Ok(case)
+        };
+        self.cases(suite)?.into_iter().map(placed).collect()
+    }
+
+    /// The episodes with their tasks, each once, without the places that a town's route file gives them: what
+    /// can be said without the towns.
+    ///
+    /// # Errors
+    /// The suite has no such condition or task, or there are too many episodes.
+    pub fn cases<'a>(&self, suite: &'a Suite) -> Result<Vec<(Case, &'a SuiteTask)>, SuiteError> {
         known(suite, "task", &self.tasks, suite.tasks.iter().map(|t| t.name.as_str()))?;
         let tasks: Vec<_> =
             suite.tasks.iter().filter(|t| self.tasks.is_empty() || self.tasks.contains(&t.name)).collect();
         let agents = if self.agents.is_empty() { vec![DriverSpec::Autopilot] } else { self.agents.clone() };
         let seeds = if self.seeds.is_empty() { vec![0] } else { self.seeds.clone() };
         let episodes = self.episodes.unwrap_or(suite.episodes);
-        let mut plan = Vec::new();
+        if episodes > MOST_EPISODES {
+            return Err(SuiteError::TooMany { found: episodes });
+        }
+        let (mut plan, mut seen) = (Vec::new(), HashSet::new());
         for agent in &agents {
             for Place { town, weathers } in self.places(suite)? {
                 for &task in &tasks {
@@ -182,37 +208,31 @@ impl Selection {
                         [] => vec![task.traffic],
                         given => given.iter().copied().map(Some).collect(),
                     };
-                    let fixed = match (&task.routes, routes.get(&town)) {
-                        (Some(set), Some((routes, path))) => Some(routes.set(set, path)?),
-                        (Some(_), None) => {
-                            return Err(super::routes::RouteError::None { town: town.clone() }.into());
-                        }
-                        (None, _) => None,
-                    };
-                    let spec = |weather: Preset, traffic: Option<TrafficSpec>, episode: u64| TaskSpec {
-                        traffic,
-                        tick_limit: task.tick_limit,
-                        endless: task.endless,
-                        placement: fixed.map(|routes| routes[episode as usize % routes.len()].clone()),
-                        ..TaskSpec::new(task.kind).in_weather(weather)
-                    };
                     let rows: Vec<&[Preset]> =
                         if suite.weathers_in_turn { vec![&weathers] } else { weathers.chunks(1).collect() };
                     for (row, traffic) in rows.iter().flat_map(|row| traffic.iter().map(move |t| (row, *t))) {
-                        for &seed in &seeds {
-                            plan.extend((0..episodes).map(|episode| {
-                                let weather = row[episode as usize % row.len()];
-                                Case {
-                                    suite: suite.name.clone(),
-                                    condition: condition_of(suite, &town, weather),
-                                    agent: agent.clone(),
-                                    town: town.clone(),
-                                    task: task.name.clone(),
-                                    spec: spec(weather, traffic, episode),
-                                    seed,
-                                    episode,
-                                }
-                            }));
+                        for (&seed, episode) in seeds.iter().flat_map(|s| (0..episodes).map(move |e| (s, e)))
+                        {
+                            let weather = row[episode as usize % row.len()];
+                            let case = Case {
+                                suite: suite.name.clone(),
+                                condition: condition_of(suite, &town, weather),
+                                agent: agent.clone(),
+                                town: town.clone(),
+                                task: task.name.clone(),
+                                spec: TaskSpec {
+                                    traffic,
+                                    tick_limit: task.tick_limit,
+                                    endless: task.endless,
+                                    ..TaskSpec::new(task.kind).in_weather(weather)
+                                },
+                                seed,
+                                episode,
+                            };
+                            // What is asked for twice counts once.
+                            if seen.insert(case.name()) {
+                                plan.push((case, task));
+                            }
                         }
                     }
                 }
@@ -230,9 +250,8 @@ impl Selection {
         suite: &Suite,
         towns: &BTreeMap<String, Arc<Assets>>,
     ) -> Result<BTreeMap<String, (Routes, PathBuf)>, SuiteError> {
-        let needed = |t: &super::SuiteTask| {
-            t.routes.is_some() && (self.tasks.is_empty() || self.tasks.contains(&t.name))
-        };
+        let needed =
+            |t: &SuiteTask| t.routes.is_some() && (self.tasks.is_empty() || self.tasks.contains(&t.name));
         if !suite.tasks.iter().any(needed) {
             return Ok(BTreeMap::new());
         }
@@ -317,6 +336,34 @@ mod tests {
         names.dedup();
         assert_eq!(names.len(), 12, "each has a name of its own");
         assert!(plan.iter().all(|case| case.spec.kind == TaskKind::Navigation && case.town == "town5"));
+    }
+
+    #[test]
+    fn what_is_asked_for_twice_is_driven_once() {
+        let once = Selection {
+            agents: vec![DriverSpec::Autopilot],
+            towns: vec!["town5".into()],
+            weathers: vec![Preset::WetSunset],
+            seeds: vec![1],
+            ..Selection::default()
+        };
+        let twice = Selection {
+            agents: vec![DriverSpec::Autopilot; 2],
+            towns: vec!["town5".into(); 2],
+            weathers: vec![Preset::WetSunset; 2],
+            seeds: vec![1; 2],
+            ..Selection::default()
+        };
+        for suite in ["nocrash", "composite"] {
+            assert_eq!(plan(&once, suite), plan(&twice, suite));
+        }
+    }
+
+    #[test]
+    fn a_plan_of_a_million_million_episodes_is_refused() {
+        let many = Selection { episodes: Some(u64::MAX), ..Selection::default() };
+        let error = many.cases(&Suite::find("nocrash").unwrap()).unwrap_err().to_string();
+        assert!(error.contains(&u64::MAX.to_string()) && error.contains("at most 1000000"), "{error}");
     }
 
     #[test]

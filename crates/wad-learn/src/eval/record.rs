@@ -5,6 +5,7 @@ use super::tally::{EventCounts, Histogram};
 use crate::env::Ending;
 use crate::reward::RewardTerms;
 use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
 use wad_sim::tasks::Placement;
 
 /// Whose fault it is that an episode could not be driven to its end.
@@ -57,5 +58,74 @@ pub struct EpisodeRecord {
     pub end_at: [f64; 2],
     /// The recording's folder, relative to the evaluation's, where one was kept.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub recording: Option<String>,
+    pub recording: Option<RecordingFolder>,
+}
+
+/// A recording's folder, relative to its evaluation's: `episodes/NAME`.
+///
+/// Results may come from others. A path that leads out of the evaluation's folder cannot become one of these.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct RecordingFolder(String);
+
+/// The folder in an evaluation's that recordings lie in.
+pub(super) const RECORDINGS: &str = "episodes";
+
+impl RecordingFolder {
+    /// Where the recording of `case` goes.
+    pub fn of(case: &Case) -> Self {
+        Self(format!("{RECORDINGS}/{}", case.name()))
+    }
+
+    /// Its path in the evaluation's folder `run`.
+    pub fn within(&self, run: &Path) -> PathBuf {
+        run.join(&self.0)
+    }
+}
+
+impl TryFrom<String> for RecordingFolder {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        let name = text.strip_prefix(RECORDINGS).and_then(|rest| rest.strip_prefix('/'));
+        let plain = |name: &str| !["", ".", ".."].contains(&name) && !name.contains(['/', '\\', '\0']);
+        match name {
+            Some(name) if plain(name) => Ok(Self(text)),
+            _ => Err(format!("expected a recording's folder as `{RECORDINGS}/NAME`, found `{text}`")),
+        }
+    }
+}
+
+impl From<RecordingFolder> for String {
+    fn from(folder: RecordingFolder) -> Self {
+        folder.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_recording_lies_in_its_evaluations_folder() {
+        let folder = RecordingFolder::try_from("episodes/wad-t_s0_000".to_string()).unwrap();
+        assert_eq!(folder.within("runs/a".as_ref()), Path::new("runs/a/episodes/wad-t_s0_000"));
+        for out in [
+            "/etc",
+            "../../b",
+            "episodes",
+            "episodes/",
+            "episodes/..",
+            "episodes/.",
+            "episodes/a/../../..",
+            "other/a",
+            "episodes//etc",
+            "episodes/a/b",
+            "episodes/..\\a",
+            "",
+        ] {
+            let error = RecordingFolder::try_from(out.to_string()).unwrap_err();
+            assert!(error.contains("episodes/NAME") && error.contains(&format!("`{out}`")), "{error}");
+        }
+    }
 }

@@ -3,7 +3,7 @@
 use super::kept::{self, Kept};
 use super::record::Fault;
 use super::tally::Tally;
-use super::{Case, Driver, DriverError, DriverSpec, EpisodeRecord, Made, Store};
+use super::{Case, Driver, DriverError, DriverSpec, EpisodeRecord, Made, RecordingFolder};
 use crate::env::{Assets, End, Ending, Env, EnvError, EnvOptions, ObservationMode};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -149,8 +149,9 @@ impl Worker<'_> {
         let wanted = |keep: Keep| keep == Keep::All || keep == Keep::Failures && !record.ending.success;
         let keep = evaluation.keep.as_ref().filter(|(_, keep)| wanted(*keep));
         if let (Some((folder, _)), Some(recorder)) = (keep, recorder) {
-            let place = Store::episode_folder(folder, case);
-            record.recording = Some(format!("episodes/{}", case.name()));
+            let recording = RecordingFolder::of(case);
+            let place = recording.within(folder);
+            record.recording = Some(recording);
             let kept = Kept {
                 build: evaluation.build.to_string(),
                 net: env.assets().net_hash().to_string(),

@@ -7,8 +7,10 @@
 //! | `summary.json` | the table, in the plan's order: the same whoever drove which episode when |
 //! | `episodes/NAME/` | what is needed to see an episode again, of failures |
 
-use super::{Case, EpisodeRecord, Manifest};
-use std::collections::HashMap;
+use super::record::RECORDINGS;
+use super::{Case, EpisodeRecord, Manifest, RecordingFolder};
+use serde::Deserialize;
+use std::collections::{HashMap, HashSet};
 use std::fs::{File, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -21,6 +23,21 @@ pub enum StoreError {
     File { what: &'static str, path: PathBuf, source: std::io::Error },
     #[error("{} holds results already: --resume goes on with them, or name another folder with --out", path.display())]
     Taken { path: PathBuf },
+    #[error(
+        "{} holds results ({found}), but no {CONFIG} that says what they were made by, so new ones cannot be told from \
+         them: put that file back, or name another folder with --out", path.display()
+    )]
+    Unnamed { path: PathBuf, found: &'static str },
+    #[error(
+        "{}, line {line}: {why}; other paths are not followed. Get the file from whoever drove the episodes, or take the \
+         line out", path.display()
+    )]
+    Outside { path: PathBuf, line: usize, why: String },
+    #[error(
+        "the recording {} cannot be copied: {why}; bring it back as `eval` kept it, or take `recording` out of its line \
+         in {EPISODES}", path.display()
+    )]
+    Recording { path: PathBuf, why: String },
     #[error("another evaluation is writing into {}", path.display())]
     Busy { path: PathBuf },
     #[error("{} is no folder of an evaluation: {why}", path.display())]
@@ -44,16 +61,21 @@ pub struct Store {
 pub struct Results {
     pub path: PathBuf,
     pub manifest: Manifest,
-    /// In the order of their lines.
+    /// Those of the plan, in the order of their lines.
     pub episodes: Vec<EpisodeRecord>,
-    /// Lines that are no episodes: half-written ones.
-    pub broken: usize,
+    /// Lines left out because they are no episodes: their numbers, and what is wrong.
+    pub broken: Vec<(usize, String)>,
+    /// Lines left out because the manifest's plan does not have these episodes: their numbers and names.
+    pub foreign: Vec<(usize, String)>,
+    /// Names of the plan's episodes that have no line.
+    pub missing: Vec<String>,
     /// Length of the file up to the end of its last whole line (bytes).
     whole: u64,
 }
 
 const CONFIG: &str = "config.json";
 const EPISODES: &str = "episodes.jsonl";
+const SUMMARY: &str = "summary.json";
 
 impl Results {
     /// Reads a folder.
@@ -72,17 +94,82 @@ impl Results {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => Vec::new(),
             Err(source) => return Err(StoreError::File { what: "read", path: lines, source }),
         };
-        let (mut episodes, mut broken) = (Vec::new(), 0);
+        let (suite, shard) = (&manifest.suite, manifest.shard);
+        let plan = (manifest.selection.cases(suite))
+            .map_err(|e| StoreError::Format { path: path.to_path_buf(), why: format!("{CONFIG}: {e}") })?;
+        let names: Vec<String> = plan.iter().map(|(case, _)| case.name()).collect();
+        let planned: HashSet<&String> = names.iter().collect();
+        let (mut episodes, mut broken, mut foreign) = (Vec::<EpisodeRecord>::new(), Vec::new(), Vec::new());
+        let mut found = HashSet::new();
         let whole = bytes.iter().rposition(|&b| b == b'\n').map_or(0, |end| end as u64 + 1);
-        for line in bytes.split_inclusive(|&b| b == b'\n') {
+        for (text, line) in bytes.split_inclusive(|&b| b == b'\n').zip(1..) {
             // A line without its end may be cut within a number, and look whole.
-            match serde_json::from_slice(line).ok().filter(|_| line.ends_with(b"\n")) {
-                Some(episode) => episodes.push(episode),
-                None => broken += 1,
+            if !text.ends_with(b"\n") {
+                broken.push((line, "half-written".to_string()));
+                continue;
+            }
+            match serde_json::from_slice::<EpisodeRecord>(text) {
+                Ok(episode) => {
+                    let name = episode.case.name();
+                    if episode.case.suite == suite.name && planned.contains(&name) {
+                        found.insert(name);
+                        episodes.push(episode);
+                    } else {
+                        foreign.push((line, name));
+                    }
+                }
+                Err(error) => {
+                    if let Some(why) = leads_out(text) {
+                        return Err(StoreError::Outside { path: lines, line, why });
+                    }
+                    broken.push((line, format!("no episode: {error}")));
+                }
             }
         }
-        Ok(Self { path: path.to_path_buf(), manifest, episodes, broken, whole })
+        let here = names.iter().enumerate().filter(|(index, _)| shard.is_none_or(|shard| shard.has(*index)));
+        let missing = here.map(|(_, name)| name).filter(|name| !found.contains(*name)).cloned().collect();
+        Ok(Self { path: path.to_path_buf(), manifest, episodes, broken, foreign, missing, whole })
     }
+
+    /// Which lines are left out and why, and what is missing: a sentence each, for people.
+    pub fn remarks(&self) -> Vec<String> {
+        let mut remarks = self.unread();
+        if let Some(first) = self.missing.first() {
+            let (n, more) = (self.missing.len(), if self.missing.len() > 1 { " and others" } else { "" });
+            let file = self.path.join(EPISODES);
+            remarks.push(format!(
+                "{}: {n} of the plan's episodes missing: {first}{more}; `eval --resume` drives them",
+                file.display()
+            ));
+        }
+        remarks
+    }
+
+    /// Which lines are left out and why.
+    pub fn unread(&self) -> Vec<String> {
+        let mut remarks = Vec::new();
+        let file = self.path.join(EPISODES).display().to_string();
+        for (line, why) in &self.broken {
+            remarks.push(format!(
+                "{file}, line {line}: {why}; left out, `eval --resume` drives the episode again"
+            ));
+        }
+        for (line, name) in &self.foreign {
+            remarks.push(format!(
+                "{file}, line {line}: {name} is no episode of this evaluation's plan; left out"
+            ));
+        }
+        remarks
+    }
+}
+
+/// What is wrong with a line's `recording`, where that is why it is no episode.
+fn leads_out(line: &[u8]) -> Option<String> {
+    #[derive(Deserialize)]
+    struct Line {
+        recording: String,
+    }
+    RecordingFolder::try_from(serde_json::from_slice::<Line>(line).ok()?.recording).err()
 }
 
 /// Cases as text: they hold numbers that have no order and no hash of their own.
@@ -115,15 +202,16 @@ impl Store {
             let path = path.to_path_buf();
             move |source| StoreError::File { what, path, source }
         };
+        let goes_on = resume && path.join(CONFIG).exists();
+        if !goes_on {
+            free(path)?;
+        }
         std::fs::create_dir_all(path).map_err(file("make", path))?;
         let lines = path.join(EPISODES);
         let open =
             || OpenOptions::new().append(true).create(true).open(&lines).map_err(file("write", &lines));
         let mut episodes = Vec::new();
-        let log = if path.join(CONFIG).exists() {
-            if !resume {
-                return Err(StoreError::Taken { path: path.to_path_buf() });
-            }
+        let log = if goes_on {
             let log = open()?;
             lock(&log, path)?;
             let results = Results::open(path)?;
@@ -131,14 +219,8 @@ impl Store {
             if !differences.is_empty() {
                 return Err(StoreError::Mixed { path: path.to_path_buf(), differences });
             }
-            if results.broken > 0 {
-                tracing::warn!(
-                    "{}: {} half-written line(s); those episodes are driven again",
-                    lines.display(),
-                    results.broken
-                );
-                log.set_len(results.whole).map_err(file("write", &lines))?;
-            }
+            results.unread().iter().for_each(|remark| tracing::warn!("{remark}"));
+            log.set_len(results.whole).map_err(file("write", &lines))?;
             episodes = results.episodes;
             log
         } else {
@@ -170,17 +252,90 @@ impl Store {
     /// # Errors
     /// It cannot be written.
     pub fn finish(&self, summary: &impl serde::Serialize) -> Result<(), StoreError> {
-        write_json(&self.path.join("summary.json"), summary).map_err(|e| StoreError::File {
+        write_json(&self.path.join(SUMMARY), summary).map_err(|e| StoreError::File {
             what: "write",
             path: e.path,
             source: e.source,
         })
     }
 
-    /// Where the recording of an episode goes.
-    pub fn episode_folder(path: &Path, case: &Case) -> PathBuf {
-        path.join("episodes").join(case.name())
+    /// Makes the folder `path` of `episodes`, each with the folder that it was driven into, whose recordings
+    /// are copied. All of it is there in the end, or nothing: what cannot be used is refused before the first
+    /// write, and files are moved to their places when all are written.
+    ///
+    /// # Errors
+    /// The folder holds results, a recording is gone or is more than plain files, or a file cannot be written.
+    pub fn merge(
+        path: &Path,
+        manifest: &Manifest,
+        episodes: &[(&Path, &EpisodeRecord)],
+        summary: &impl serde::Serialize,
+    ) -> Result<(), StoreError> {
+        free(path)?;
+        let mut copies = Vec::new();
+        for (run, recording) in episodes.iter().filter_map(|(run, e)| Some((run, e.recording.as_ref()?))) {
+            copies.push((recording, plain_files(&recording.within(run))?));
+        }
+        let failed = |what, path: &Path| {
+            let path = path.to_path_buf();
+            move |source| StoreError::File { what, path, source }
+        };
+        std::fs::create_dir_all(path).map_err(failed("make", path))?;
+        let draft =
+            tempfile::Builder::new().prefix(".merge-").tempdir_in(path).map_err(failed("write", path))?;
+        let (mut store, _) = Self::open(draft.path(), manifest, false)?;
+        for (recording, files) in copies {
+            let folder = recording.within(draft.path());
+            std::fs::create_dir_all(&folder).map_err(failed("make", &folder))?;
+            for file in files {
+                let to = folder.join(file.file_name().unwrap_or_default());
+                std::fs::copy(&file, to).map_err(failed("copy", &file))?;
+            }
+        }
+        for (_, episode) in episodes {
+            store.add(episode)?;
+        }
+        store.finish(summary)?;
+        // The manifest last: without it the folder is no evaluation's.
+        for name in [RECORDINGS, EPISODES, SUMMARY, CONFIG] {
+            let (from, to) = (draft.path().join(name), path.join(name));
+            if from.exists() {
+                std::fs::rename(&from, &to).map_err(failed("write", &to))?;
+            }
+        }
+        Ok(())
     }
+}
+
+/// Refuses a folder that holds results.
+fn free(path: &Path) -> Result<(), StoreError> {
+    if path.join(CONFIG).exists() {
+        return Err(StoreError::Taken { path: path.to_path_buf() });
+    }
+    let lines = std::fs::metadata(path.join(EPISODES)).is_ok_and(|file| file.len() > 0);
+    let kept = std::fs::read_dir(path.join(RECORDINGS)).is_ok_and(|mut entries| entries.next().is_some());
+    match (lines, kept) {
+        (false, false) => Ok(()),
+        (lines, _) => {
+            let found = if lines { EPISODES } else { RECORDINGS };
+            Err(StoreError::Unnamed { path: path.to_path_buf(), found })
+        }
+    }
+}
+
+/// The files of a recording's folder, which has nothing else in it: no folder, and no link to other places.
+fn plain_files(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
+    let refused = |why: String| StoreError::Recording { path: folder.to_path_buf(), why };
+    let entries = std::fs::read_dir(folder).map_err(|e| refused(e.to_string()))?;
+    let mut files = Vec::new();
+    for entry in entries {
+        let entry = entry.map_err(|e| refused(e.to_string()))?;
+        if !entry.file_type().is_ok_and(|kind| kind.is_file()) {
+            return Err(refused(format!("expected files, found {}", entry.file_name().display())));
+        }
+        files.push(entry.path());
+    }
+    Ok(files)
 }
 
 /// Two evaluations into one folder would drive every episode twice.
@@ -193,5 +348,161 @@ fn lock(log: &File, path: &Path) -> Result<(), StoreError> {
             tracing::debug!("no lock on {}: {error}", path.display());
             Ok(())
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::env::{End, Ending, EnvOptions};
+    use crate::eval::{DriverSpec, EventCounts, Histogram, Selection, Suite};
+    use crate::reward::RewardTerms;
+    use wad_sim::tasks::{Placement, Spot};
+
+    fn manifest() -> Manifest {
+        Manifest {
+            build: "1".into(),
+            sumo: "1.28.0".into(),
+            suite: Suite::find("composite").unwrap(),
+            selection: Selection {
+                agents: vec![DriverSpec::Random],
+                conditions: vec!["new".into()],
+                episodes: Some(3),
+                ..Selection::default()
+            },
+            options: EnvOptions::evaluation(),
+            agents: Default::default(),
+            nets: Default::default(),
+            shard: None,
+        }
+    }
+
+    fn record(case: Case) -> EpisodeRecord {
+        let spot = || Spot { lane: "a_0".into(), s: 1.0 };
+        EpisodeRecord {
+            episode_seed: case.episode_seed(),
+            case,
+            placement: Placement { from: spot(), to: spot(), obstacle: None, via: Vec::new() },
+            ending: Ending { end: End::Survived, cause: "alive".into(), success: true },
+            fault: None,
+            ticks: 1,
+            tick_s: 0.167,
+            route_length_m: 1.0,
+            driven_m: 1.0,
+            distance_m: 1.0,
+            mean_speed_mps: 1.0,
+            top_speed_mps: 1.0,
+            rms_acceleration: 0.0,
+            rms_steer_change: 0.0,
+            episodic_return: 0.0,
+            terms: RewardTerms::default(),
+            vehicles_mean: 0.0,
+            pedestrians_mean: 0.0,
+            events: EventCounts::default(),
+            speeds: Histogram::default(),
+            gaps: Histogram::default(),
+            end_at: [0.0; 2],
+            recording: None,
+        }
+    }
+
+    fn cases(manifest: &Manifest) -> Vec<Case> {
+        manifest.selection.cases(&manifest.suite).unwrap().into_iter().map(|(case, _)| case).collect()
+    }
+
+    #[test]
+    fn results_without_a_manifest_are_not_adopted() {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, manifest) = (folder.path(), manifest());
+        let (mut store, _) = Store::open(path, &manifest, false).unwrap();
+        store.add(&record(cases(&manifest)[0].clone())).unwrap();
+        drop(store);
+        std::fs::remove_file(path.join(CONFIG)).unwrap();
+        for resume in [false, true] {
+            let error = Store::open(path, &manifest, resume).unwrap_err().to_string();
+            assert!(error.contains(EPISODES) && error.contains(CONFIG) && error.contains("--out"), "{error}");
+        }
+        assert!(!path.join(CONFIG).exists(), "nothing is written");
+        std::fs::remove_file(path.join(EPISODES)).unwrap();
+        std::fs::create_dir_all(path.join("episodes/kept")).unwrap();
+        assert!(matches!(Store::open(path, &manifest, false), Err(StoreError::Unnamed { .. })));
+    }
+
+    #[test]
+    fn lines_that_are_broken_or_foreign_and_what_is_missing_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, manifest) = (folder.path(), manifest());
+        let all = cases(&manifest);
+        let (mut store, _) = Store::open(path, &manifest, false).unwrap();
+        store.add(&record(all[0].clone())).unwrap();
+        store.add(&record(Case { seed: 7, ..all[1].clone() })).unwrap();
+        drop(store);
+        let lines = path.join(EPISODES);
+        let mut text = std::fs::read_to_string(&lines).unwrap();
+        text += "no episode\n{\"suite\": ";
+        std::fs::write(&lines, text).unwrap();
+        let results = Results::open(path).unwrap();
+        assert_eq!(results.episodes.len(), 1);
+        assert_eq!(results.foreign.iter().map(|(line, _)| *line).collect::<Vec<_>>(), [2]);
+        assert_eq!(results.broken.iter().map(|(line, _)| *line).collect::<Vec<_>>(), [3, 4]);
+        assert_eq!(results.missing, [all[1].name(), all[2].name()]);
+        let text = results.remarks().join("\n");
+        for part in [
+            "line 2",
+            "s7_001",
+            "line 3: no episode",
+            "line 4: half-written",
+            "2 of the plan's",
+            &all[1].name(),
+        ] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
+        // The half-written line goes, the others stay, and the episodes are driven again.
+        let (_, left) = Store::open(path, &manifest, true).unwrap();
+        assert_eq!(left.len(), 1);
+        assert!(std::fs::read_to_string(&lines).unwrap().ends_with("no episode\n"));
+    }
+
+    #[test]
+    fn a_recording_outside_its_folder_is_refused_by_every_reader() {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, manifest) = (folder.path(), manifest());
+        let (store, _) = Store::open(path, &manifest, false).unwrap();
+        drop(store);
+        for out in ["/etc", "../../b"] {
+            let mut line = serde_json::to_value(record(cases(&manifest)[0].clone())).unwrap();
+            line["recording"] = out.into();
+            std::fs::write(path.join(EPISODES), format!("{line}\n")).unwrap();
+            let error = Results::open(path).unwrap_err().to_string();
+            for part in ["line 1", "episodes/NAME", out, EPISODES] {
+                assert!(error.contains(part), "{error}");
+            }
+            assert!(Store::open(path, &manifest, true).is_err());
+        }
+    }
+
+    #[test]
+    fn a_merge_is_whole_or_not_at_all() {
+        let folder = tempfile::tempdir().unwrap();
+        let (run, out, manifest) = (folder.path().join("run"), folder.path().join("out"), manifest());
+        let case = cases(&manifest)[0].clone();
+        let recording = RecordingFolder::of(&case);
+        let episode = EpisodeRecord { recording: Some(recording.clone()), ..record(case) };
+        let merge = || Store::merge(&out, &manifest, &[(&run, &episode)], &"summary");
+        assert!(merge().unwrap_err().to_string().contains("cannot be copied"), "the recording is gone");
+        assert!(!out.exists(), "nothing is written");
+        let kept = recording.within(&run);
+        std::fs::create_dir_all(&kept).unwrap();
+        std::fs::write(kept.join("episode.json"), "{}").unwrap();
+        std::os::unix::fs::symlink("/", kept.join("link")).unwrap();
+        assert!(merge().unwrap_err().to_string().contains("expected files, found link"));
+        assert!(!out.exists(), "nothing is written");
+        std::fs::remove_file(kept.join("link")).unwrap();
+        merge().unwrap();
+        let merged = Results::open(&out).unwrap();
+        assert_eq!(merged.episodes, std::slice::from_ref(&episode));
+        assert!(recording.within(&out).join("episode.json").exists());
+        assert_eq!(std::fs::read_dir(&out).unwrap().count(), 4, "no draft is left");
+        assert!(matches!(merge(), Err(StoreError::Taken { .. })));
     }
 }

@@ -1,6 +1,7 @@
 //! Suites as data: what is driven, where, in which weather, and what ends an episode (spec.md "Ends",
 //! "Conditions"). A suite is a JSON file; the paper's travel with the program.
 
+use super::plan::MOST_EPISODES;
 use super::routes::RouteError;
 use crate::env::Termination;
 use serde::{Deserialize, Serialize};
@@ -83,6 +84,10 @@ pub enum SuiteError {
     NotIn { suite: String, what: &'static str, found: String, expected: Vec<String> },
     #[error("shard `{found}`: expected K/N with K from 1 to N, e.g. 1/4")]
     Shard { found: String },
+    #[error(
+        "{found} episodes: expected at most {MOST_EPISODES} of a task; see `episodes` in the suite, or --episodes"
+    )]
+    TooMany { found: u64 },
     #[error(transparent)]
     Routes(#[from] RouteError),
     #[error(transparent)]

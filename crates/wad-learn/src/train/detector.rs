@@ -5,11 +5,11 @@
 //! often. After it comes validation: COCO's mAP@0.5 of boxes 24 px high or more, on shards that were not
 //! trained on. The best network so far is exported in half precision, and a checkpoint written.
 
-use super::adamw::AdamW;
 use super::detector_data::{SIDE, Sample, Show, epoch, samples, steps};
 pub use super::run::TrainError;
-use super::run::{self, Training};
+use super::run::{self, Pass, Training};
 use crate::dataset::Dataset;
+use crate::optim::AdamW;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -137,16 +137,13 @@ const LEAST_SCORE: f32 = 0.05;
 
 /// How far a checkpoint is.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
-#[serde(default)]
 struct Reached {
-    epoch: u64,
-    step: u64,
+    #[serde(flatten)]
+    walk: run::Reached<Validation>,
     optimiser_steps: i32,
-    best_epoch: u64,
-    best: Option<Validation>,
-    /// How many frames said so: other frames give other scores.
+    /// How many frames said what is best: other frames give other scores.
+    #[serde(default)]
     validation_frames: usize,
-    seconds: f64,
 }
 
 struct Trainer<'a> {
@@ -182,6 +179,7 @@ pub fn train(
 
 impl<'a> Trainer<'a> {
     fn start(options: &'a TrainOptions, device: Device, resume: bool) -> Result<Self, TrainError> {
+        wad_see::torch::one_thread();
         run::check(&options.out, resume)?;
         let checkpoint = run::checkpoint(&options.out);
         let folders = std::iter::once(&options.data).chain(&options.more);
@@ -220,7 +218,7 @@ impl<'a> Trainer<'a> {
             adam.restore(reached.optimiser_steps, |name, shape| weights.get(name, shape))?;
         }
         if reached.validation_frames != validation.len() {
-            (reached.validation_frames, reached.best) = (validation.len(), None);
+            (reached.validation_frames, reached.walk.best) = (validation.len(), None);
         }
         let said = |dataset: &Dataset| {
             let m = &dataset.manifest;
@@ -254,7 +252,7 @@ impl<'a> Trainer<'a> {
     }
 
     fn seconds(&self) -> f64 {
-        self.reached.seconds + self.began.elapsed().as_secs_f64()
+        self.reached.walk.seconds + self.began.elapsed().as_secs_f64()
     }
 
     /// Steps in all.
@@ -265,57 +263,13 @@ impl<'a> Trainer<'a> {
     /// How much of the training is over, by steps or by time: 0 to 1.
     fn done_share(&self) -> f64 {
         let by_time = self.options.time_limit.map_or(0.0, |limit| self.seconds() / limit.max(1.0));
-        (self.reached.step as f64 / self.steps().max(1) as f64).max(by_time).min(1.0)
+        (self.reached.walk.step as f64 / self.steps().max(1) as f64).max(by_time).min(1.0)
     }
 
     fn rate(&self) -> f64 {
-        let rise = ((self.reached.step + 1) as f64 / WARM_UP).min(1.0);
+        let rise = ((self.reached.walk.step + 1) as f64 / WARM_UP).min(1.0);
         let fall = 0.5 * (1.0 + (std::f64::consts::PI * self.done_share()).cos());
         self.options.learning_rate * rise * fall.max(0.01)
-    }
-
-    /// The network as it would be shipped: in half precision, folded.
-    fn validate(&self) -> Result<Validation, TrainError> {
-        let copy = CenterNet::from_weights(&self.network.weights(&[])?, self.device)?;
-        let mut detector = CenterNetDetector::new("validation".into(), copy, self.device, LEAST_SCORE)?;
-        let mut scored: Vec<Scored> = Vec::with_capacity(self.validation.len());
-        for sample in &self.validation {
-            let mut one = sample.truths();
-            let found = detector.detect_rgb(&sample.rgb()?, SIDE, SIDE)?;
-            one.found =
-                found.into_iter().map(|d| Found { label: class_index(d.class), detection: d }).collect();
-            scored.push(one);
-        }
-        let map = |counts: &dyn Fn(f32) -> bool| {
-            mean((0..8).map(|class| average_precision(&scored, class, 0.5, counts))).unwrap_or(0.0)
-        };
-        Ok(Validation { map50: map(&|h| h >= TALL), map50_small: map(&|h| (SMALL..TALL).contains(&h)) })
-    }
-
-    /// The best network, as it ships.
-    fn export(&self, validation: Validation) -> Result<(), TrainError> {
-        let score = serde_json::to_string(&validation).unwrap_or_default();
-        let weights = self.network.weights(&[
-            ("made_of", self.made_of.clone()),
-            ("epochs", self.reached.epoch.to_string()),
-            ("validation", score),
-            ("program", wad_sim::program::version().to_string()),
-        ])?;
-        Ok(weights.save(&self.options.out.join("detector.safetensors"))?)
-    }
-
-    fn checkpoint(&mut self) -> Result<(), TrainError> {
-        self.reached.optimiser_steps = self.adam.steps();
-        let reached = Reached { seconds: self.seconds(), ..self.reached.clone() };
-        let mut metadata: HashMap<String, String> = self.network.weights(&[])?.metadata;
-        metadata.insert(run::REACHED.to_string(), serde_json::to_string(&reached).unwrap_or_default());
-        let mut tensors: Vec<(String, Tensor)> = Vec::new();
-        for (name, tensor) in self.network.store.variables() {
-            tensors.push((name, tensor.f_detach()?.f_to_kind(Kind::Float)?));
-        }
-        tensors.extend(self.adam.tensors());
-        let path = run::checkpoint(&self.options.out);
-        Ok(Weights { path: path.clone(), tensors, metadata }.save(&path)?)
     }
 }
 
@@ -325,20 +279,20 @@ impl Training for Trainer<'_> {
     type Summary = Trained;
 
     fn is_over(&self) -> bool {
-        self.reached.epoch >= self.options.epochs || self.done_share() >= 1.0
+        self.reached.walk.epoch >= self.options.epochs || self.done_share() >= 1.0
     }
 
-    fn epoch(
+    fn pass(
         &mut self,
         interrupt: &AtomicBool,
         report: &mut dyn FnMut(Progress),
-    ) -> Result<Option<EpochRecord>, TrainError> {
+    ) -> Result<Option<Pass>, TrainError> {
         let options = self.options;
-        let number = self.reached.epoch;
-        let clock = Instant::now();
+        let number = self.reached.walk.epoch;
+        let began = Instant::now();
         let steps = self.steps();
         let samples = std::mem::take(&mut self.training);
-        let (mut sum, mut looks, mut interrupted, mut shown) = (0.0, 0_u64, false, 0_usize);
+        let (mut sum, mut looks, mut interrupted, mut shown) = (0.0, 0_u64, false, 0_u64);
         let result = epoch(
             Show {
                 backbone: options.backbone,
@@ -362,7 +316,7 @@ impl Training for Trainer<'_> {
                 let total = loss(&answer, &target)?.total()?;
                 let rate = self.rate();
                 let is_good = self.adam.step(&total, rate, LONGEST)?;
-                let (value, step) = (total.f_double_value(&[])?, self.reached.step);
+                let (value, step) = (total.f_double_value(&[])?, self.reached.walk.step);
                 // A gradient that is no number counts like such a loss.
                 run::require_finite(if is_good { value } else { f64::NAN }, step, &options.out)?;
                 sum += value;
@@ -370,8 +324,8 @@ impl Training for Trainer<'_> {
                 if step.is_multiple_of(REPORT_EVERY) {
                     report(Progress { epoch: number, step, steps, loss: value, validation: None });
                 }
-                shown += batch.count();
-                self.reached.step += 1;
+                shown += batch.count() as u64;
+                self.reached.walk.step += 1;
                 Ok(self.options.time_limit.is_none_or(|limit| self.seconds() < limit))
             },
         );
@@ -380,27 +334,71 @@ impl Training for Trainer<'_> {
         if interrupted {
             return Ok(None);
         }
-        let train_seconds = clock.elapsed().as_secs_f64();
-        let validation = self.validate()?;
-        self.reached.epoch += 1;
-        let is_best = self.reached.best.is_none_or(|best| validation.map50 >= best.map50);
-        if is_best {
-            self.reached.best = Some(validation);
-            self.reached.best_epoch = self.reached.epoch;
-            self.export(validation)?;
+        let (loss, seconds) = (sum / looks.max(1) as f64, began.elapsed().as_secs_f64());
+        Ok(Some(Pass { loss, shown, began, seconds, rate: self.rate(), steps }))
+    }
+
+    /// The network as it would be shipped: in half precision, folded.
+    fn validate(&self) -> Result<Validation, TrainError> {
+        let copy = CenterNet::from_weights(&self.network.weights(&[])?, self.device)?;
+        let mut detector = CenterNetDetector::new("validation".into(), copy, self.device, LEAST_SCORE)?;
+        let mut scored: Vec<Scored> = Vec::with_capacity(self.validation.len());
+        for sample in &self.validation {
+            let mut one = sample.truths();
+            let found = detector.detect_rgb(&sample.rgb()?, SIDE, SIDE)?;
+            one.found =
+                found.into_iter().map(|d| Found { label: class_index(d.class), detection: d }).collect();
+            scored.push(one);
         }
-        self.checkpoint()?;
-        let (step, mean_loss) = (self.reached.step, sum / looks.max(1) as f64);
-        report(Progress { epoch: number, step, steps, loss: mean_loss, validation: Some(validation) });
-        Ok(Some(EpochRecord {
-            epoch: self.reached.epoch,
-            step,
-            loss: mean_loss,
+        let map = |counts: &dyn Fn(f32) -> bool| {
+            mean((0..8).map(|class| average_precision(&scored, class, 0.5, counts))).unwrap_or(0.0)
+        };
+        Ok(Validation { map50: map(&|h| h >= TALL), map50_small: map(&|h| (SMALL..TALL).contains(&h)) })
+    }
+
+    fn export(&self, validation: &Validation) -> Result<(), TrainError> {
+        let score = serde_json::to_string(validation).unwrap_or_default();
+        let weights = self.network.weights(&[
+            ("made_of", self.made_of.clone()),
+            ("epochs", self.reached.walk.epoch.to_string()),
+            ("validation", score),
+            ("program", wad_sim::program::version().to_string()),
+        ])?;
+        Ok(weights.save(&self.options.out.join("detector.safetensors"))?)
+    }
+
+    fn save(&mut self, _: &Pass) -> Result<(), TrainError> {
+        let mut reached = Reached { optimiser_steps: self.adam.steps(), ..self.reached.clone() };
+        reached.walk.seconds = self.seconds();
+        let mut metadata: HashMap<String, String> = self.network.weights(&[])?.metadata;
+        metadata.insert(run::REACHED.to_string(), serde_json::to_string(&reached).unwrap_or_default());
+        let mut tensors: Vec<(String, Tensor)> = Vec::new();
+        for (name, tensor) in self.network.store.variables() {
+            tensors.push((name, tensor.f_detach()?.f_to_kind(Kind::Float)?));
+        }
+        tensors.extend(self.adam.tensors());
+        let path = run::checkpoint(&self.options.out);
+        Ok(Weights { path: path.clone(), tensors, metadata }.save(&path)?)
+    }
+
+    fn is_better(new: &Validation, best: &Validation) -> bool {
+        new.map50 >= best.map50
+    }
+
+    fn reached(&mut self) -> &mut run::Reached<Validation> {
+        &mut self.reached.walk
+    }
+
+    fn record(&self, pass: &Pass, validation: Validation, best: bool) -> EpochRecord {
+        EpochRecord {
+            epoch: self.reached.walk.epoch,
+            step: self.reached.walk.step,
+            loss: pass.loss,
             validation,
-            best: is_best,
+            best,
             wall_seconds: self.seconds(),
-            images_per_second: shown as f64 / train_seconds.max(1e-9),
-        }))
+            images_per_second: pass.shown as f64 / pass.seconds.max(1e-9),
+        }
     }
 
     fn figures(record: &EpochRecord) -> (u64, Vec<(&'static str, f64)>) {
@@ -417,10 +415,10 @@ impl Training for Trainer<'_> {
         Trained {
             out: self.options.out.clone(),
             detector: self.options.out.join("detector.safetensors"),
-            epochs: self.reached.epoch,
-            steps: self.reached.step,
-            best_epoch: self.reached.best_epoch,
-            best: self.reached.best.unwrap_or_default(),
+            epochs: self.reached.walk.epoch,
+            steps: self.reached.walk.step,
+            best_epoch: self.reached.walk.best_epoch,
+            best: self.reached.walk.best.unwrap_or_default(),
             frames: self.training.len(),
             validation_frames: self.validation.len(),
             wall_seconds: self.seconds(),

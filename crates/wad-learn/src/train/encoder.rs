@@ -13,9 +13,9 @@ pub use terms::{EpochRecord, Progress, TrainOptions, Trained, Validation};
 
 use super::images::{self, Choice, Images};
 use super::loss;
-use super::run::{self, Training};
-use crate::agent::adam::Adam;
+use super::run::{self, Pass, Training};
 use crate::dataset::Dataset;
+use crate::optim::Adam;
 use heads::Heads;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -43,12 +43,9 @@ const LOOK_EVERY: u64 = 20;
 /// What a checkpoint knows beside its tensors.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 struct Reached {
-    epoch: u64,
-    step: u64,
+    #[serde(flatten)]
+    walk: run::Reached<Validation>,
     images: u64,
-    best_epoch: u64,
-    best: Option<Validation>,
-    seconds: f64,
 }
 
 struct Trainer<'a> {
@@ -84,6 +81,7 @@ pub fn train(
 
 impl<'a> Trainer<'a> {
     fn start(options: &'a TrainOptions, device: Device, resume: bool) -> Result<Self, TrainError> {
+        wad_see::torch::one_thread();
         run::check(&options.out, resume)?;
         let checkpoint = run::checkpoint(&options.out);
         let dataset = Dataset::open(&options.data, options.partial)?;
@@ -154,7 +152,7 @@ impl<'a> Trainer<'a> {
         let room = (self.options.resident_gb * 1e9 / TransformedImage::BYTES as f64) as usize;
         let all: usize = shards.iter().map(|&s| self.dataset.shards[s].2).sum();
         if all > room {
-            let mut rng = seeds::rng(self.options.seed, &format!("shards {}", self.reached.epoch));
+            let mut rng = seeds::rng(self.options.seed, &format!("shards {}", self.reached.walk.epoch));
             shards.shuffle(&mut rng);
             let mut frames = 0;
             let fits = |&s: &usize| {
@@ -182,7 +180,7 @@ impl<'a> Trainer<'a> {
 
     /// How much of the training is done (0..1): by steps or by time, whichever is nearer to the end.
     fn done(&self, step_in_epoch: u64, steps: u64) -> f64 {
-        let epochs = self.reached.epoch as f64 + step_in_epoch as f64 / steps as f64;
+        let epochs = self.reached.walk.epoch as f64 + step_in_epoch as f64 / steps as f64;
         let by_steps = epochs / self.options.epochs.max(1) as f64;
         let seconds = self.began.elapsed().as_secs_f64();
         let by_time = self.options.time_limit.map_or(0.0, |limit| seconds / limit.max(1e-9));
@@ -196,7 +194,7 @@ impl<'a> Trainer<'a> {
     }
 
     fn require_finite(&self, loss: f64) -> Result<(), TrainError> {
-        run::require_finite(loss, self.reached.step, &self.options.out)
+        run::require_finite(loss, self.reached.walk.step, &self.options.out)
     }
 
     /// One Adam step on a batch; the loss, still on the device.
@@ -221,7 +219,7 @@ impl<'a> Trainer<'a> {
             heads.adam.learning_rate = HEADS_RATE * rate;
             heads.adam.f_step(&mut heads.theta, &gradient)?;
         }
-        self.reached.step += 1;
+        self.reached.walk.step += 1;
         Ok(loss.f_detach()?)
     }
 
@@ -276,54 +274,6 @@ impl<'a> Trainer<'a> {
         Ok(Made { loss, divergence, labels, pictures: pictures_made })
     }
 
-    fn validate(&self) -> Result<Validation, TrainError> {
-        let mut total = Validation::default();
-        let (mut count, mut both, mut any) = (0.0, 0.0, 0.0);
-        tch::no_grad(|| -> Result<(), TchError> {
-            for batch in self.validation.split(self.options.batch)? {
-                let n = batch.count() as f64;
-                let pictures = to_pictures(&batch.pixels)?;
-                let painted = loss::painted(&pictures)?;
-                let asked = self.heads.as_ref().map(|heads| &heads.theta).zip(batch.labels.as_ref());
-                let made = self.loss(&self.network.theta, &pictures, &painted, asked, None)?;
-                let error = made.pictures.f_sub(&pictures)?.f_square()?;
-                let error = error.f_mean_dim([1, 2, 3].as_slice(), false, Kind::Float)?;
-                let psnr = error.f_clamp_min(1e-10)?.f_log10()?.f_mul_scalar(-10.0)?;
-                let again = loss::painted(&made.pictures)?;
-                both += again.f_mul(&painted)?.f_sum(Kind::Double)?.f_double_value(&[])?;
-                any += again.f_maximum(&painted)?.f_sum(Kind::Double)?.f_double_value(&[])?;
-                let value = |one: Option<Tensor>| one.map_or(Ok(0.0), |one| one.f_double_value(&[]));
-                total.loss += n * made.loss.f_double_value(&[])?;
-                total.psnr += psnr.f_sum(Kind::Double)?.f_double_value(&[])?;
-                total.divergence += n * value(made.divergence)?;
-                total.labels += n * value(made.labels)?;
-                count += n;
-            }
-            Ok(())
-        })?;
-        let count = f64::max(count, 1.0);
-        Ok(Validation {
-            loss: total.loss / count,
-            psnr: total.psnr / count,
-            painted_iou: both / f64::max(any, 1.0),
-            divergence: total.divergence / count,
-            labels: total.labels / count,
-        })
-    }
-
-    /// Writes `encoder.safetensors`.
-    fn export(&self, validation: &Validation) -> Result<(), TrainError> {
-        let (mean, deviation) = tch::no_grad(|| self.latent_statistics())?;
-        let scores = serde_json::json!({ "validation": validation });
-        let metadata = HashMap::from([
-            (keys::CONFIG.to_string(), json(self.options)),
-            (keys::DATASET.to_string(), json(&self.dataset.manifest)),
-            (keys::SCORES.to_string(), json(&scores)),
-        ]);
-        let weights = weights_of(&self.network, &mean, &deviation, metadata)?;
-        Ok(weights.save(&self.options.out.join("encoder.safetensors"))?)
-    }
-
     /// Mean and deviation of the latent over training images.
     fn latent_statistics(&self) -> Result<(Tensor, Tensor), TchError> {
         let images = &self.resident.1.pixels;
@@ -342,23 +292,6 @@ impl<'a> Trainer<'a> {
         let least = 0.05 * deviation.f_mean(Kind::Float)?.f_double_value(&[])?;
         Ok((mean, deviation.f_clamp_min(least.max(1e-4))?))
     }
-
-    /// Writes `checkpoint.safetensors`, in full precision.
-    fn save(&self) -> Result<(), TrainError> {
-        let mut tensors = self.network.named()?;
-        let mut keep = |name: &str, tensor: &Tensor| tensors.push((name.to_string(), tensor.shallow_clone()));
-        keep("adam.first", &self.adam.m);
-        keep("adam.second", &self.adam.v);
-        if let Some(heads) = &self.heads {
-            keep("labels.theta", &heads.theta);
-            keep("labels.adam.first", &heads.adam.m);
-            keep("labels.adam.second", &heads.adam.v);
-        }
-        let reached = serde_json::to_string(&self.reached).unwrap_or_default();
-        let metadata = HashMap::from([(run::REACHED.to_string(), reached)]);
-        let path = run::checkpoint(&self.options.out);
-        Ok(Weights { path: path.clone(), tensors, metadata }.save(&path)?)
-    }
 }
 
 impl Training for Trainer<'_> {
@@ -367,17 +300,17 @@ impl Training for Trainer<'_> {
     type Summary = Trained;
 
     fn is_over(&self) -> bool {
-        self.reached.epoch >= self.options.epochs || self.is_late()
+        self.reached.walk.epoch >= self.options.epochs || self.is_late()
     }
 
-    fn epoch(
+    fn pass(
         &mut self,
         interrupt: &AtomicBool,
         report: &mut dyn FnMut(Progress),
-    ) -> Result<Option<EpochRecord>, TrainError> {
+    ) -> Result<Option<Pass>, TrainError> {
         self.load()?;
         let began = Instant::now();
-        let epoch = self.reached.epoch;
+        let epoch = self.reached.walk.epoch;
         // Dropout and augmentation of an epoch depend on its number alone.
         let mut rng = seeds::rng(self.options.seed, &format!("epoch {epoch}"));
         let images = self.resident.1.count();
@@ -408,8 +341,8 @@ impl Training for Trainer<'_> {
                 self.require_finite(loss)?;
                 report(Progress {
                     epoch,
-                    step: self.reached.step,
-                    steps: self.reached.step + steps - step - 1
+                    step: self.reached.walk.step,
+                    steps: self.reached.walk.step + steps - step - 1
                         + (self.options.epochs - epoch).saturating_sub(1) * steps,
                     loss,
                     validation: None,
@@ -418,37 +351,100 @@ impl Training for Trainer<'_> {
         }
         let train_loss = sum.f_double_value(&[0])? / f64::from(taken.max(1));
         self.require_finite(train_loss)?;
-        let validation = self.validate()?;
-        self.require_finite(validation.loss)?;
-        self.reached.epoch += 1;
-        self.reached.images += seen;
+        let reached = &self.reached.walk;
+        let steps = reached.step + self.options.epochs.saturating_sub(reached.epoch + 1) * steps;
         let seconds = began.elapsed().as_secs_f64();
-        self.reached.seconds += seconds;
-        let best = self.reached.best.is_none_or(|best| validation.loss < best.loss);
-        if best {
-            (self.reached.best, self.reached.best_epoch) = (Some(validation), self.reached.epoch);
-            self.export(&validation)?;
+        Ok(Some(Pass { loss: train_loss, shown: seen, began, seconds, rate, steps }))
+    }
+
+    fn validate(&self) -> Result<Validation, TrainError> {
+        let mut total = Validation::default();
+        let (mut count, mut both, mut any) = (0.0, 0.0, 0.0);
+        tch::no_grad(|| -> Result<(), TchError> {
+            for batch in self.validation.split(self.options.batch)? {
+                let n = batch.count() as f64;
+                let pictures = to_pictures(&batch.pixels)?;
+                let painted = loss::painted(&pictures)?;
+                let asked = self.heads.as_ref().map(|heads| &heads.theta).zip(batch.labels.as_ref());
+                let made = self.loss(&self.network.theta, &pictures, &painted, asked, None)?;
+                let error = made.pictures.f_sub(&pictures)?.f_square()?;
+                let error = error.f_mean_dim([1, 2, 3].as_slice(), false, Kind::Float)?;
+                let psnr = error.f_clamp_min(1e-10)?.f_log10()?.f_mul_scalar(-10.0)?;
+                let again = loss::painted(&made.pictures)?;
+                both += again.f_mul(&painted)?.f_sum(Kind::Double)?.f_double_value(&[])?;
+                any += again.f_maximum(&painted)?.f_sum(Kind::Double)?.f_double_value(&[])?;
+                let value = |one: Option<Tensor>| one.map_or(Ok(0.0), |one| one.f_double_value(&[]));
+                total.loss += n * made.loss.f_double_value(&[])?;
+                total.psnr += psnr.f_sum(Kind::Double)?.f_double_value(&[])?;
+                total.divergence += n * value(made.divergence)?;
+                total.labels += n * value(made.labels)?;
+                count += n;
+            }
+            Ok(())
+        })?;
+        let count = f64::max(count, 1.0);
+        self.require_finite(total.loss / count)?;
+        Ok(Validation {
+            loss: total.loss / count,
+            psnr: total.psnr / count,
+            painted_iou: both / f64::max(any, 1.0),
+            divergence: total.divergence / count,
+            labels: total.labels / count,
+        })
+    }
+
+    fn export(&self, validation: &Validation) -> Result<(), TrainError> {
+        let (mean, deviation) = tch::no_grad(|| self.latent_statistics())?;
+        let scores = serde_json::json!({ "validation": validation });
+        let metadata = HashMap::from([
+            (keys::CONFIG.to_string(), json(self.options)),
+            (keys::DATASET.to_string(), json(&self.dataset.manifest)),
+            (keys::SCORES.to_string(), json(&scores)),
+        ]);
+        let weights = weights_of(&self.network, &mean, &deviation, metadata)?;
+        Ok(weights.save(&self.options.out.join("encoder.safetensors"))?)
+    }
+
+    fn save(&mut self, pass: &Pass) -> Result<(), TrainError> {
+        self.reached.images += pass.shown;
+        self.reached.walk.seconds += pass.began.elapsed().as_secs_f64();
+        let mut tensors = self.network.named()?;
+        let mut keep = |name: &str, adam: &mut Adam| {
+            let named =
+                |(which, moment): (_, &mut Tensor)| (format!("{name}.{which}"), moment.shallow_clone());
+            tensors.extend(adam.moments().map(named));
+        };
+        keep("adam", &mut self.adam);
+        if let Some(heads) = &mut self.heads {
+            keep("labels.adam", &mut heads.adam);
+            tensors.push(("labels.theta".to_string(), heads.theta.shallow_clone()));
         }
-        self.save()?;
-        let left = (self.options.epochs - self.reached.epoch) * steps;
-        report(Progress {
-            epoch,
-            step: self.reached.step,
-            steps: self.reached.step + left,
-            loss: train_loss,
-            validation: Some(validation),
-        });
-        Ok(Some(EpochRecord {
-            epoch: self.reached.epoch,
-            step: self.reached.step,
+        let reached = serde_json::to_string(&self.reached).unwrap_or_default();
+        let metadata = HashMap::from([(run::REACHED.to_string(), reached)]);
+        let path = run::checkpoint(&self.options.out);
+        Ok(Weights { path: path.clone(), tensors, metadata }.save(&path)?)
+    }
+
+    fn is_better(new: &Validation, best: &Validation) -> bool {
+        new.loss < best.loss
+    }
+
+    fn reached(&mut self) -> &mut run::Reached<Validation> {
+        &mut self.reached.walk
+    }
+
+    fn record(&self, pass: &Pass, validation: Validation, best: bool) -> EpochRecord {
+        EpochRecord {
+            epoch: self.reached.walk.epoch,
+            step: self.reached.walk.step,
             images: self.reached.images,
-            train_loss,
+            train_loss: pass.loss,
             validation,
-            learning_rate: rate,
+            learning_rate: pass.rate,
             best,
-            wall_seconds: self.reached.seconds,
-            images_per_second: seen as f64 / seconds.max(1e-9),
-        }))
+            wall_seconds: self.reached.walk.seconds,
+            images_per_second: pass.shown as f64 / pass.began.elapsed().as_secs_f64().max(1e-9),
+        }
     }
 
     fn figures(record: &EpochRecord) -> (u64, Vec<(&'static str, f64)>) {
@@ -471,14 +467,14 @@ impl Training for Trainer<'_> {
         Trained {
             out: self.options.out.clone(),
             encoder: self.options.out.join("encoder.safetensors"),
-            epochs: self.reached.epoch,
-            steps: self.reached.step,
-            best_epoch: self.reached.best_epoch,
-            best: self.reached.best.unwrap_or_default(),
+            epochs: self.reached.walk.epoch,
+            steps: self.reached.walk.step,
+            best_epoch: self.reached.walk.best_epoch,
+            best: self.reached.walk.best.unwrap_or_default(),
             images: train.iter().map(|&s| self.dataset.shards[s].2).sum(),
             validation_images: self.validation.count() as usize,
-            wall_seconds: self.reached.seconds,
-            images_per_second: self.reached.images as f64 / self.reached.seconds.max(1e-9),
+            wall_seconds: self.reached.walk.seconds,
+            images_per_second: self.reached.images as f64 / self.reached.walk.seconds.max(1e-9),
             interrupted,
         }
     }
@@ -496,11 +492,11 @@ struct Made {
 
 /// Takes an optimiser's state from a checkpoint.
 fn restore(adam: &mut Adam, weights: &Weights, name: &str, reached: &Reached) -> Result<(), WeightsError> {
-    for (moment, which) in [(&mut adam.m, "first"), (&mut adam.v, "second")] {
+    for (which, moment) in adam.moments() {
         let saved = weights.get(&format!("{name}.{which}"), &moment.size())?;
         moment.f_copy_(&saved)?;
     }
-    adam.t = reached.step as i64;
+    adam.t = reached.walk.step as i64;
     Ok(())
 }
 

@@ -8,12 +8,13 @@
 use super::images::ImagesError;
 use super::tensorboard::EventWriter;
 use crate::dataset::DatasetError;
-use serde::Serialize;
 use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
 use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
+use std::time::Instant;
 use tch::TchError;
 use wad_see::perception::PerceptionError;
 use wad_see::weights::{Weights, WeightsError};
@@ -124,10 +125,41 @@ pub(super) fn require_finite(loss: f64, step: u64, out: &Path) -> Result<(), Tra
     Err(TrainError::NotFinite { loss, step, checkpoint: checkpoint(out) })
 }
 
+/// How far a training is: what a checkpoint says beside its tensors.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct Reached<V> {
+    pub epoch: u64,
+    pub step: u64,
+    pub best_epoch: u64,
+    pub best: Option<V>,
+    pub seconds: f64,
+}
+
+impl<V> Default for Reached<V> {
+    fn default() -> Self {
+        Self { epoch: 0, step: 0, best_epoch: 0, best: None, seconds: 0.0 }
+    }
+}
+
+/// What one walk through the data came to.
+pub(super) struct Pass {
+    /// Mean loss.
+    pub loss: f64,
+    /// Pictures that were shown.
+    pub shown: u64,
+    /// When it began, and how long its steps took (s).
+    pub began: Instant,
+    pub seconds: f64,
+    /// The learning rate of the last step.
+    pub rate: f64,
+    /// Steps in all at the training's end, as far as is known.
+    pub steps: u64,
+}
+
 /// A training that walks epoch by epoch. Each ends with validation, the best network exported, and a
 /// checkpoint.
 pub(super) trait Training {
-    type Validation;
+    type Validation: Copy;
     /// A line of `metrics.jsonl`.
     type Record: Serialize;
     /// `summary.json`.
@@ -136,12 +168,30 @@ pub(super) trait Training {
     /// Whether the wanted epochs or the time are over.
     fn is_over(&self) -> bool;
 
-    /// One epoch; None where `interrupt` became true: what was begun is lost.
-    fn epoch(
+    /// One walk through the data; None where `interrupt` became true: what was begun is lost.
+    fn pass(
         &mut self,
         interrupt: &AtomicBool,
         report: &mut dyn FnMut(Progress<Self::Validation>),
-    ) -> Result<Option<Self::Record>, TrainError>;
+    ) -> Result<Option<Pass>, TrainError>;
+
+    /// How good the network is on what it was not trained on.
+    fn validate(&self) -> Result<Self::Validation, TrainError>;
+
+    /// Whether a network that validation finds `new` replaces the best so far.
+    fn is_better(new: &Self::Validation, best: &Self::Validation) -> bool;
+
+    /// How far it is.
+    fn reached(&mut self) -> &mut Reached<Self::Validation>;
+
+    /// Writes the network, the best so far.
+    fn export(&self, validation: &Self::Validation) -> Result<(), TrainError>;
+
+    /// Writes all that is needed to go on after `pass`.
+    fn save(&mut self, pass: &Pass) -> Result<(), TrainError>;
+
+    /// The epoch for `metrics.jsonl`.
+    fn record(&self, pass: &Pass, validation: Self::Validation, best: bool) -> Self::Record;
 
     /// An epoch's step and figures for TensorBoard.
     fn figures(record: &Self::Record) -> (u64, Vec<(&'static str, f64)>);
@@ -163,10 +213,25 @@ pub(super) fn walk<T: Training>(
     let mut events = EventWriter::create(out).map_err(TrainError::write(out))?;
     let mut interrupted = false;
     while !training.is_over() {
-        let Some(record) = training.epoch(interrupt, report)? else {
+        let epoch = training.reached().epoch;
+        let Some(pass) = training.pass(interrupt, report)? else {
             interrupted = true;
             break;
         };
+        let validation = training.validate()?;
+        let reached = training.reached();
+        reached.epoch += 1;
+        let best = reached.best.is_none_or(|best| T::is_better(&validation, &best));
+        if best {
+            (reached.best, reached.best_epoch) = (Some(validation), reached.epoch);
+        }
+        let step = reached.step;
+        if best {
+            training.export(&validation)?;
+        }
+        training.save(&pass)?;
+        report(Progress { epoch, step, steps: pass.steps, loss: pass.loss, validation: Some(validation) });
+        let record = training.record(&pass, validation, best);
         let mut line = serde_json::to_vec(&record).map_err(|e| TrainError::write(&path)(e.into()))?;
         line.push(b'\n');
         log.write_all(&line).map_err(TrainError::write(&path))?;

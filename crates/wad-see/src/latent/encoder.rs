@@ -100,6 +100,7 @@ impl TchEncoder {
     /// # Errors
     /// They are of another network or of another camera.
     pub fn of(weights: Weights, device: Device) -> Result<Self, WeightsError> {
+        crate::torch::one_thread();
         let said = |key: &str| weights.metadata.get(key).cloned().unwrap_or_else(|| "nothing known".into());
         let expect = |key: &str, expected: String| match said(key) {
             found if found == expected => Ok(()),

@@ -1,10 +1,10 @@
 //! The detector that asks the renderer: boxes of what is visible, if wanted with a real detector's faults.
 
 use super::{Detection, Detector, PerceptionError};
-use rand::{Rng, RngExt};
+use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
-use sumo_network::seeds;
+use sumo_network::seeds::{self, normal};
 use wad_camera::model::ObjectClass;
 use wad_camera::{CameraConfig, Frame, ObjectTruth, Outputs};
 
@@ -185,12 +185,6 @@ fn visible_share(object: &ObjectTruth) -> f64 {
 
 fn logistic(x: f64) -> f64 {
     1.0 / (1.0 + (-x).exp())
-}
-
-/// A standard normal number (Box and Muller).
-fn normal(rng: &mut impl Rng) -> f64 {
-    let (u, v): (f64, f64) = (rng.random(), rng.random());
-    (-2.0 * (1.0 - u).ln()).sqrt() * (std::f64::consts::TAU * v).cos()
 }
 
 /// The share of standard normal numbers below `x` (logistic approximation, error below 0.01).

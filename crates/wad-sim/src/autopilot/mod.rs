@@ -124,6 +124,29 @@ impl Choice {
     }
 }
 
+/// A tick's state, as the rules look at it.
+struct Situation<'a> {
+    network: &'a Network,
+    world: &'a WorldState,
+    obstacles: &'a [Obstacle],
+    profile: &'a speed::Profile,
+    /// Bumpers on the route (m).
+    front_s: f64,
+    rear_s: f64,
+    /// m/s.
+    speed: f64,
+    /// Until the pedals act, and length of the tick (s).
+    latency: f64,
+    tick_s: f64,
+}
+
+impl Situation<'_> {
+    /// From here on a junction ahead matters (m).
+    fn reach(&self) -> f64 {
+        15.0 + 4.0 * self.speed + 0.25 * self.speed * self.speed
+    }
+}
+
 impl Autopilot {
     /// A driver of the vehicle described by `ego`.
     pub fn new(params: AutopilotParams, ego: EgoModel) -> Self {
@@ -182,18 +205,19 @@ impl Autopilot {
         let bound = if profile.curve { Reason::Curve } else { Reason::Limit };
         choice.offer(profile.acceleration.max(-4.5), bound);
 
-        let leader = self.follow_leaders(&obstacles, front_s, speed, latency, &profile, &mut choice);
-        let light = self.pass_junctions(
+        let now = Situation {
             network,
             world,
-            &obstacles,
-            (front_s, rear_s),
+            obstacles: &obstacles,
+            profile: &profile,
+            front_s,
+            rear_s,
             speed,
-            &profile,
             latency,
             tick_s,
-            &mut choice,
-        );
+        };
+        let leader = self.follow_leaders(&now, &mut choice);
+        let light = self.pass_junctions(&now, &mut choice);
 
         let walk = pedestrians::Approach { front_s, rear_s, speed, top: profile.target.max(2.0) };
         if let Some(halt) = pedestrians::judge(network, &self.path, &self.plans, world, &walk, &params) {
@@ -223,18 +247,7 @@ impl Autopilot {
             choice.offer(speed::track(speed, 3.5).max(-3.0), Reason::OffRoute);
         }
 
-        // Smooth onset, except where it matters.
-        let mut acceleration = choice.acceleration.min(self.last_acceleration.max(-0.5) + 4.0 * tick_s);
-        if acceleration > -3.5 {
-            acceleration = acceleration.max(self.last_acceleration.min(0.0) - 9.0 * tick_s);
-        }
-        self.last_acceleration = acceleration;
-        let mut control = self.pedals.press(acceleration, speed, tick_s, &model);
-        let wheel = steering::wheel_angle(&self.path, route_s, ego, &model, acceleration, tick_s);
-        // At rest the wheels stay where they are.
-        let wheel = if speed < 0.05 && control.throttle == 0.0 { ego.steer_angle } else { wheel };
-        control.steer = (wheel / model.max_steer).clamp(-1.0, 1.0);
-
+        let (control, acceleration) = self.act(choice.acceleration, route_s, ego, tick_s);
         let blinker =
             if wish.blinker != 0 { wish.blinker } else { self.turn_signal(network, front_s, speed) };
         Decision {
@@ -249,6 +262,23 @@ impl Autopilot {
             blinker_right: blinker < 0,
             brake_light: control.brake > 0.0,
         }
+    }
+
+    /// Pedals and wheel for the acceleration `wanted`, and the acceleration that they are to give (m/s2).
+    fn act(&mut self, wanted: f64, route_s: f64, ego: &EgoState, tick_s: f64) -> (Control, f64) {
+        let (model, speed) = (self.model, ego.speed.max(0.0));
+        // Smooth onset, except where it matters.
+        let mut acceleration = wanted.min(self.last_acceleration.max(-0.5) + 4.0 * tick_s);
+        if acceleration > -3.5 {
+            acceleration = acceleration.max(self.last_acceleration.min(0.0) - 9.0 * tick_s);
+        }
+        self.last_acceleration = acceleration;
+        let mut control = self.pedals.press(acceleration, speed, tick_s, &model);
+        let wheel = steering::wheel_angle(&self.path, route_s, ego, &model, acceleration, tick_s);
+        // At rest the wheels stay where they are.
+        let wheel = if speed < 0.05 && control.throttle == 0.0 { ego.steer_angle } else { wheel };
+        control.steer = (wheel / model.max_steer).clamp(-1.0, 1.0);
+        (control, acceleration)
     }
 
     fn stop(&self, speed: f64, distance: f64, latency: f64) -> f64 {
@@ -268,18 +298,11 @@ impl Autopilot {
         self.plans = plans;
     }
 
-    fn follow_leaders(
-        &self,
-        obstacles: &[Obstacle],
-        front_s: f64,
-        speed: f64,
-        latency: f64,
-        profile: &speed::Profile,
-        choice: &mut Choice,
-    ) -> Option<Leader> {
+    fn follow_leaders(&self, now: &Situation<'_>, choice: &mut Choice) -> Option<Leader> {
         let params = &self.params;
+        let &Situation { front_s, speed, latency, profile, .. } = now;
         let mut leader: Option<Leader> = None;
-        for obstacle in obstacles {
+        for obstacle in now.obstacles {
             let gap = obstacle.near_s - front_s;
             let passes = obstacle.crossing && obstacle.clear_time.is_finite();
             if passes {
@@ -303,128 +326,133 @@ impl Autopilot {
         leader
     }
 
-    /// Lights, full junctions and right of way at the links ahead.
-    #[allow(clippy::too_many_arguments)]
-    fn pass_junctions(
-        &mut self,
-        network: &Network,
-        world: &WorldState,
-        obstacles: &[Obstacle],
-        (front_s, rear_s): (f64, f64),
-        speed: f64,
-        profile: &speed::Profile,
-        latency: f64,
-        tick_s: f64,
-        choice: &mut Choice,
-    ) -> Option<(SignalState, f64)> {
-        let params = self.params;
-        let by_lane = ByLane::new(world);
-        let mut light = None;
-        let mut yielding_at = None;
-        for plan in &self.plans {
-            if rear_s > plan.end_s {
-                continue;
-            }
-            let distance = plan.stop_s - front_s;
-            let reach = 15.0 + 4.0 * speed + 0.25 * speed * speed;
-            let mut yields = !network.link(plan.link).must_yield_to.is_empty();
-            if distance > -0.5 {
-                let top = profile.target.max(speed);
-                let (verdict, state) =
-                    self.lights.judge(network, plan, world, distance, speed, top, latency, &params);
-                if light.is_none()
-                    && let Some(state) = state
-                {
-                    light = Some((state, distance));
-                }
-                match verdict {
-                    Verdict::Stop => {
-                        let a = self.stop(speed, distance - params.stop_margin, latency);
-                        choice.offer(a, Reason::RedLight { distance });
-                        break;
-                    }
-                    Verdict::Go { yields: must } => yields = must,
-                }
-                let matters = !plan.conflicts.is_empty() || !plan.crossings.is_empty();
-                let can_stop = speed * speed / (2.0 * (distance - speed * latency).max(0.3)) < 3.0;
-                if matters && can_stop && distance < reach {
-                    let room = leader::room_behind_queue(
-                        obstacles,
-                        front_s,
-                        plan.clear_s,
-                        self.model.length + 12.0,
-                        params.min_gap,
-                    );
-                    if room.is_some_and(|r| r < self.model.length + params.min_gap + 0.5) {
-                        let a = self.stop(speed, distance - params.stop_margin, latency);
-                        choice.offer(a, Reason::JunctionBlocked { distance });
-                    }
-                }
-            } else if network
-                .link(plan.link)
-                .signal
-                .is_some_and(|s| world.signal(s) == Some(SignalState::GreenMajor))
-            {
-                yields = false;
-            }
-            if distance > reach {
+    /// Lights, full junctions and right of way at the links ahead; the next light and its distance (m).
+    fn pass_junctions(&mut self, now: &Situation<'_>, choice: &mut Choice) -> Option<(SignalState, f64)> {
+        let by_lane = ByLane::new(now.world);
+        let (mut light, mut yielding_at) = (None, None);
+        let plans = std::mem::take(&mut self.plans);
+        for plan in plans.iter().filter(|plan| now.rear_s <= plan.end_s) {
+            let distance = plan.stop_s - now.front_s;
+            let yields = if distance > -0.5 {
+                let (yields, state) = self.approach_line(plan, distance, now, choice);
+                light = light.or(state.map(|state| (state, distance)));
+                // Behind a red light nothing matters.
+                let Some(yields) = yields else { break };
+                yields
+            } else {
+                let link = now.network.link(plan.link);
+                let green = link.signal.is_some_and(|s| now.world.signal(s) == Some(SignalState::GreenMajor));
+                !link.must_yield_to.is_empty() && !green
+            };
+            if distance > now.reach() {
                 break;
             }
-            let waited = if self.waiting_at == Some(plan.link) { self.waited } else { 0.0 };
-            let impatience =
-                ((waited - params.patience) / (params.patience_end - params.patience)).clamp(0.0, 1.0);
-            let from = self.path.index_at(plan.stop_s.max(front_s));
-            let to = self.path.index_at(plan.end_s);
-            let top = self.path.samples[from..=to.max(from)]
-                .iter()
-                .map(|p| p.limit.min(speed::curve_speed(p.curvature, &params)))
-                .fold(f64::INFINITY, f64::min)
-                .max(2.0);
-            let motion = Motion {
-                front_s,
-                rear_s,
-                speed,
-                top,
-                impatience,
-                breaks_deadlock: waited >= params.patience_end,
-                yields,
-                signalled: network
-                    .link(plan.link)
-                    .signal
-                    .is_some_and(|s| world.signal(s) != Some(SignalState::Off)),
-                ends_standoff: waited >= right_of_way::STANDOFF,
-            };
-            let outcome = right_of_way::judge(network, plan, world, &by_lane, &motion, &params);
-            for merging in &outcome.merging {
-                let gap = merging.gap - (speed - merging.speed) * latency;
-                let a = follow(speed, gap, merging.speed, profile.target.max(1.0), &params).max(-4.0);
-                choice.offer(a, Reason::Merge { gap: merging.gap, speed: merging.speed });
-                if merging.speed < 0.3 && front_s > plan.stop_s {
-                    yielding_at = yielding_at.or(Some(plan.link));
-                }
-            }
-            if let Some(hold) = outcome.hold {
-                let distance = hold.stop_s - front_s;
-                let inside = plan.wait_s == Some(hold.stop_s);
-                let margin = if inside || hold.stop_s == plan.stop_s { params.stop_margin } else { 0.3 };
-                let a = self.stop(speed, distance - margin, latency);
-                choice.offer(a, Reason::Yield { distance });
+            if self.give_way(plan, yields, &by_lane, now, choice) {
                 yielding_at = yielding_at.or(Some(plan.link));
             }
         }
+        self.plans = plans;
+        self.note_waiting(yielding_at, now);
+        light
+    }
+
+    /// The stop line of `plan`, `distance` ahead (m): its light, and whether there is room behind the junction.
+    /// Whether those with right of way are to be let pass (None: it stops here), and what the light shows.
+    fn approach_line(
+        &mut self,
+        plan: &LinkPlan,
+        distance: f64,
+        now: &Situation<'_>,
+        choice: &mut Choice,
+    ) -> (Option<bool>, Option<SignalState>) {
+        let (params, speed, latency) = (self.params, now.speed, now.latency);
+        let top = now.profile.target.max(speed);
+        let (verdict, state) =
+            self.lights.judge(now.network, plan, now.world, distance, speed, top, latency, &params);
+        let Verdict::Go { yields } = verdict else {
+            let a = self.stop(speed, distance - params.stop_margin, latency);
+            choice.offer(a, Reason::RedLight { distance });
+            return (None, state);
+        };
+        let matters = !plan.conflicts.is_empty() || !plan.crossings.is_empty();
+        let can_stop = speed * speed / (2.0 * (distance - speed * latency).max(0.3)) < 3.0;
+        if matters && can_stop && distance < now.reach() {
+            let needed = self.model.length + 12.0;
+            let room =
+                leader::room_behind_queue(now.obstacles, now.front_s, plan.clear_s, needed, params.min_gap);
+            if room.is_some_and(|r| r < self.model.length + params.min_gap + 0.5) {
+                let a = self.stop(speed, distance - params.stop_margin, latency);
+                choice.offer(a, Reason::JunctionBlocked { distance });
+            }
+        }
+        (Some(yields), state)
+    }
+
+    /// The gaps in the traffic over the link of `plan`; whether it waits for one.
+    fn give_way(
+        &self,
+        plan: &LinkPlan,
+        yields: bool,
+        by_lane: &ByLane,
+        now: &Situation<'_>,
+        choice: &mut Choice,
+    ) -> bool {
+        let params = self.params;
+        let (network, world, front_s, speed) = (now.network, now.world, now.front_s, now.speed);
+        let waited = if self.waiting_at == Some(plan.link) { self.waited } else { 0.0 };
+        let impatience =
+            ((waited - params.patience) / (params.patience_end - params.patience)).clamp(0.0, 1.0);
+        let from = self.path.index_at(plan.stop_s.max(front_s));
+        let to = self.path.index_at(plan.end_s);
+        let top = self.path.samples[from..=to.max(from)]
+            .iter()
+            .map(|p| p.limit.min(speed::curve_speed(p.curvature, &params)))
+            .fold(f64::INFINITY, f64::min)
+            .max(2.0);
+        let signal = network.link(plan.link).signal;
+        let motion = Motion {
+            front_s,
+            rear_s: now.rear_s,
+            speed,
+            top,
+            impatience,
+            breaks_deadlock: waited >= params.patience_end,
+            yields,
+            signalled: signal.is_some_and(|s| world.signal(s) != Some(SignalState::Off)),
+            ends_standoff: waited >= right_of_way::STANDOFF,
+        };
+        let mut waits = false;
+        let outcome = right_of_way::judge(network, plan, world, by_lane, &motion, &params);
+        for merging in &outcome.merging {
+            let gap = merging.gap - (speed - merging.speed) * now.latency;
+            let a = follow(speed, gap, merging.speed, now.profile.target.max(1.0), &params).max(-4.0);
+            choice.offer(a, Reason::Merge { gap: merging.gap, speed: merging.speed });
+            waits |= merging.speed < 0.3 && front_s > plan.stop_s;
+        }
+        if let Some(hold) = outcome.hold {
+            let distance = hold.stop_s - front_s;
+            let inside = plan.wait_s == Some(hold.stop_s);
+            let margin = if inside || hold.stop_s == plan.stop_s { params.stop_margin } else { 0.3 };
+            choice.offer(self.stop(speed, distance - margin, now.latency), Reason::Yield { distance });
+            waits = true;
+        }
+        waits
+    }
+
+    /// Counts how long it has stood for right of way.
+    fn note_waiting(&mut self, yielding_at: Option<LinkId>, now: &Situation<'_>) {
         if let Some(link) = yielding_at {
             if self.waiting_at != Some(link) {
                 self.waiting_at = Some(link);
                 self.waited = 0.0;
             }
-            if speed < 0.5 {
-                self.waited += tick_s;
+            if now.speed < 0.5 {
+                self.waited += now.tick_s;
             }
-        } else if speed > 3.0 {
+        } else if now.speed > 3.0 {
             self.waiting_at = None;
             self.waited = 0.0;
         }
-        light
     }
 
     /// Which way the next link turns: -1 right, 1 left, 0 neither or too far off.

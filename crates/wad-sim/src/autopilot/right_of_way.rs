@@ -91,6 +91,35 @@ struct Foe<'a> {
     unsure: bool,
 }
 
+impl Foe<'_> {
+    /// Way to where the conflict begins, and until the rear has left it (m).
+    fn ways(&self, conflict: &Conflict) -> (f64, f64) {
+        let length = self.actor.actor_type.length;
+        (conflict.foe_enter - self.x, conflict.foe_leave + length - self.x)
+    }
+
+    fn stands(&self) -> bool {
+        self.actor.speed < 0.3
+    }
+
+    /// When it enters and when it leaves the conflict (s); `yields`: whether the ego waits for it.
+    fn times(&self, conflict: &Conflict, yields: bool) -> (f64, f64) {
+        let speed = self.actor.speed;
+        let (to_enter, to_leave) = self.ways(conflict);
+        let start = if self.stands() { 0.7 } else { 0.0 };
+        let enter = start + time_to_cover(to_enter, speed, 1.5, self.top.max(speed));
+        if to_enter <= 0.0 || !yields {
+            return (enter, to_leave / speed.max(0.5));
+        }
+        // It slows down for its turn.
+        let over = conflict.foe_speed.clamp(2.0, self.top.max(2.0));
+        let before_line = (-self.x).max(0.0);
+        let approach = if speed > over { before_line / (0.5 * (speed + over)) } else { 0.0 };
+        let rest = if speed > over { to_leave - before_line } else { to_leave };
+        (enter, approach + time_to_cover(rest, speed.clamp(0.5, over), 0.8, over))
+    }
+}
+
 /// Judges every conflict of `plan`.
 pub fn judge(
     network: &Network,
@@ -176,14 +205,12 @@ fn consider(
     outcome: &mut Outcome,
 ) {
     let speed = foe.actor.speed;
-    let length = foe.actor.actor_type.length;
-    let to_enter = conflict.foe_enter - foe.x;
-    let to_leave = conflict.foe_leave + length - foe.x;
+    let (to_enter, to_leave) = foe.ways(conflict);
     if to_leave <= 0.0 {
         return;
     }
     let in_zone = to_enter <= 0.0;
-    let standing = speed < 0.3;
+    let standing = foe.stands();
     let ego_in = ego.front_s >= conflict.enter_s - 0.3;
     // Once in the junction it clears it rather than stand in the next one's way.
     let entered = ego.front_s > plan.stop_s + 1.0
@@ -200,7 +227,7 @@ fn consider(
     if conflict.merge && (in_zone || foe.inside && foe.x > 0.0) {
         let ours = conflict.leave_s - ego.front_s;
         let theirs = conflict.foe_leave - foe.x;
-        let gap = ours - theirs - length;
+        let gap = ours - theirs - foe.actor.actor_type.length;
         let goes_first = in_zone || yields;
         if gap > 0.0 && goes_first && ego.front_s > plan.stop_s - 40.0 {
             outcome.merging.push(Merging { gap, speed });
@@ -233,18 +260,7 @@ fn consider(
     let acceleration = 1.7;
     let ego_enter = time_to_cover(conflict.enter_s - ego.front_s, ego.speed, acceleration, ego.top);
     let ego_leave = time_to_cover(conflict.leave_s - ego.rear_s, ego.speed, acceleration, ego.top);
-    let start = if standing { 0.7 } else { 0.0 };
-    let foe_enter = start + time_to_cover(to_enter, speed, 1.5, foe.top.max(speed));
-    let foe_leave = if in_zone || !yields {
-        to_leave / speed.max(0.5)
-    } else {
-        // It slows down for its turn.
-        let over = conflict.foe_speed.clamp(2.0, foe.top.max(2.0));
-        let before_line = (-foe.x).max(0.0);
-        let approach = if speed > over { before_line / (0.5 * (speed + over)) } else { 0.0 };
-        let rest = if speed > over { to_leave - before_line } else { to_leave };
-        approach + time_to_cover(rest, speed.clamp(0.5, over), 0.8, over)
-    };
+    let (foe_enter, foe_leave) = foe.times(conflict, yields);
 
     let share = 1.0 - (1.0 - params.impatient_share) * ego.impatience;
     let (before, after) = if !yields || entered {
@@ -263,23 +279,31 @@ fn consider(
         return;
     }
 
-    // Where to wait: at the place inside the junction if it lies before the conflict, else at the line,
-    // else just before the conflict.
+    if let Some(stop_s) = waiting_place(conflict, plan, ego, params, foe_enter < ego_enter)
+        && outcome.hold.is_none_or(|h| stop_s < h.stop_s)
+    {
+        outcome.hold = Some(Hold { stop_s });
+    }
+}
+
+/// Where to wait (m on the route): at the place inside the junction if it lies before the conflict, else at
+/// the line, else just before the conflict, where that is better than to go on; `late`: the foe is there first.
+fn waiting_place(
+    conflict: &Conflict,
+    plan: &LinkPlan,
+    ego: &Motion,
+    params: &AutopilotParams,
+    late: bool,
+) -> Option<f64> {
     let places = [plan.wait_s.filter(|&w| w <= conflict.enter_s + 0.3), Some(plan.stop_s)];
     let reachable = |s: f64| {
         let room = s - ego.front_s;
         room > -0.3 && ego.speed * ego.speed / (2.0 * room.max(0.3)) < 4.0
     };
     let last_chance = conflict.enter_s - 0.5;
-    let stop_s = places.iter().flatten().copied().find(|&s| reachable(s)).or_else(|| {
+    places.iter().flatten().copied().find(|&s| reachable(s)).or_else(|| {
         let room = last_chance - ego.front_s;
         let hard = ego.speed * ego.speed / (2.0 * room.max(0.1));
-        let late = foe_enter < ego_enter;
         (room > 0.0 && (hard < params.emergency_deceleration || late)).then_some(last_chance)
-    });
-    if let Some(stop_s) = stop_s
-        && outcome.hold.is_none_or(|h| stop_s < h.stop_s)
-    {
-        outcome.hold = Some(Hold { stop_s });
-    }
+    })
 }

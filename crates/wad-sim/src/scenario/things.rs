@@ -341,6 +341,30 @@ fn on_the_way(reader: &mut Reader<'_>, at: Point, trigger: &Trigger, route: Opti
     }
 }
 
+/// What stands on a lane so wide (m).
+fn obstacle(reader: &mut Reader<'_>, name: &str, lane_width: f64) -> Kind {
+    let shape = match name {
+        "barrier" => ObjectShape::Barrier,
+        "cone" => ObjectShape::Cone,
+        "person" => {
+            reader.only(&["wad.person"]);
+            return Kind::Person(walker(reader.choice("wad.person", &["adult", "child", "senior"], "adult")));
+        }
+        _ => {
+            reader.only(&[]);
+            return Kind::Vehicle(model(name));
+        }
+    };
+    let usual = shape.sizes().2;
+    if shape == ObjectShape::Cone {
+        reader.only(&[]);
+        return Kind::Object { shape, width: usual };
+    }
+    reader.only(&["wad.width"]);
+    let width = reader.number("wad.width", usual.min(lane_width - 0.4), 0.2, 8.0, "metres");
+    Kind::Object { shape, width }
+}
+
 #[allow(clippy::too_many_arguments)]
 fn kind_of(
     reader: &mut Reader<'_>,
@@ -354,27 +378,7 @@ fn kind_of(
     let lane = network.lane(at.lane);
     let always = Trigger { distance: None, time: None };
     if let Some(name) = kind.strip_prefix("obstacle.") {
-        let shape = match name {
-            "barrier" => ObjectShape::Barrier,
-            "cone" => ObjectShape::Cone,
-            "person" => {
-                reader.only(&["wad.person"]);
-                let name = reader.choice("wad.person", &["adult", "child", "senior"], "adult");
-                return Some(Kind::Person(walker(name)));
-            }
-            _ => {
-                reader.only(&[]);
-                return Some(Kind::Vehicle(model(name)));
-            }
-        };
-        let usual = shape.sizes().2;
-        if shape == ObjectShape::Cone {
-            reader.only(&[]);
-            return Some(Kind::Object { shape, width: usual });
-        }
-        reader.only(&["wad.width"]);
-        let width = reader.number("wad.width", usual.min(lane.width - 0.4), 0.2, 8.0, "metres");
-        return Some(Kind::Object { shape, width });
+        return Some(obstacle(reader, name, lane.width));
     }
     Some(match kind {
         "bench" => {

@@ -2,13 +2,6 @@
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
-use std::f64::consts::TAU;
-
-/// A standard normal draw (Box and Muller).
-pub fn normal(rng: &mut ChaCha8Rng) -> f64 {
-    let radius = (-2.0 * (1.0 - rng.random::<f64>()).ln()).sqrt();
-    radius * (TAU * rng.random::<f64>()).cos()
-}
 
 /// The index of one of `weights`, drawn in proportion; None where they add up to nothing.
 pub fn pick_weighted(rng: &mut ChaCha8Rng, weights: impl Iterator<Item = f64> + Clone) -> Option<usize> {

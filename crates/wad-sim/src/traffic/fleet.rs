@@ -4,9 +4,10 @@
 //! them, and its bus would not fit a lane); trucks and buses have the size of the vehicle that
 //! the model stands for.
 
-use super::draw::{normal, pick_weighted};
+use super::draw::pick_weighted;
 use rand_chacha::ChaCha8Rng;
 use sumo_network::network::VehicleClass;
+use sumo_network::seeds::normal;
 use sumo_network::world::ActorKind;
 use sumo_traci::{Batch, vehicle_type};
 

@@ -37,6 +37,7 @@ mod places;
 mod reserve;
 mod roads;
 mod schedule;
+mod slots;
 mod spec;
 mod vehicles;
 mod walks;

@@ -5,11 +5,10 @@ use super::draw::between;
 use super::events::StepEvents;
 use super::fleet::draw_walker;
 use super::places::point_on;
-use super::schedule::Schedule;
+use super::slots::{Member, Slots};
 use super::vehicles::Scene;
 use super::walks::{Walk, Walks, sidewalk};
 use rand_chacha::ChaCha8Rng;
-use std::collections::HashMap;
 use std::sync::Arc;
 use sumo_network::geometry::{Point, Pose};
 use sumo_network::network::{EdgeId, Network};
@@ -25,16 +24,13 @@ const FOLLOW_UP_MARGIN: f64 = 10.0;
 /// A pedestrian this much beyond the sight distance (m) may come into sight before the next tick.
 const SIGHT_MARGIN: f64 = 5.0;
 
-/// A pedestrian that was given to SUMO.
+/// What is known of a pedestrian.
 #[derive(Debug)]
-struct Member {
-    id: String,
-    serial: u64,
+struct Walker {
     /// Walking speed (m/s).
     speed: f64,
     /// Where its last walk ends: edge and SUMO lane_position (m).
     end: (EdgeId, f64),
-    departed: bool,
 }
 
 /// Getters in flight about one pedestrian.
@@ -52,37 +48,14 @@ pub(super) struct Pedestrians {
     options: Options,
     rng: ChaCha8Rng,
     walks: Walks,
-    members: Vec<Option<Member>>,
-    /// Slots by SUMO's id; looked up only, never walked through.
-    slots: HashMap<String, usize>,
-    pending: Vec<usize>,
-    vacant: Vec<usize>,
-    /// Slots that are to stay empty since the population was made smaller.
-    retired: Vec<usize>,
-    schedule: Schedule,
+    slots: Slots<Walker>,
     looks: Vec<Look>,
-    next_serial: u64,
-    alive: usize,
 }
 
 impl Pedestrians {
     pub fn new(network: Arc<Network>, options: Options, rng: ChaCha8Rng) -> Self {
         let walks = Walks::new(&network);
-        Self {
-            network,
-            options,
-            rng,
-            walks,
-            members: Vec::new(),
-            slots: HashMap::new(),
-            pending: Vec::new(),
-            vacant: Vec::new(),
-            retired: Vec::new(),
-            schedule: Schedule::default(),
-            looks: Vec::new(),
-            next_serial: 0,
-            alive: 0,
-        }
+        Self { network, options, rng, walks, slots: Slots::default(), looks: Vec::new() }
     }
 
     /// Whether the net has sidewalks that lead anywhere.
@@ -92,11 +65,11 @@ impl Pedestrians {
 
     /// How many were in the network after the last step.
     pub fn alive(&self) -> usize {
-        self.alive
+        self.slots.alive()
     }
 
     pub fn owns(&self, id: &str) -> bool {
-        self.slots.contains_key(id)
+        self.slots.find(id).is_some()
     }
 
     /// Puts `count` pedestrians on the sidewalks; returns how many found a place.
@@ -106,8 +79,7 @@ impl Pedestrians {
             let Some((edge, at)) = self.draw_place(|point| avoid.allows_at_start(ego, point)) else {
                 return placed;
             };
-            let slot = self.members.len();
-            self.members.push(None);
+            let slot = self.slots.add();
             self.insert(slot, edge, at, 0.0, batch);
         }
         count
@@ -115,26 +87,7 @@ impl Pedestrians {
 
     /// Keeps `count` pedestrians from now on: the last ones go, or new ones come with the next updates.
     pub fn resize(&mut self, count: usize, batch: &mut Batch) {
-        let kept = self.members.len() - self.retired.len();
-        for _ in count..kept {
-            let Some(slot) = (0..self.members.len()).rev().find(|slot| !self.retired.contains(slot)) else {
-                break;
-            };
-            if let Some(member) = &self.members[slot] {
-                person::remove(batch, &member.id, RemoveReason::Vaporized);
-            }
-            self.pending.retain(|&pending| pending != slot);
-            self.vacate(slot);
-            self.vacant.retain(|&vacant| vacant != slot);
-            self.retired.push(slot);
-        }
-        for _ in kept..count {
-            let slot = self.retired.pop().unwrap_or_else(|| {
-                self.members.push(None);
-                self.members.len() - 1
-            });
-            self.vacant.push(slot);
-        }
+        self.slots.resize(count, |id| remove(id, batch));
     }
 
     /// Follows one step: see [`super::Population::update`].
@@ -145,52 +98,22 @@ impl Pedestrians {
         scene: Scene<'_>,
         batch: &mut Batch,
     ) {
-        for id in &events.arrived_persons {
-            if let Some(slot) = self.slots.get(*id).copied() {
-                self.vacate(slot);
-            }
-        }
-        self.note_departures(events);
-        self.alive = self.members.iter().flatten().filter(|m| m.departed).count();
+        // SUMO lets persons depart at once; one that did not was refused and does not exist.
+        self.slots.follow(&events.departed_persons, &events.arrived_persons, |_| {});
         self.read_looks(replies, scene, batch);
-        for slot in std::mem::take(&mut self.vacant) {
+        for slot in std::mem::take(&mut self.slots.vacant) {
             if !self.replace(slot, scene, batch) {
-                self.vacant.push(slot);
+                self.slots.vacant.push(slot);
             }
         }
-        while let Some((slot, serial)) = self.schedule.due(scene.time) {
-            let Some(member) = self.members[slot].as_ref().filter(|m| m.serial == serial) else { continue };
+        while let Some((slot, serial)) = self.slots.schedule.due(scene.time) {
+            let Some(member) = self.slots.with_serial(slot, serial) else { continue };
             self.looks.push(Look {
                 slot,
                 serial,
                 stages: batch.get(person::STAGES_REMAINING, &member.id),
                 position: batch.get(person::POSITION, &member.id),
             });
-        }
-    }
-
-    fn note_departures(&mut self, events: &StepEvents<'_>) {
-        if self.pending.is_empty() {
-            return;
-        }
-        for id in &events.departed_persons {
-            let member = self.slots.get(*id).and_then(|&slot| self.members[slot].as_mut());
-            if let Some(member) = member {
-                member.departed = true;
-            }
-        }
-        for slot in std::mem::take(&mut self.pending) {
-            // SUMO lets persons depart at once; one that did not was refused and does not exist.
-            if self.members[slot].as_ref().is_some_and(|m| !m.departed) {
-                self.vacate(slot);
-            }
-        }
-    }
-
-    fn vacate(&mut self, slot: usize) {
-        if let Some(member) = self.members[slot].take() {
-            self.slots.remove(&member.id);
-            self.vacant.push(slot);
         }
     }
 
@@ -236,20 +159,16 @@ impl Pedestrians {
         let speed = kind.speed.draw(&mut self.rng);
         let walks = self.draw_walks(edge, at);
         if walks.is_empty() {
-            self.vacant.push(slot);
+            self.slots.vacant.push(slot);
             return;
         }
-        let serial = self.next_serial;
-        self.next_serial += 1;
-        let id = format!("wad_p{serial}");
+        self.slots.fill(slot, "wad_p", Walker { speed, end: (edge, at) });
+        let Some(Member { id, .. }) = self.slots.get(slot) else { return };
         let edge_id = &self.network.edge(edge).id;
         let add = person::Add { edge: edge_id, position: at, person_type: kind.id, ..Default::default() };
-        person::add(batch, &id, &add);
-        batch.set(person::SET_COLOR, &id, Color::rgb(r, g, b));
-        self.slots.insert(id.clone(), slot);
-        self.members[slot] = Some(Member { id, serial, speed, end: (edge, at), departed: false });
+        person::add(batch, id, &add);
+        batch.set(person::SET_COLOR, id, Color::rgb(r, g, b));
         self.append(&walks, slot, time, batch);
-        self.pending.push(slot);
     }
 
     /// Walks one after the other from a place on; empty where nobody can walk.
@@ -268,7 +187,7 @@ impl Pedestrians {
 
     /// Appends walks to a pedestrian's plan, and sees to it that it is looked at before they end.
     fn append(&mut self, walks: &[Walk], slot: usize, time: f64, batch: &mut Batch) {
-        let Some(member) = &mut self.members[slot] else { return };
+        let Some(Member { id, serial, about, .. }) = self.slots.get_mut(slot) else { return };
         let mut edges: Vec<&str> = Vec::new();
         for walk in walks {
             edges.clear();
@@ -276,42 +195,46 @@ impl Pedestrians {
             let stage = person::WalkingStage {
                 edges: &edges,
                 arrival_position: walk.to,
-                speed: member.speed,
+                speed: about.speed,
                 ..Default::default()
             };
-            person::append_walking_stage(batch, &member.id, &stage);
-            member.end = end_of(walk, member.end.0);
+            person::append_walking_stage(batch, id, &stage);
+            about.end = end_of(walk, about.end.0);
         }
         let length: f64 = walks.iter().map(|w| w.length).sum();
-        let lasts = (FOLLOW_UP * length / member.speed - FOLLOW_UP_MARGIN).max(1.0);
-        self.schedule.at(time + lasts, slot, member.serial);
+        let lasts = (FOLLOW_UP * length / about.speed - FOLLOW_UP_MARGIN).max(1.0);
+        let serial = *serial;
+        self.slots.schedule.at(time + lasts, slot, serial);
     }
 
     fn read_looks(&mut self, replies: &Replies, scene: Scene<'_>, batch: &mut Batch) {
         let avoid = self.options.avoid;
         for Look { slot, serial, stages, position } in std::mem::take(&mut self.looks) {
-            let Some(member) = self.members[slot].as_ref().filter(|m| m.serial == serial) else { continue };
+            let Some(member) = self.slots.with_serial(slot, serial) else { continue };
             let (Ok(stages), Ok(position)) = (replies.get(stages), replies.get(position)) else {
-                self.schedule.at(scene.time + 1.0, slot, serial);
+                self.slots.schedule.at(scene.time + 1.0, slot, serial);
                 continue;
             };
             if stages > 1 {
                 // It was held up: its last walk has not begun.
-                self.schedule.at(scene.time + 20.0, slot, serial);
+                self.slots.schedule.at(scene.time + 20.0, slot, serial);
                 continue;
             }
             let here = Point::new(position.x, position.y);
             let seen = scene.ego.is_some_and(|ego| (ego.xy() - here).norm() < avoid.sight + SIGHT_MARGIN);
             if !seen {
-                person::remove(batch, &member.id, RemoveReason::Vaporized);
-                self.vacate(slot);
+                self.slots.evict(slot, |id| remove(id, batch));
                 continue;
             }
-            let (edge, at) = member.end;
+            let (edge, at) = member.about.end;
             let walks = self.draw_walks(edge, at);
             self.append(&walks, slot, scene.time, batch);
         }
     }
+}
+
+fn remove(id: &str, batch: &mut Batch) {
+    person::remove(batch, id, RemoveReason::Vaporized);
 }
 
 /// Where a walk from `first` ends.

@@ -7,9 +7,8 @@ use super::fleet::{FLEET, Model, draw_colour, draw_model};
 use super::places::{Occupancy, Place, point_on, start_speed};
 use super::reserve::Reserve;
 use super::roads::Roads;
-use super::schedule::Schedule;
+use super::slots::{Member, Slots};
 use rand_chacha::ChaCha8Rng;
-use std::collections::HashMap;
 use std::sync::Arc;
 use sumo_network::geometry::{Point, Pose};
 use sumo_network::network::{EdgeId, LaneId, Network, VehicleClass};
@@ -28,15 +27,12 @@ const SCANS: usize = 6;
 /// Random places tried for a replacement.
 const DRAWS: usize = 64;
 
-/// A vehicle that was given to SUMO.
+/// What is known of a vehicle.
 #[derive(Debug)]
-struct Member {
-    id: String,
-    serial: u64,
+struct Trip {
     model: usize,
     /// The whole trip since departure; SUMO's route index counts in it.
     edges: Vec<EdgeId>,
-    departed: bool,
 }
 
 /// Getters in flight about one vehicle.
@@ -78,22 +74,12 @@ pub(super) struct Vehicles {
     roads: Vec<Roads>,
     /// By model: the roads of its class, None where the net has none.
     model_roads: Vec<Option<usize>>,
-    members: Vec<Option<Member>>,
-    /// Slots by SUMO's id; looked up only, never walked through.
-    slots: HashMap<String, usize>,
-    /// Slots whose vehicle SUMO has not put on the road yet.
-    pending: Vec<usize>,
-    vacant: Vec<usize>,
-    /// Slots that are to stay empty since the population was made smaller.
-    retired: Vec<usize>,
-    schedule: Schedule,
+    slots: Slots<Trip>,
     looks: Vec<Look>,
     extensions: Vec<Extension>,
     reserve: Reserve,
     /// By edge: whether its one-edge route was defined.
     routes: Vec<bool>,
-    next_serial: u64,
-    alive: usize,
 }
 
 impl Vehicles {
@@ -121,28 +107,21 @@ impl Vehicles {
             rng,
             roads,
             model_roads,
-            members: Vec::new(),
-            slots: HashMap::new(),
-            pending: Vec::new(),
-            vacant: Vec::new(),
-            retired: Vec::new(),
-            schedule: Schedule::default(),
+            slots: Slots::default(),
             looks: Vec::new(),
             extensions: Vec::new(),
             reserve: Reserve::new(edges),
             routes: vec![false; edges],
-            next_serial: 0,
-            alive: 0,
         }
     }
 
     /// How many were in the network after the last step.
     pub fn alive(&self) -> usize {
-        self.alive
+        self.slots.alive()
     }
 
     pub fn owns(&self, id: &str) -> bool {
-        self.slots.contains_key(id)
+        self.slots.find(id).is_some()
     }
 
     /// Puts `count` vehicles on the roads; returns how many found a place.
@@ -165,14 +144,13 @@ impl Vehicles {
             placed.push(found);
         }
         for &(model, lane, front) in &placed {
-            let slot = self.members.len();
-            self.members.push(None);
+            let slot = self.slots.add();
             let place = occupancy.place(&network, lane, front);
             self.insert(slot, model, place, batch);
             // Spread the first looks, so that later ones are spread too.
             let first = between(&mut self.rng, 1.0, LOOK_EVERY);
-            if let Some(member) = &self.members[slot] {
-                self.schedule.at(first, slot, member.serial);
+            if let Some(serial) = self.slots.get(slot).map(|member| member.serial) {
+                self.slots.schedule.at(first, slot, serial);
             }
         }
         placed.len()
@@ -180,37 +158,14 @@ impl Vehicles {
 
     /// Keeps `count` vehicles from now on: the last ones go, or new ones come with the next updates.
     pub fn resize(&mut self, count: usize, batch: &mut Batch) {
-        let kept = self.members.len() - self.retired.len();
-        for _ in count..kept {
-            let Some(slot) = (0..self.members.len()).rev().find(|slot| !self.retired.contains(slot)) else {
-                break;
-            };
-            self.remove(slot, batch);
-            self.vacant.retain(|&vacant| vacant != slot);
-            self.retired.push(slot);
-        }
-        for _ in kept..count {
-            let slot = self.retired.pop().unwrap_or_else(|| {
-                self.members.push(None);
-                self.members.len() - 1
-            });
-            self.vacant.push(slot);
-        }
+        self.slots.resize(count, |id| remove(id, batch));
     }
 
     /// Takes a vehicle out, to come back elsewhere.
     pub fn evict(&mut self, id: &str, batch: &mut Batch) {
-        if let Some(slot) = self.slots.get(id).copied() {
-            self.remove(slot, batch);
+        if let Some(slot) = self.slots.find(id) {
+            self.slots.evict(slot, |id| remove(id, batch));
         }
-    }
-
-    fn remove(&mut self, slot: usize, batch: &mut Batch) {
-        if let Some(member) = &self.members[slot] {
-            vehicle::remove(batch, &member.id, RemoveReason::Vaporized);
-        }
-        self.pending.retain(|&pending| pending != slot);
-        self.vacate(slot);
     }
 
     /// Follows one step: see [`super::Population::update`].
@@ -221,56 +176,25 @@ impl Vehicles {
         scene: Scene<'_>,
         batch: &mut Batch,
     ) {
-        for id in &events.arrived {
-            if let Some(slot) = self.slots.get(*id).copied() {
-                self.vacate(slot);
-            }
-        }
-        self.note_departures(events, scene.time, batch);
-        self.alive = self.members.iter().flatten().filter(|m| m.departed).count();
+        self.slots.follow(&events.departed, &events.arrived, |member| {
+            // SUMO found no room for it: elsewhere, then.
+            let (id, time) = (&member.id, scene.time);
+            tracing::debug!(id, time, "background vehicle found no room and is put elsewhere");
+            remove(id, batch);
+        });
         self.read_extensions(replies, scene.time);
         self.read_looks(replies, scene, batch);
         self.reserve.read(replies, scene.time);
-        for slot in std::mem::take(&mut self.vacant) {
+        for slot in std::mem::take(&mut self.slots.vacant) {
             if !self.replace(slot, scene, batch) {
-                self.vacant.push(slot);
+                self.slots.vacant.push(slot);
             }
         }
-        while let Some((slot, serial)) = self.schedule.due(scene.time) {
+        while let Some((slot, serial)) = self.slots.schedule.due(scene.time) {
             self.look(slot, serial, batch);
         }
-        if !self.members.is_empty() {
+        if !self.slots.is_empty() {
             self.scan(scene, batch);
-        }
-    }
-
-    fn note_departures(&mut self, events: &StepEvents<'_>, time: f64, batch: &mut Batch) {
-        if self.pending.is_empty() {
-            return;
-        }
-        for id in &events.departed {
-            let member = self.slots.get(*id).and_then(|&slot| self.members[slot].as_mut());
-            if let Some(member) = member {
-                member.departed = true;
-            }
-        }
-        for slot in std::mem::take(&mut self.pending) {
-            let Some(member) = &self.members[slot] else { continue };
-            if member.departed {
-                continue;
-            }
-            // SUMO found no room for it: elsewhere, then.
-            tracing::debug!(id = member.id, time, "background vehicle found no room and is put elsewhere");
-            vehicle::remove(batch, &member.id, RemoveReason::Vaporized);
-            self.vacate(slot);
-        }
-    }
-
-    /// Empties a slot, to be filled in this tick.
-    fn vacate(&mut self, slot: usize) {
-        if let Some(member) = self.members[slot].take() {
-            self.slots.remove(&member.id);
-            self.vacant.push(slot);
         }
     }
 
@@ -287,9 +211,8 @@ impl Vehicles {
         let (shortest, longest) = self.options.trip_length;
         let wanted = between(&mut self.rng, shortest, longest).max(2.0 * TRIP_END);
         let edges = self.roads[roads].trip(&mut self.rng, lane.edge, place.lane, wanted);
-        let serial = self.next_serial;
-        self.next_serial += 1;
-        let id = format!("wad_v{serial}");
+        self.slots.fill(slot, "wad_v", Trip { model, edges });
+        let Some(Member { id, about: Trip { edges, .. }, .. }) = self.slots.get(slot) else { return };
         let spec: &Model = &FLEET[model];
 
         let edge_id = network.edge(lane.edge).id.as_str();
@@ -310,16 +233,12 @@ impl Vehicles {
             depart_speed: &format!("{speed:.2}"),
             ..vehicle::Add::default()
         };
-        vehicle::add(batch, &id, &add);
+        vehicle::add(batch, id, &add);
         let names: Vec<&str> = edges.iter().map(|&e| network.edge(e).id.as_str()).collect();
-        vehicle::set_route(batch, &id, &names);
-        batch.set(vehicle::SET_SPEED_FACTOR, &id, factor);
+        vehicle::set_route(batch, id, &names);
+        batch.set(vehicle::SET_SPEED_FACTOR, id, factor);
         let [r, g, b] = draw_colour(&mut self.rng, spec);
-        batch.set(vehicle::SET_COLOR, &id, Color::rgb(r, g, b));
-
-        self.slots.insert(id.clone(), slot);
-        self.members[slot] = Some(Member { id, serial, model, edges, departed: false });
-        self.pending.push(slot);
+        batch.set(vehicle::SET_COLOR, id, Color::rgb(r, g, b));
     }
 
     /// Fills a slot out of the ego's sight; false where no place was found.
@@ -329,8 +248,8 @@ impl Vehicles {
         let Some(place) = reserved.or_else(|| self.find_any(model, scene)) else { return false };
         self.reserve.used(self.network.lane(place.lane).edge, scene.time);
         self.insert(slot, model, place, batch);
-        if let Some(member) = &self.members[slot] {
-            self.schedule.at(scene.time + 5.0, slot, member.serial);
+        if let Some(serial) = self.slots.get(slot).map(|member| member.serial) {
+            self.slots.schedule.at(scene.time + 5.0, slot, serial);
         }
         true
     }
@@ -402,7 +321,7 @@ impl Vehicles {
 
     /// Asks about a vehicle.
     fn look(&mut self, slot: usize, serial: u64, batch: &mut Batch) {
-        let Some(member) = self.members[slot].as_ref().filter(|m| m.serial == serial && m.departed) else {
+        let Some(member) = self.slots.with_serial(slot, serial).filter(|member| member.departed) else {
             return;
         };
         let id = &member.id;
@@ -420,7 +339,7 @@ impl Vehicles {
     fn read_looks(&mut self, replies: &Replies, scene: Scene<'_>, batch: &mut Batch) {
         for look in std::mem::take(&mut self.looks) {
             let &Look { slot, serial, .. } = &look;
-            if self.members[slot].as_ref().is_none_or(|m| m.serial != serial) {
+            if self.slots.with_serial(slot, serial).is_none() {
                 continue;
             }
             let next = match self.judge(&look, replies, scene) {
@@ -430,19 +349,17 @@ impl Vehicles {
                     5.0
                 }
                 Verdict::Replace => {
-                    if let Some(member) = &self.members[slot] {
-                        vehicle::remove(batch, &member.id, RemoveReason::Vaporized);
-                    }
-                    self.vacate(slot);
+                    self.slots.evict(slot, |id| remove(id, batch));
                     continue;
                 }
             };
-            self.schedule.at(scene.time + next, slot, serial);
+            self.slots.schedule.at(scene.time + next, slot, serial);
         }
     }
 
     fn judge(&self, look: &Look, replies: &Replies, scene: Scene<'_>) -> Verdict {
-        let Some(member) = &self.members[look.slot] else { return Verdict::LookAgain(1.0) };
+        let Some(member) = self.slots.get(look.slot) else { return Verdict::LookAgain(1.0) };
+        let Trip { model, edges } = &member.about;
         let (Ok(index), Ok(road), Ok(lane_position), Ok(waiting), Ok(position)) = (
             replies.get(look.route_index),
             replies.get_ref(look.road),
@@ -459,24 +376,24 @@ impl Vehicles {
             tracing::info!(id = member.id, waiting, "stuck background vehicle is replaced");
             return Verdict::Replace;
         }
-        let Some(roads) = self.model_roads[member.model].map(|i| &self.roads[i]) else {
+        let Some(roads) = self.model_roads[*model].map(|i| &self.roads[i]) else {
             return Verdict::LookAgain(LOOK_EVERY);
         };
         let index = usize::try_from(index).unwrap_or(0);
-        let ahead = member.edges.get(index + 1..).unwrap_or(&[]);
+        let ahead = edges.get(index + 1..).unwrap_or(&[]);
         let left: f64 = ahead.iter().map(|&e| roads.length(e)).sum();
         if left > TRIP_END {
-            let fastest = FLEET[member.model].max_speed.min(FASTEST);
+            let fastest = FLEET[*model].max_speed.min(FASTEST);
             return Verdict::LookAgain(((left - TRIP_END) / fastest).clamp(1.0, LOOK_EVERY));
         }
-        let ends_in_sight = member.edges.last().is_some_and(|&edge| {
+        let ends_in_sight = edges.last().is_some_and(|&edge| {
             let end = network_end(&self.network, edge);
             scene.ego.is_some_and(|ego| (ego.xy() - end).norm() < avoid.sight + SIGHT_MARGIN)
         });
         if !near_ego && !ends_in_sight {
             return Verdict::Replace;
         }
-        let Some(&current) = member.edges.get(index) else { return Verdict::LookAgain(1.0) };
+        let Some(&current) = edges.get(index) else { return Verdict::LookAgain(1.0) };
         // SUMO wants the new route to begin on the edge where the vehicle is when it hears of it.
         let leaves = !ahead.is_empty() && lane_position + 0.5 * FASTEST > roads.length(current);
         if road != self.network.edge(current).id || (leaves && waiting <= 0.0) {
@@ -487,29 +404,29 @@ impl Vehicles {
 
     /// Appends random destinations to a vehicle's trip; it is now on its edge number `index`.
     fn extend(&mut self, slot: usize, index: usize, batch: &mut Batch) {
-        let Some(member) = &mut self.members[slot] else { return };
-        let Some(roads) = self.model_roads[member.model] else { return };
-        let before = member.edges.len();
+        let Some(Member { id, serial, about, .. }) = self.slots.get_mut(slot) else { return };
+        let Some(roads) = self.model_roads[about.model] else { return };
+        let before = about.edges.len();
         let (shortest, longest) = self.options.trip_length;
         let wanted = between(&mut self.rng, shortest, longest).max(2.0 * TRIP_END);
-        self.roads[roads].extend(&mut self.rng, &mut member.edges, wanted);
-        if member.edges.len() == before {
+        self.roads[roads].extend(&mut self.rng, &mut about.edges, wanted);
+        if about.edges.len() == before {
             return;
         }
         let names: Vec<&str> =
-            member.edges[index..].iter().map(|&e| self.network.edge(e).id.as_str()).collect();
-        let ticket = vehicle::set_route(batch, &member.id, &names);
-        self.extensions.push(Extension { slot, serial: member.serial, before, ticket });
+            about.edges[index..].iter().map(|&e| self.network.edge(e).id.as_str()).collect();
+        let ticket = vehicle::set_route(batch, id, &names);
+        self.extensions.push(Extension { slot, serial: *serial, before, ticket });
     }
 
     fn read_extensions(&mut self, replies: &Replies, time: f64) {
         for extension in std::mem::take(&mut self.extensions) {
             let Err(error) = replies.get(extension.ticket) else { continue };
-            let member = self.members[extension.slot].as_mut().filter(|m| m.serial == extension.serial);
+            let member = self.slots.get_mut(extension.slot).filter(|m| m.serial == extension.serial);
             if let Some(member) = member {
                 tracing::debug!(%error, "longer trip refused");
-                member.edges.truncate(extension.before);
-                self.schedule.at(time + 0.5, extension.slot, extension.serial);
+                member.about.edges.truncate(extension.before);
+                self.slots.schedule.at(time + 0.5, extension.slot, extension.serial);
             }
         }
     }
@@ -531,6 +448,10 @@ impl Vehicles {
             }
         }
     }
+}
+
+fn remove(id: &str, batch: &mut Batch) {
+    vehicle::remove(batch, id, RemoveReason::Vaporized);
 }
 
 /// What is to become of a vehicle that was looked at.

@@ -1,7 +1,6 @@
 //! The pendulum that every algorithm must swing up: a rod hung at one end, a motor too weak to lift it
 //! in one go. From its equations of motion; the constants are those that published returns refer to.
 
-use super::super::exploration::normal;
 use super::super::learner::{Actor, Algorithm, Batches, InputScale, Learner, Metrics};
 use super::super::networks::{CriticEnd, Dims};
 use super::super::replay_buffer::{ReplayBuffer, Sampled, Sampling, Segment};
@@ -9,7 +8,7 @@ use super::super::sac::SacParams;
 use super::super::td3::Td3Params;
 use rand::{Rng, RngExt};
 use sumo_network::geometry::wrap_angle;
-use sumo_network::seeds;
+use sumo_network::seeds::{self, normal};
 use tch::Device;
 
 const GRAVITY: f64 = 10.0;
@@ -49,7 +48,6 @@ const DIMS: Dims = Dims { latent: 3, raw: 3, actions: 1 };
 
 /// Mean return of twenty episodes without noise, after learning from `steps` steps.
 fn learn(algorithm: &Algorithm, steps: usize) -> f64 {
-    tch::set_num_threads(1);
     let mut rng = seeds::rng(1, "pendulum");
     let mut learner = Learner::new(algorithm, DIMS, 1, Device::Cpu);
     let scale = InputScale::identity(DIMS);

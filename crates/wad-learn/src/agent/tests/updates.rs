@@ -33,7 +33,6 @@ struct Data {
 
 impl Data {
     fn new() -> Self {
-        tch::set_num_threads(1);
         let mut rng = seeds::rng(11, "data");
         // What single precision holds exactly, so that both see the same.
         let mut matrix = |rows: usize, columns: usize, low: f64, high: f64| -> Vec<Vec<f64>> {

@@ -15,6 +15,7 @@ mod tables;
 
 pub use page::{Page, page};
 pub use pictures::{Thumbnail, thumbnails};
+pub use svg::{Chart, Line};
 pub use table::{Table, csv, latex, markdown};
 pub use tables::tables;
 

@@ -3,7 +3,7 @@
 use super::{Section, short};
 use crate::agent::external::base64;
 use crate::env::Assets;
-use crate::eval::EpisodeRecord;
+use crate::eval::{EpisodeRecord, RecordingFolder};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use wad_camera::{Camera, CameraConfig, CameraError, Outputs, Picture, Town, Weather};
@@ -30,7 +30,7 @@ const BEFORE: usize = 8;
 /// # Errors
 /// The camera cannot be made. A recording that cannot be read is left out, with a warning.
 pub fn thumbnails(section: &Section, most: usize) -> Result<Vec<Thumbnail>, CameraError> {
-    let kept: Vec<(&Path, &EpisodeRecord, &String)> = section
+    let kept: Vec<(&Path, &EpisodeRecord, &RecordingFolder)> = section
         .episodes
         .iter()
         .filter(|(_, e)| !e.ending.success)
@@ -41,7 +41,7 @@ pub fn thumbnails(section: &Section, most: usize) -> Result<Vec<Thumbnail>, Came
     let mut camera = Camera::new(CameraConfig::chase(SIZE.0, SIZE.1))?;
     let mut all = Vec::new();
     for (run, episode, recording) in kept.into_iter().step_by(step).take(most) {
-        let folder = run.join(recording);
+        let folder = recording.within(run);
         let states = match Recording::open(&folder) {
             Ok(states) => states,
             Err(error) => {

@@ -3,11 +3,7 @@
 use std::fmt::Write;
 
 /// Colours that are told apart by those who see red and green alike (Okabe and Ito).
-pub const COLOURS: [&str; 8] =
-    ["#009e73", "#56b4e9", "#d55e00", "#cc79a7", "#e69f00", "#f0e442", "#0072b2", "#777777"];
-
-/// Colours of lines that are easily told apart, in order.
-const LINES: [usize; 7] = [6, 2, 0, 3, 4, 1, 7];
+const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000"];
 
 /// A drawing under way.
 pub struct Svg {
@@ -34,9 +30,22 @@ impl Svg {
     }
 
     pub fn text(&mut self, x: f64, y: f64, anchor: &str, words: &str) {
+        self.styled(x, y, anchor, "", words);
+    }
+
+    /// Text with more attributes.
+    fn styled(&mut self, x: f64, y: f64, anchor: &str, more: &str, words: &str) {
         self.push(format_args!(
-            "<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\">{}</text>",
+            "<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\"{more}>{}</text>",
             escape(words)
+        ));
+    }
+
+    /// A straight line of an axis or a legend.
+    fn rule(&mut self, (x1, y1): (f64, f64), (x2, y2): (f64, f64), colour: &str, width: f64) {
+        self.push(format_args!(
+            "<line x1=\"{x1:.1}\" y1=\"{y1:.1}\" x2=\"{x2:.1}\" y2=\"{y2:.1}\" stroke=\"{colour}\" \
+             stroke-width=\"{width}\"/>"
         ));
     }
 
@@ -108,52 +117,132 @@ pub fn stacked(kinds: &[(&str, &str)], rows: &[(String, Vec<u64>)]) -> String {
 
 /// Lines over a common axis of bins `step` wide: shares of each line's sum, in percent.
 pub fn distribution(title: &str, unit: &str, step: f64, lines: &[(String, Vec<u64>)]) -> String {
-    const LEFT: f64 = 48.0;
-    const WIDTH: f64 = 420.0;
-    const HEIGHT: f64 = 190.0;
-    const TOP: f64 = 30.0;
-    let shares: Vec<(&String, Vec<f64>)> = lines
-        .iter()
-        .filter(|(_, counts)| counts.iter().sum::<u64>() > 0)
-        .map(|(name, counts)| {
-            let all = counts.iter().sum::<u64>() as f64;
-            (name, counts.iter().map(|n| 100.0 * *n as f64 / all).collect())
-        })
-        .collect();
-    let most = shares.iter().flat_map(|(_, s)| s).copied().fold(1.0_f64, f64::max);
-    let top = [5.0, 10.0, 20.0, 40.0, 60.0, 80.0, 100.0].into_iter().find(|t| *t >= most).unwrap_or(100.0);
-    let bins = shares.iter().map(|(_, s)| s.len()).max().unwrap_or(1).max(2);
-    let x = |bin: f64| LEFT + WIDTH * bin / bins as f64;
-    let y = |share: f64| TOP + HEIGHT * (1.0 - share / top);
-    let mut svg = Svg::new(LEFT + WIDTH + 20.0, TOP + HEIGHT + 44.0 + 18.0 * shares.len() as f64);
-    svg.text(LEFT, 18.0, "start", title);
-    for tick in 0..=4 {
-        let share = top * f64::from(tick) / 4.0;
-        svg.line(&[(LEFT, y(share)), (LEFT + WIDTH, y(share))], "#dddddd", 1.0);
-        svg.text(LEFT - 6.0, y(share) + 4.0, "end", &format!("{share:.0} %"));
+    let line = |(name, counts): &(String, Vec<u64>)| {
+        let all = counts.iter().sum::<u64>();
+        let shares = counts.iter().map(|n| 100.0 * *n as f64 / all as f64).enumerate();
+        let steps = shares.flat_map(|(bin, share)| [bin, bin + 1].map(|edge| (step * edge as f64, share)));
+        (all > 0).then(|| Line { name: name.clone(), points: steps.collect() })
+    };
+    let bins = lines.iter().map(|(_, counts)| counts.len()).max().unwrap_or(0);
+    let chart = Chart {
+        title: title.to_string(),
+        x: format!("{unit} (all above {:.0} in the last step)", step * bins.saturating_sub(1) as f64),
+        y: "%".to_string(),
+        lines: lines.iter().filter_map(line).collect(),
+    };
+    chart.svg()
+}
+
+/// A chart: lines over a common x axis.
+pub struct Chart {
+    pub title: String,
+    pub x: String,
+    pub y: String,
+    pub lines: Vec<Line>,
+}
+
+/// A line and what it is called; points that are not finite leave a gap.
+pub struct Line {
+    pub name: String,
+    pub points: Vec<(f64, f64)>,
+}
+
+impl Line {
+    /// `f` over `n` evenly spaced points.
+    pub fn of(name: &str, (from, to): (f64, f64), n: usize, f: impl Fn(f64) -> f64) -> Self {
+        let at = |i: usize| from + (to - from) * i as f64 / (n.max(2) - 1) as f64;
+        Self { name: name.to_string(), points: (0..n.max(2)).map(|i| (at(i), f(at(i)))).collect() }
     }
-    for bin in (0..=bins).step_by(2) {
-        let last = bin + 1 >= bins;
-        svg.text(
-            x(bin as f64),
-            TOP + HEIGHT + 16.0,
-            "middle",
-            &format!("{:.0}{}", bin as f64 * step, if last { "+" } else { "" }),
-        );
+}
+
+const WIDTH: f64 = 560.0;
+const PLOT_HEIGHT: f64 = 260.0;
+const LEFT: f64 = 62.0;
+const TOP: f64 = 34.0;
+const RIGHT: f64 = 24.0;
+const BOTTOM: f64 = 46.0;
+const LEGEND_ROW: f64 = 17.0;
+
+impl Chart {
+    /// The chart as an SVG document.
+    pub fn svg(&self) -> String {
+        let all =
+            || self.lines.iter().flat_map(|line| &line.points).filter(|p| p.0.is_finite() && p.1.is_finite());
+        let (x, y) = (Axis::around(all().map(|p| p.0), false), Axis::around(all().map(|p| p.1), true));
+        let (right, foot) = (WIDTH - RIGHT, TOP + PLOT_HEIGHT);
+        let px = |v: f64| LEFT + x.share(v) * (right - LEFT);
+        let py = |v: f64| TOP + (1.0 - y.share(v)) * PLOT_HEIGHT;
+        let mut svg = Svg::new(WIDTH, foot + BOTTOM + self.lines.len() as f64 * LEGEND_ROW);
+        svg.push(format_args!("<rect width=\"100%\" height=\"100%\" fill=\"white\"/>"));
+        svg.styled(14.0, 20.0, "start", " font-size=\"14\" font-weight=\"bold\"", &self.title);
+        svg.text(0.5 * (LEFT + right), foot + 36.0, "middle", &self.x);
+        let middle = TOP + 0.5 * PLOT_HEIGHT;
+        svg.styled(14.0, middle, "middle", &format!(" transform=\"rotate(-90 14 {middle})\""), &self.y);
+        for tick in x.ticks() {
+            svg.text(px(tick), foot + 17.0, "middle", &x.label(tick));
+            svg.rule((px(tick), TOP), (px(tick), foot), "#e4e4e4", 1.0);
+        }
+        for tick in y.ticks() {
+            let colour = if tick.abs() < 1e-9 { "#888888" } else { "#e4e4e4" };
+            svg.text(LEFT - 6.0, py(tick) + 4.0, "end", &y.label(tick));
+            svg.rule((LEFT, py(tick)), (right, py(tick)), colour, 1.0);
+        }
+        for (i, line) in self.lines.iter().enumerate() {
+            let colour = COLOURS[i % COLOURS.len()];
+            let at = foot + BOTTOM + 6.0 + i as f64 * LEGEND_ROW;
+            svg.text(LEFT + 28.0, at + 4.0, "start", &line.name);
+            svg.rule((LEFT, at), (LEFT + 22.0, at), colour, 3.0);
+            for run in line.points.split(|p| !p.0.is_finite() || !p.1.is_finite()) {
+                let points: Vec<_> = run.iter().map(|p| (px(p.0), py(p.1))).collect();
+                svg.line(&points, colour, 2.0);
+            }
+        }
+        svg.finish()
     }
-    svg.text(LEFT + 0.5 * WIDTH, TOP + HEIGHT + 34.0, "middle", unit);
-    for (i, (name, share)) in shares.iter().enumerate() {
-        let colour = COLOURS[LINES[i % LINES.len()]];
-        let steps = share
-            .iter()
-            .enumerate()
-            .flat_map(|(bin, s)| [(x(bin as f64), y(*s)), (x(bin as f64 + 1.0), y(*s))]);
-        svg.line(&steps.collect::<Vec<_>>(), colour, 2.0);
-        let at = TOP + HEIGHT + 50.0 + 18.0 * i as f64;
-        svg.bar((LEFT, at - 9.0), (18.0, 4.0), colour, name);
-        svg.text(LEFT + 26.0, at - 2.0, "start", name);
+}
+
+/// A range with round ticks.
+struct Axis {
+    low: f64,
+    high: f64,
+    step: f64,
+}
+
+impl Axis {
+    /// Around all values; with `room` a little more than that.
+    fn around(values: impl Iterator<Item = f64>, room: bool) -> Self {
+        let (mut low, mut high) =
+            values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+        if low > high {
+            (low, high) = (0.0, 1.0);
+        }
+        if high - low < 1e-9 {
+            (low, high) = (low.min(0.0), high.max(0.0) + 0.01);
+        }
+        if room {
+            let more = 0.05 * (high - low);
+            (low, high) = (low - more, high + more);
+        }
+        let rough = (high - low) / 6.0;
+        let power = 10.0_f64.powf(rough.log10().floor());
+        let step = [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|step| *step >= rough);
+        Self { low, high, step: step.unwrap_or(10.0 * power) }
     }
-    svg.finish()
+
+    fn share(&self, v: f64) -> f64 {
+        (v - self.low) / (self.high - self.low)
+    }
+
+    fn ticks(&self) -> impl Iterator<Item = f64> + use<> {
+        let (first, last) = ((self.low / self.step).ceil() as i64, (self.high / self.step).floor() as i64);
+        let step = self.step;
+        (first..=last).map(move |k| k as f64 * step)
+    }
+
+    fn label(&self, tick: f64) -> String {
+        let digits = (-self.step.log10().floor()).max(0.0) as usize;
+        format!("{tick:.digits$}")
+    }
 }
 
 #[cfg(test)]
@@ -170,7 +259,32 @@ mod tests {
             5.0,
             &[("x".into(), vec![1, 3, 0]), ("nobody".into(), vec![0, 0])],
         );
-        assert_eq!(svg.matches("<polyline").count(), 5 + 1);
+        assert_eq!(svg.matches("<polyline").count(), 1);
+        assert!(svg.contains("all above 10"), "{svg}");
         assert!(!svg.contains("NaN") && !svg.contains("nobody"), "{svg}");
+    }
+
+    #[test]
+    fn ticks_are_round_and_within() {
+        let axis = Axis::around([0.0, 13.9].into_iter(), false);
+        assert_eq!(axis.ticks().collect::<Vec<_>>(), [0.0, 5.0, 10.0]);
+        assert_eq!(axis.label(5.0), "5");
+        let axis = Axis::around([-0.31, 0.42].into_iter(), false);
+        assert!(axis.ticks().all(|t| (-0.31..=0.42).contains(&t)) && axis.ticks().count() >= 3);
+        assert_eq!(axis.label(0.2), "0.2");
+    }
+
+    #[test]
+    fn a_chart_draws_every_line_and_breaks_it_at_gaps() {
+        let gap = |x: f64| if x > 4.0 && x < 6.0 { f64::NAN } else { x };
+        let chart = Chart {
+            title: "a < b".into(),
+            x: "x".into(),
+            y: "y".into(),
+            lines: vec![Line::of("one", (0.0, 10.0), 11, gap), Line::of("flat", (0.0, 10.0), 2, |_| 0.0)],
+        };
+        let svg = chart.svg();
+        assert_eq!(svg.matches("<polyline").count(), 3);
+        assert!(svg.contains("a &lt; b") && !svg.contains("NaN"), "{svg}");
     }
 }

@@ -85,8 +85,6 @@ pub fn collect(
     record: Option<&Path>,
     out: &SyncSender<Message>,
 ) {
-    // Threads of libtorch and OpenCV are set per thread that uses them.
-    tch::set_num_threads(1);
     let mut collector = Collector {
         config,
         shared,

@@ -170,7 +170,6 @@ struct Rate {
 
 impl<'a> Learning<'a> {
     fn begin(config: &'a TrainConfig, limits: &'a Limits, resume: bool) -> Result<Self, TrainError> {
-        tch::set_num_threads(1);
         let out = &limits.out;
         let init = config.init.as_deref().filter(|_| !resume);
         let init = init.map(|name| begin_with(config, name)).transpose()?;

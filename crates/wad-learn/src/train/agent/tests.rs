@@ -33,7 +33,6 @@ struct Learning {
 
 impl Learning {
     fn new(algorithm: &Algorithm) -> Self {
-        tch::set_num_threads(1);
         Self {
             learner: Learner::new(algorithm, DIMS, 4, Device::Cpu),
             buffer: ReplayBuffer::new(DIMS, 3000).unwrap(),

@@ -1,6 +1,6 @@
 //! The networks learn, and what is saved is what was learnt.
 
-use crate::train::adamw::AdamW;
+use crate::optim::AdamW;
 use tch::{Device, Kind, Tensor};
 use wad_see::perception::centernet::loss::{Target, loss};
 use wad_see::perception::centernet::targets::{Wanted, encode};
@@ -28,7 +28,7 @@ fn picture(boxes: &[(usize, [usize; 4], [u8; 3])]) -> (Vec<u8>, Vec<Wanted>) {
 
 /// Trains on two pictures until it should know them by heart, and asks for them.
 fn overfit(backbone: Backbone, steps: usize, rate: f64) {
-    tch::set_num_threads(1);
+    wad_see::torch::one_thread();
     tch::manual_seed(3);
     let pictures = [
         picture(&[(0, [8, 20, 40, 44], [200, 30, 30]), (3, [70, 10, 82, 50], [30, 30, 200])]),

@@ -3,8 +3,8 @@
 //! The reconstruction alone has no reason to keep apart what is small in the picture and large on the
 //! road: a pedestrian in the lane and one beside it. The heads are left behind when the training ends.
 
-use crate::agent::adam::Adam;
 use crate::encoder_score::told::{LEAD, Told};
+use crate::optim::Adam;
 use tch::{Device, Kind, TchError, Tensor};
 
 /// Yes or no: a vehicle in the lane, a pedestrian in the lane, a red light.

@@ -14,7 +14,6 @@ fn options(data: &Path, out: &Path, epochs: u64) -> TrainOptions {
 }
 
 fn go(options: &TrainOptions, resume: bool) -> Result<Trained, TrainError> {
-    tch::set_num_threads(1);
     train(options, Device::Cpu, resume, &AtomicBool::new(false), |_| {})
 }
 

@@ -50,7 +50,7 @@ fn a_picture_of_a_wrong_size_is_an_error_that_names_it() {
 
 #[test]
 fn the_weights_that_travel_with_the_program_are_of_its_camera() {
-    tch::set_num_threads(1);
+    crate::torch::one_thread();
     let bytes = wad_sim::bundled::detector("light").unwrap();
     assert!(bytes.len() < 6_000_000, "{}", bytes.len());
     let mut detector = crate::perception::detector("centernet", 0.3).unwrap();
