@@ -5,6 +5,7 @@ use wad_cosim::agent::external::{ExternalAgent, Limits};
 use wad_cosim::assets::Assets;
 use wad_cosim::camera::CameraConfig;
 use wad_cosim::driver::{DriverError, DriverSpec, Made, Pilot};
+use wad_cosim::latent::Decoder;
 use wad_cosim::latent::Encoder;
 
 /// Makes trained agents behind the camera `camera`, and external ones that keep to `limits`.
@@ -88,4 +89,22 @@ pub fn sees_through(asked: Option<&str>, agent: Option<&str>) -> String {
 #[cfg(not(feature = "learn"))]
 pub fn sees_through(asked: Option<&str>, _: Option<&str>) -> String {
     asked.unwrap_or("default").to_string()
+}
+
+/// What shows the reconstruction of the latents of the encoder called `encoder`; None where this build or this
+/// machine has none.
+#[cfg(feature = "learn")]
+pub fn decoder(encoder: &str) -> Option<Box<dyn Decoder>> {
+    match wad_cosim::latent::TchEncoder::find(encoder) {
+        Ok(encoder) => Some(Box::new(encoder)),
+        Err(error) => {
+            tracing::warn!("no reconstruction: {error}");
+            None
+        }
+    }
+}
+
+#[cfg(not(feature = "learn"))]
+pub fn decoder(_: &str) -> Option<Box<dyn Decoder>> {
+    None
 }

@@ -1,6 +1,7 @@
 //! `wad-cosim bench view`: what viewers cost the simulation.
 
-use super::run::{Film, Interrupt, with_exit};
+use super::film::Film;
+use super::run::{Interrupt, with_exit};
 use super::view::{About, View, ViewArgs};
 use super::{Exit, print};
 use anyhow::Context;

@@ -8,10 +8,12 @@ mod bench_tick;
 #[cfg(feature = "learn")]
 mod bench_train;
 mod bench_view;
+mod config;
 mod dataset;
 mod doctor;
 mod eval;
 mod exit;
+mod film;
 mod net;
 mod progress;
 mod replay;

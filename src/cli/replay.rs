@@ -9,7 +9,8 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 use wad_cosim::agent::external::Limits;
 use wad_cosim::assets::Assets;
-use wad_cosim::eval::kept::{self, Kept, KeptError};
+use wad_cosim::eval::kept::Kept;
+use wad_cosim::eval::verify::{self, Verdict, VerifyError};
 use wad_cosim::record::{Codec, RecordView, Recorder};
 use wad_cosim::replay::Recording;
 
@@ -59,7 +60,7 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
     if args.view.view.is_some() {
         return super::replay_view::run(&args.episode, &args.view);
     }
-    let (kept, recording) = Kept::open(&args.episode).map_err(with_exit)?;
+    let (kept, recording) = Kept::open(&args.episode).map_err(|e| Exit::Input.because(e))?;
     let episode = &kept.episode;
     let text = format!(
         "{} in {}, {}, {}, {} traffic: {} after {:.1} s, {:.0} of {:.0} m: {}\n",
@@ -104,10 +105,10 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
     Ok(exit)
 }
 
-fn with_exit(error: KeptError) -> anyhow::Error {
+fn with_exit(error: VerifyError) -> anyhow::Error {
     let exit = match &error {
-        KeptError::Env(env) if env.is_sumo() => Exit::Sumo,
-        KeptError::Assets(assets) if !assets.is_input() => Exit::Sumo,
+        VerifyError::Env(env) if env.is_sumo() => Exit::Sumo,
+        VerifyError::Assets(assets) if !assets.is_input() => Exit::Sumo,
         _ => Exit::Input,
     };
     exit.because(error)
@@ -144,13 +145,13 @@ fn film(args: &Args, path: &std::path::Path, recording: &Recording) -> anyhow::R
 }
 
 /// Simulates the episode again.
-fn again(args: &Args, kept: &Kept, recording: &Recording) -> anyhow::Result<kept::Verdict> {
+fn again(args: &Args, kept: &Kept, recording: &Recording) -> anyhow::Result<Verdict> {
     let stop = wad_cosim::interrupt::flag().context("cannot listen for Ctrl-C")?;
     let bar = Bar::new(recording.frames().len() as u64, "states");
     let make_agent = agents::maker(kept.options.camera, Limits::default());
     let tick = Duration::from_secs_f64(recording.header().tick_ms / 1000.0);
     let mut due = Instant::now();
-    let verdict = kept::verify(kept, recording, &make_agent, args.gui, |at| {
+    let verdict = verify::verify(kept, recording, &make_agent, args.gui, |at| {
         bar.show(at, "");
         if args.gui {
             due = (due + tick).max(Instant::now() - tick);

@@ -2,8 +2,9 @@
 
 mod status;
 
+use super::film::{Film, Wanted};
 use super::view::{About, View, ViewArgs};
-use super::{Exit, agents, print};
+use super::{Exit, agents, config, print};
 use anyhow::Context;
 use clap::ValueHint;
 use status::StatusLine;
@@ -13,12 +14,12 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use wad_cosim::assets::{Assets, AssetsError};
 use wad_cosim::bridge::{BridgeError, BridgeOptions};
-use wad_cosim::camera::{CameraConfig, Preset};
+use wad_cosim::camera::Preset;
 use wad_cosim::drive::{Drive, DriveError, DriveOptions, Status, Summary};
 use wad_cosim::driver::DriverSpec;
-use wad_cosim::eyes::Eyes;
+use wad_cosim::latent::Decoder;
 use wad_cosim::perception;
-use wad_cosim::record::{Codec, RecordError, RecordView, Recorder};
+use wad_cosim::record::{Codec, RecordView};
 use wad_cosim::telemetry::FolderError;
 use wad_cosim::traci::process::SumoInstall;
 use wad_cosim::traffic::TrafficSpec;
@@ -121,7 +122,7 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
 }
 
 async fn drive(args: Args) -> anyhow::Result<Exit> {
-    let config = super::scenario::resolve(&args.config)?;
+    let config = config::resolve(&args.config)?;
     let assets = town(&args, &config)?;
     let mut args = args;
     if let Some(scenario) = assets.scenario() {
@@ -170,7 +171,14 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
     };
     let mut drive = started.map_err(with_exit)?;
     let limit = tick_limit(&args, &drive)?;
-    let mut film = Film::begin(&args, &mut drive)?;
+    let wanted = Wanted {
+        path: args.record.as_deref(),
+        view: args.record_view,
+        codec: args.record_codec,
+        perception: args.perception,
+        detector: &args.detector,
+    };
+    let mut film = Film::begin(&mut drive, &wanted, decoder(&args))?;
     let mut view = match listener {
         Some(listener) => {
             let about = About {
@@ -266,10 +274,16 @@ fn town(args: &Args, config: &std::path::Path) -> anyhow::Result<Arc<Assets>> {
 /// Who drives. What people are shown is what it sees.
 fn pilot(args: &Args, assets: &Assets) -> anyhow::Result<wad_cosim::driver::Pilot> {
     let mut pilot = agents::pilot(assets, &args.agent, args.encoder.as_deref(), &args.detector)?;
-    if args.perception && pilot.driver.looks() {
-        pilot.eyes = with_decoder(args, pilot.eyes);
+    if let Some(decoder) = decoder(args).filter(|_| pilot.driver.looks()) {
+        pilot.eyes = pilot.eyes.with_decoder(decoder);
     }
     Ok(pilot)
+}
+
+/// The reconstruction among the stages, where perception is asked for: of the encoder that the agent sees through.
+fn decoder(args: &Args) -> Option<Box<dyn Decoder>> {
+    let encoder = || agents::sees_through(args.encoder.as_deref(), Some(&args.agent.to_string()));
+    args.perception.then(|| agents::decoder(&encoder())).flatten()
 }
 
 impl Args {
@@ -321,79 +335,6 @@ pub fn with_exit(error: DriveError) -> anyhow::Error {
         DriveError::Folder(FolderError::Write(_)) => Exit::Other,
     };
     exit.because(error)
-}
-
-/// The film of the run, where there is one, and whether perception was asked for.
-#[derive(Default)]
-pub(super) struct Film {
-    recorder: Option<Recorder>,
-    looks: bool,
-}
-
-impl Film {
-    fn begin(args: &Args, drive: &mut Drive) -> anyhow::Result<Self> {
-        // The film of all views holds the transformed image where this build can make one.
-        let inset = args.record.is_some() && args.record_view == RecordView::All && cfg!(feature = "vision");
-        let looks = args.perception || inset;
-        if looks {
-            let detector = perception::detector(&args.detector, perception::MIN_SCORE)
-                .map_err(|e| Exit::Input.because(e))?;
-            let eyes = Eyes::new(drive.assets().town(), CameraConfig::default(), detector)
-                .map_err(|e| Exit::Input.because(e))?;
-            drive.watch_with(if args.perception { with_decoder(args, eyes) } else { eyes });
-        }
-        let panels = if args.perception { drive.eyes().panels() } else { 0 };
-        let fps = 1.0 / drive.bridge().tick();
-        let create = |path: &PathBuf| {
-            Recorder::create(path, drive.assets().town(), args.record_view, fps, args.record_codec, panels)
-        };
-        let recorder = args.record.as_ref().map(create).transpose().map_err(|e| Exit::Input.because(e))?;
-        Ok(Self { recorder, looks })
-    }
-
-    /// Shows a tick.
-    fn add(&mut self, drive: &mut Drive) -> anyhow::Result<()> {
-        if self.looks {
-            drive.look()?;
-        }
-        if let Some(recorder) = &mut self.recorder {
-            let ego = drive.ego();
-            recorder.follow(ego.world(), &ego.as_actor());
-            recorder.add(&ego.state().pose, drive.weather(), Some(drive.eyes()))?;
-        }
-        Ok(())
-    }
-
-    /// Films from the next tick on, from behind.
-    pub fn restart(&mut self, path: &std::path::Path, drive: &Drive) -> Result<(), RecordError> {
-        let (town, fps) = (drive.assets().town(), 1.0 / drive.bridge().tick());
-        self.recorder = Some(Recorder::create(path, town, RecordView::Chase, fps, Codec::Auto, 0)?);
-        Ok(())
-    }
-
-    /// Completes the film under way, if there is one.
-    pub fn end(&mut self) -> Result<(), RecordError> {
-        self.recorder.take().map_or(Ok(()), Recorder::finish)
-    }
-}
-
-/// The reconstruction among the stages, where there is an encoder: the one that the agent sees through.
-#[cfg(feature = "learn")]
-fn with_decoder(args: &Args, eyes: Eyes) -> Eyes {
-    wad_cosim::torch::one_thread();
-    let encoder = agents::sees_through(args.encoder.as_deref(), Some(&args.agent.to_string()));
-    match wad_cosim::latent::TchEncoder::find(&encoder) {
-        Ok(encoder) => eyes.with_decoder(Box::new(encoder)),
-        Err(error) => {
-            tracing::warn!("no reconstruction: {error}");
-            eyes
-        }
-    }
-}
-
-#[cfg(not(feature = "learn"))]
-fn with_decoder(_: &Args, eyes: Eyes) -> Eyes {
-    eyes
 }
 
 /// Ctrl-C and SIGTERM.

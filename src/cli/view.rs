@@ -1,6 +1,6 @@
 //! `--view`: the live view of a run.
 
-use super::run::Film;
+use super::film::Film;
 use super::{Exit, agents};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -10,7 +10,6 @@ use wad_cosim::cores::Cores;
 use wad_cosim::drive::{Drive, DriveError, Status};
 use wad_cosim::driver::{DriverError, DriverSpec};
 use wad_cosim::eyes::Eyes;
-use wad_cosim::latent::Decoder;
 use wad_cosim::perception;
 use wad_cosim::traffic::Counts;
 use wad_cosim::vehicle::Control;
@@ -174,7 +173,8 @@ pub fn artist(
         }
     };
     eyes.reset(Preset::default(), seed);
-    let decoder = eyes.perception().is_some().then(|| decoder(encoder)).flatten();
+    let decoder =
+        eyes.perception().is_some().then(|| agents::decoder(encoder.unwrap_or("default"))).flatten();
     Ok(Artist::new(assets.town(), eyes, Arc::clone(assets.network()), length, decoder)?)
 }
 
@@ -200,20 +200,4 @@ fn maker(about: &About<'_>, assets: &Arc<Assets>) -> MakeDriver {
         agents::pilot(&assets, &spec, encoder.as_deref(), &detector).map_err(|e| format!("{e:#}"))
     };
     Arc::new(make)
-}
-
-#[cfg(feature = "learn")]
-fn decoder(encoder: Option<&str>) -> Option<Box<dyn Decoder>> {
-    match wad_cosim::latent::TchEncoder::find(encoder.unwrap_or("default")) {
-        Ok(encoder) => Some(Box::new(encoder)),
-        Err(error) => {
-            tracing::info!("the view shows no reconstruction: {error}");
-            None
-        }
-    }
-}
-
-#[cfg(not(feature = "learn"))]
-fn decoder(_: Option<&str>) -> Option<Box<dyn Decoder>> {
-    None
 }

@@ -5,7 +5,7 @@
 //! where the agent or noise drives, the autopilot is asked all the same (DAgger, Ross et al. 2011), so
 //! that ways back to the lane's middle are shown too.
 
-use super::learner::Batch;
+use super::batch::Batch;
 use serde::{Deserialize, Serialize};
 use tch::{Kind, Tensor, no_grad};
 

@@ -12,6 +12,8 @@
 //! | [`external`] | another process as an [`Agent`], over a pipe |
 
 pub mod action;
+#[cfg(feature = "learn")]
+pub mod batch;
 pub mod exploration;
 pub mod external;
 #[cfg(feature = "learn")]

@@ -5,7 +5,8 @@
 //! one encoder and one camera, whose hashes it carries.
 
 use super::action::to_control;
-use super::learner::{Actor, Algorithm, InputScale, Inputs};
+use super::batch::{InputScale, Inputs};
+use super::learner::{Actor, Algorithm};
 use super::networks::Dims;
 use super::{Agent, AgentError};
 use half::f16;

@@ -1,8 +1,8 @@
 //! SAC in its first form (Haarnoja et al. 2018, "Off-Policy Maximum Entropy"), with a value network:
 //! WAD-S' learning step.
 
+use super::batch::{Batch, Metrics};
 use super::imitation::{Imitation, cloning_loss};
-use super::learner::{Batch, Metrics};
 use super::networks::{Critics, Dims, HIDDEN_S, PolicyS, Value};
 use crate::optim::Adam;
 use rand::Rng;

@@ -1,7 +1,7 @@
 //! TD3 (Fujimoto et al. 2018): WAD-T's learning step.
 
+use super::batch::{Batch, Metrics};
 use super::imitation::{Imitation, cloning_loss};
-use super::learner::{Batch, Metrics};
 use super::networks::{ActorT, CriticEnd, Critics, Dims};
 use crate::optim::Adam;
 use rand::Rng;

@@ -1,10 +1,10 @@
 //! Drives one segment and records its frames.
 
-use super::collect::CollectOptions;
 use super::error::DatasetError;
 use super::eye::{Eye, Moment};
 use super::noise::Disturber;
-use super::plan::Segment;
+use super::options::CollectOptions;
+use super::plan::{Segment, due};
 use super::record::Frame;
 use std::path::Path;
 use std::sync::Arc;
@@ -17,8 +17,6 @@ use wad_vehicle::{Control, EgoParams};
 
 /// Driven before the first frame (s).
 const WARM_UP: f64 = 8.0;
-/// A standing ego's view is kept this seldom (s).
-const STANDING_EVERY: f64 = 2.5;
 /// Standing for so long it is put down elsewhere (s): enough for a red light.
 const STUCK_AFTER: f64 = 75.0;
 /// Frames go on for this long after a crash (s).
@@ -34,11 +32,6 @@ const LONGEST_STAY: f64 = 240.0;
 /// The session's only ego, and what SUMO calls it.
 const EGO: usize = 0;
 const EGO_ID: &str = "ego";
-
-/// How long after a frame the next one is due, where the ego has stood for `standing` (all s).
-pub(super) fn due(standing: f64, every: f64) -> f64 {
-    if standing > 1.0 { STANDING_EVERY } else { every }
-}
 
 /// One segment under way.
 pub struct SegmentDrive<'a> {

@@ -1,7 +1,7 @@
 //! A dataset's folder: the manifest, the shards, and reading them back.
 
-use super::collect::CollectOptions;
 use super::error::DatasetError;
+use super::options::CollectOptions;
 use super::plan::Segment;
 use super::record::FrameRecord;
 use super::shard::ShardReader;

@@ -16,6 +16,7 @@ mod eye;
 mod folder;
 pub(crate) mod image_codec;
 mod noise;
+mod options;
 mod plan;
 mod record;
 mod recorded;
@@ -23,11 +24,12 @@ mod shard;
 #[cfg(test)]
 pub mod testing;
 
-pub use collect::{CollectOptions, Collected, Progress, TRAINING_WEATHERS, collect};
+pub use collect::{Collected, Progress, collect};
 pub use error::DatasetError;
 pub use folder::{Dataset, FORMAT_VERSION, Manifest, Role, State};
 pub use image_codec::{CameraCodec, decode_camera, decode_png, encode_png};
 pub use noise::{Disturber, NoiseParams};
+pub use options::{CollectOptions, TRAINING_WEATHERS};
 pub use plan::{Segment, plan};
 pub use record::{BoxRecord, Frame, FrameRecord, Labels};
 pub use recorded::RecordedRun;

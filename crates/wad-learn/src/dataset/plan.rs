@@ -44,6 +44,14 @@ pub fn plan(
         .collect()
 }
 
+/// A standing ego's view is kept this seldom (s).
+const STANDING_EVERY: f64 = 2.5;
+
+/// How long after a frame the next one is due, where the ego has stood for `standing` (all s).
+pub(super) fn due(standing: f64, every: f64) -> f64 {
+    if standing > 1.0 { STANDING_EVERY } else { every }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -1,10 +1,9 @@
 //! A recorded run as data: it is driven again from its `config.json`, with the controls of its telemetry,
 //! and what its ego saw is kept. Any driver's will do, for the run itself tells what he did.
 
-use super::drive::due;
 use super::error::DatasetError;
 use super::eye::{Eye, Moment};
-use super::plan::Segment;
+use super::plan::{Segment, due};
 use super::record::Frame;
 use crate::drive::{Drive, DriveOptions};
 use std::path::{Path, PathBuf};

@@ -1,22 +1,18 @@
 //! Episodes that were kept to be seen again: a folder with `episode.json` and the recorded states.
 
-use super::runner::make;
-use super::{Case, DriverError, DriverSpec, EpisodeRecord, MakeAgent};
-use crate::agent::AgentError;
-use crate::env::{Assets, Env, EnvError, EnvOptions};
+use super::{Case, EpisodeRecord};
+use crate::env::{Env, EnvOptions};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-use wad_sim::assets::AssetsError;
 use wad_sim::criteria::Event;
-use wad_sim::replay::{self, Body, Frame, Header, Moment, Recorder, Recording, ReplayError, digest};
-use wad_sim::session::Act;
+use wad_sim::replay::{self, Body, Header, Moment, Recorder, Recording, ReplayError};
 use wad_sim::telemetry::write_json;
 use wad_vehicle::Control;
 
 /// `episode.json`: everything that is needed to drive it again.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Kept {
-    /// The program's version, and [`Assets::net_hash`] of the town.
+    /// The program's version, and [`wad_sim::assets::Assets::net_hash`] of the town.
     pub build: String,
     pub net: String,
     pub options: EnvOptions,
@@ -32,18 +28,6 @@ pub enum KeptError {
     Format { path: PathBuf, why: String },
     #[error(transparent)]
     Replay(#[from] ReplayError),
-    #[error(transparent)]
-    Env(#[from] EnvError),
-    #[error(transparent)]
-    Assets(#[from] AssetsError),
-    #[error(transparent)]
-    Driver(#[from] DriverError),
-    #[error(transparent)]
-    Agent(#[from] AgentError),
-    #[error("{0}")]
-    Eval(Box<super::EvalError>),
-    #[error("the episode was driven on another net: {town} was {expected} then, and is {found} now")]
-    OtherNet { town: String, expected: String, found: String },
 }
 
 const FILE: &str = "episode.json";
@@ -114,99 +98,4 @@ pub(super) fn with_moment(
     let Some(ego) = env.ego() else { return };
     let at = ego.on_route();
     then(&Moment { tick, control, ego: &at.state, s: at.s, d: at.d, world: ego.world(), events });
-}
-
-/// Who drove when an episode was simulated again.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Driven {
-    /// The agent itself.
-    Agent,
-    /// The controls that were recorded: an external agent need not be there any more.
-    Recorded,
-}
-
-/// What a second simulation found.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Verdict {
-    /// Ticks that were compared, the state before the first one too.
-    pub ticks: u64,
-    pub same: bool,
-    /// The first tick that differs, and what of it.
-    pub first_difference: Option<(u64, String)>,
-    pub driven: Driven,
-}
-
-/// Simulates a kept episode again, tick by tick against its recording; `tick` hears of each, and ends it
-/// early with false.
-///
-/// # Errors
-/// The town is another one by now, or the environment or the agent cannot be made.
-pub fn verify(
-    kept: &Kept,
-    recording: &Recording,
-    make_agent: &MakeAgent<'_>,
-    gui: bool,
-    mut tick: impl FnMut(u64) -> bool,
-) -> Result<Verdict, KeptError> {
-    let case = &kept.episode.case;
-    let assets = Assets::load(&case.town)?;
-    if assets.net_hash() != kept.net {
-        let (town, found) = (case.town.clone(), assets.net_hash().to_string());
-        return Err(KeptError::OtherNet { town, expected: kept.net.clone(), found });
-    }
-    let options = EnvOptions { gui, ..kept.options.clone() };
-    let external = matches!(case.agent, DriverSpec::Exec(_));
-    // Blind: what an external agent saw is of no account where its controls are given.
-    let spec = if external { DriverSpec::Random } else { case.agent.clone() };
-    let (mut env, mut driver) =
-        make(&assets, &options, &spec, make_agent).map_err(|e| KeptError::Eval(Box::new(e)))?;
-    let driven = if external { Driven::Recorded } else { Driven::Agent };
-    let mut verdict = Verdict { ticks: 0, same: true, first_difference: None, driven };
-    env.reset(&case.spec, kept.episode.episode_seed)?;
-    driver.reset(kept.episode.episode_seed);
-    let frames = recording.frames();
-    for (index, frame) in frames.iter().enumerate() {
-        let (mut control, mut events) = (Control::default(), Vec::new());
-        if index > 0 {
-            let act = if external { Act::Control(frame.control) } else { driver.act(env.eyes())? };
-            let step = env.act(act)?;
-            (control, events) = (step.control, step.info.events);
-            if step.info.ending.is_some() && index + 1 < frames.len() {
-                verdict.same = false;
-                verdict.first_difference.get_or_insert((frame.tick, "it ended earlier".to_string()));
-                break;
-            }
-        }
-        verdict.ticks += 1;
-        with_moment(&env, frame.tick, control, &events, |now| {
-            if digest(now) != frame.bits || now.events != frame.events {
-                verdict.same = false;
-                verdict.first_difference.get_or_insert_with(|| (frame.tick, difference(frame, now)));
-            }
-        });
-        if !verdict.same || !tick(frame.tick) {
-            break;
-        }
-    }
-    Ok(verdict)
-}
-
-/// What of a state is another.
-fn difference(frame: &Frame, now: &Moment<'_>) -> String {
-    let (a, b) = (frame.ego.pose.position, now.ego.pose.position);
-    if frame.control != now.control {
-        format!("control: recorded {:?}, now {:?}", frame.control, now.control)
-    } else if frame.ego != *now.ego {
-        format!("the ego: recorded at {:.6}, {:.6}, now at {:.6}, {:.6}", a.x, a.y, b.x, b.y)
-    } else if frame.events != now.events {
-        format!("events: recorded {:?}, now {:?}", frame.events, now.events)
-    } else {
-        let count = |world: &sumo_network::world::WorldState| (world.vehicles.len(), world.pedestrians.len());
-        format!(
-            "those round the ego: recorded {:?} vehicles and pedestrians in sight, now {:?}",
-            count(&frame.world),
-            count(now.world)
-        )
-    }
 }

@@ -18,6 +18,7 @@ mod runner;
 mod store;
 mod suite;
 mod tally;
+pub mod verify;
 
 pub use crate::driver::{Driver, DriverError, DriverSpec, Made};
 pub use manifest::Manifest;

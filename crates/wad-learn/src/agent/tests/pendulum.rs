@@ -1,7 +1,8 @@
 //! The pendulum that every algorithm must swing up: a rod hung at one end, a motor too weak to lift it
 //! in one go. From its equations of motion; the constants are those that published returns refer to.
 
-use super::super::learner::{Actor, Algorithm, Batches, InputScale, Learner, Metrics};
+use super::super::batch::{Batches, InputScale, Metrics};
+use super::super::learner::{Actor, Algorithm, Learner};
 use super::super::networks::{CriticEnd, Dims};
 use super::super::replay_buffer::{ReplayBuffer, Sampled, Sampling, Segment};
 use super::super::sac::SacParams;

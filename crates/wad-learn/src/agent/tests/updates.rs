@@ -3,8 +3,8 @@
 //! After Adam's first step its running mean is a tenth of the gradient, which is how the gradients are
 //! looked at here.
 
+use super::super::batch::{Batch, Metrics};
 use super::super::imitation::{HARD_BRAKE, HARD_BRAKING, Imitation, STEERING};
-use super::super::learner::{Batch, Metrics};
 use super::super::networks::{CriticEnd, Dims, Params};
 use super::super::sac::{Sac, SacParams};
 use super::super::td3::{Td3, Td3Params};

@@ -1,0 +1,188 @@
+//! What an update takes and gives: transitions on the device with scaled observations, and sums of figures.
+
+use super::networks::Dims;
+use super::replay_buffer::Sampled;
+use rand::{Rng, RngExt};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use tch::{Device, Kind, Tensor, no_grad};
+
+/// One update's transitions, on the learner's device, observations scaled.
+#[derive(Debug)]
+pub struct Batch {
+    /// [B, latent + raw]
+    pub observation: Tensor,
+    pub next_observation: Tensor,
+    /// [B, A]
+    pub action: Tensor,
+    /// [B], scaled.
+    pub reward: Tensor,
+    /// gamma^n, or 0 where the episode terminated, [B].
+    pub discount: Tensor,
+    /// 1 where an expert's action is known, [B], and that action, [B, A].
+    pub is_shown: Tensor,
+    pub shown: Tensor,
+    /// Standard normal, [B, A]: all the chance that an update takes.
+    pub noise: Tensor,
+}
+
+/// Several batches, brought to the device together.
+#[derive(Debug)]
+pub struct Batches {
+    /// [K, 2, B, D]: now and next.
+    observations: Tensor,
+    /// [K, B, 3 A + 3]: action, noise, reward, discount, whether shown, the shown action.
+    rest: Tensor,
+    actions: i64,
+}
+
+impl Batches {
+    /// Takes what the replay buffer sampled to `device`, and scales the observations.
+    ///
+    /// # Panics
+    /// `sampled` is not of `dims`.
+    pub fn upload(sampled: &Sampled, dims: Dims, scale: &Scale, device: Device) -> Self {
+        let (k, b) = (sampled.batches as i64, sampled.size as i64);
+        let bytes = unsafe {
+            std::slice::from_raw_parts(sampled.latents.as_ptr().cast::<u8>(), 2 * sampled.latents.len())
+        };
+        let latents = Tensor::from_data_size(bytes, &[k, 2, b, dims.latent], Kind::Half);
+        let latents = latents.to_device(device).to_kind(Kind::Float);
+        let raw = Tensor::from_slice(&sampled.raw).view([k, 2, b, dims.raw]).to_device(device);
+        let observations = scale.apply(&Tensor::cat(&[latents, raw], 3));
+        let rest = Tensor::from_slice(&sampled.rest).view([k, b, 3 * dims.actions + 3]).to_device(device);
+        Self { observations, rest, actions: dims.actions }
+    }
+
+    /// Adds to each latent, now and next alike, a share of the difference between two others of its batch, drawn
+    /// with `rng` evenly from 0 to `most` per transition: what is learned then rests less on how a day looks.
+    pub fn mix_latents(&self, dims: Dims, most: f64, rng: &mut impl Rng) {
+        no_grad(|| {
+            let mut latents = self.observations.narrow(3, 0, dims.latent);
+            let others = latents.select(1, 0);
+            let (k, b) = (others.size()[0], others.size()[1]);
+            let share: Vec<f32> = (0..k * b).map(|_| rng.random::<f32>() * most as f32).collect();
+            let share = Tensor::from_slice(&share).view([k, b, 1]).to_device(latents.device());
+            let difference = (others.roll(1, 1) - others.roll(2, 1)) * share;
+            let _ = latents.g_add_(&difference.unsqueeze(1));
+        });
+    }
+
+    /// Batch `i`.
+    pub fn get(&self, i: usize) -> Batch {
+        let observations = self.observations.get(i as i64);
+        let rest = self.rest.get(i as i64);
+        let a = self.actions;
+        Batch {
+            observation: observations.get(0),
+            next_observation: observations.get(1),
+            action: rest.narrow(1, 0, a),
+            noise: rest.narrow(1, a, a),
+            reward: rest.select(1, 2 * a),
+            discount: rest.select(1, 2 * a + 1),
+            is_shown: rest.select(1, 2 * a + 2),
+            shown: rest.narrow(1, 2 * a + 3, a),
+        }
+    }
+}
+
+/// Which inputs an agent sees; what it does not see is 0. For ablations.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Inputs {
+    #[default]
+    Both,
+    Latent,
+    Raw,
+}
+
+/// What makes of an observation about -1 to 1: x' = (x - offset) factor. Measured once, on the first
+/// experience, and part of the actor from then on.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct InputScale {
+    pub offset: Vec<f32>,
+    pub factor: Vec<f32>,
+}
+
+impl InputScale {
+    /// Leaves observations as they are.
+    pub fn identity(dims: Dims) -> Self {
+        let n = dims.observation() as usize;
+        Self { offset: vec![0.0; n], factor: vec![1.0; n] }
+    }
+
+    /// From means and standard deviations of the latent; the raw vector is scaled by definition. Numbers
+    /// that hardly vary are not blown up: the smallest deviation taken is a tenth of the mean one. `gain` is the deviation
+    /// that the latent is given.
+    pub fn measured(mean: &[f32], deviation: &[f32], dims: Dims, inputs: Inputs, gain: f64) -> Self {
+        let (latent, n) = (dims.latent as usize, dims.observation() as usize);
+        let floor = 0.1 * deviation[..latent].iter().sum::<f32>() / (latent as f32).max(1.0);
+        let mut scale = Self::identity(dims);
+        scale.offset[..latent].copy_from_slice(&mean[..latent]);
+        for (factor, deviation) in scale.factor[..latent].iter_mut().zip(deviation) {
+            *factor = gain as f32 / deviation.max(floor).max(1e-6);
+        }
+        match inputs {
+            Inputs::Both => {}
+            Inputs::Latent => scale.factor[latent..n].fill(0.0),
+            Inputs::Raw => scale.factor[..latent].fill(0.0),
+        }
+        scale
+    }
+
+    /// On a device.
+    pub fn tensors(&self, device: Device) -> Scale {
+        Scale {
+            offset: Tensor::from_slice(&self.offset).to_device(device),
+            factor: Tensor::from_slice(&self.factor).to_device(device),
+        }
+    }
+}
+
+/// [`InputScale`] as tensors.
+#[derive(Debug)]
+pub struct Scale {
+    offset: Tensor,
+    factor: Tensor,
+}
+
+impl Scale {
+    /// Scales observations [.., D].
+    pub fn apply(&self, observation: &Tensor) -> Tensor {
+        (observation - &self.offset) * &self.factor
+    }
+}
+
+/// Sums of figures, kept on the device until someone reads them.
+#[derive(Debug, Default)]
+pub struct Metrics {
+    sums: BTreeMap<&'static str, (Tensor, u32)>,
+}
+
+impl Metrics {
+    pub(super) fn add(&mut self, name: &'static str, value: &Tensor) {
+        no_grad(|| match self.sums.get_mut(name) {
+            Some((sum, count)) => {
+                *sum += value;
+                *count += 1;
+            }
+            None => {
+                self.sums.insert(name, (value.detach().copy(), 1));
+            }
+        });
+    }
+
+    pub(super) fn add_pair(&mut self, names: [&'static str; 2], pair: &Tensor) {
+        for (i, name) in names.into_iter().enumerate() {
+            self.add(name, &pair.get(i as i64));
+        }
+    }
+
+    /// The means since the last call.
+    pub fn take(&mut self) -> BTreeMap<&'static str, f64> {
+        std::mem::take(&mut self.sums)
+            .into_iter()
+            .map(|(name, (sum, count))| (name, sum.double_value(&[]) / f64::from(count)))
+            .collect()
+    }
+}

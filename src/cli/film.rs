@@ -1,0 +1,89 @@
+//! The film of a run, and what is seen of it.
+
+use super::Exit;
+use std::path::Path;
+use wad_cosim::camera::CameraConfig;
+use wad_cosim::drive::Drive;
+use wad_cosim::eyes::Eyes;
+use wad_cosim::latent::Decoder;
+use wad_cosim::perception;
+use wad_cosim::record::{Codec, RecordError, RecordView, Recorder};
+
+/// What is to be filmed and seen.
+pub struct Wanted<'a> {
+    /// None: no film.
+    pub path: Option<&'a Path>,
+    pub view: RecordView,
+    pub codec: Codec,
+    /// Perception's stages too.
+    pub perception: bool,
+    pub detector: &'a str,
+}
+
+/// The film of the run, where there is one, and whether perception was asked for.
+#[derive(Default)]
+pub struct Film {
+    recorder: Option<Recorder>,
+    looks: bool,
+}
+
+impl Film {
+    /// Begins the film that is asked for. `decoder` shows the reconstruction.
+    ///
+    /// # Errors
+    /// No such detector, or the film's place cannot be written.
+    pub fn begin(
+        drive: &mut Drive,
+        wanted: &Wanted<'_>,
+        decoder: Option<Box<dyn Decoder>>,
+    ) -> anyhow::Result<Self> {
+        // The film of all views holds the transformed image where this build can make one.
+        let inset = wanted.path.is_some() && wanted.view == RecordView::All && cfg!(feature = "vision");
+        let looks = wanted.perception || inset;
+        if looks {
+            let detector = perception::detector(wanted.detector, perception::MIN_SCORE)
+                .map_err(|e| Exit::Input.because(e))?;
+            let eyes = Eyes::new(drive.assets().town(), CameraConfig::default(), detector)
+                .map_err(|e| Exit::Input.because(e))?;
+            drive.watch_with(match decoder {
+                Some(decoder) => eyes.with_decoder(decoder),
+                None => eyes,
+            });
+        }
+        let panels = if wanted.perception { drive.eyes().panels() } else { 0 };
+        let fps = 1.0 / drive.bridge().tick();
+        let create = |path: &Path| {
+            Recorder::create(path, drive.assets().town(), wanted.view, fps, wanted.codec, panels)
+        };
+        let recorder = wanted.path.map(create).transpose().map_err(|e| Exit::Input.because(e))?;
+        Ok(Self { recorder, looks })
+    }
+
+    /// Looks, where that was asked for, and adds a picture of the tick.
+    ///
+    /// # Errors
+    /// A stage of perception fails, or the film cannot be written.
+    pub fn add(&mut self, drive: &mut Drive) -> anyhow::Result<()> {
+        if self.looks {
+            drive.look()?;
+        }
+        if let Some(recorder) = &mut self.recorder {
+            let ego = drive.ego();
+            recorder.follow(ego.world(), &ego.as_actor());
+            recorder.add(&ego.state().pose, drive.weather(), Some(drive.eyes()))?;
+        }
+        Ok(())
+    }
+
+    /// Films from the next tick on, from behind.
+    pub fn restart(&mut self, path: &Path, drive: &Drive) -> Result<(), RecordError> {
+        let (town, fps) = (drive.assets().town(), 1.0 / drive.bridge().tick());
+        self.recorder = Some(Recorder::create(path, town, RecordView::Chase, fps, Codec::Auto, 0)?);
+        Ok(())
+    }
+
+    /// Completes the film under way, if there is one.
+    pub fn end(&mut self) -> Result<(), RecordError> {
+        self.recorder.take().map_or(Ok(()), Recorder::finish)
+    }
+}
