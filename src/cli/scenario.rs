@@ -1,6 +1,6 @@
 //! `wad-cosim scenario`: situations drawn in netedit: make, edit, check, list, drive.
 
-use super::{Exit, print, run};
+use super::{Exit, config, print, run};
 use anyhow::Context;
 use clap::Subcommand;
 use serde::Serialize;
@@ -182,7 +182,7 @@ fn relative(folder: &Path, file: &Path) -> String {
 }
 
 fn edit(args: &Edit) -> anyhow::Result<Exit> {
-    let config = resolve(&args.name)?;
+    let config = config::resolve(&args.name)?;
     if bundled::is_unpacked(&config) {
         eprintln!(
             "{} is the shipped copy: what you change here is lost at the next update; `scenario new` makes one of your own",
@@ -269,7 +269,7 @@ fn check(args: &Check) -> anyhow::Result<Exit> {
     let names = if args.names.is_empty() { bundled::scenarios() } else { args.names.clone() };
     let mut checked = Vec::with_capacity(names.len());
     for name in &names {
-        let config = resolve(name)?;
+        let config = config::resolve(name)?;
         let found = scenario::inspect(&config);
         let mut text = String::new();
         for problem in &found.problems {

@@ -1,16 +1,14 @@
 //! TD3 or SAC behind one face: batches in, an actor out, and a state that can be saved.
 
 use super::action::{ACTION_SIZE, Action};
-use super::batch::{Batch, Batches, InputScale, Inputs, Metrics, Scale};
+use super::batch::{Batch, InputScale, Metrics, Scale};
 use super::networks::{ActorT, Dims, Params, PolicyS};
-use super::replay_buffer::Sampled;
 use super::sac::{Sac, SacParams};
 use super::td3::{Td3, Td3Params};
 use crate::optim::Adam;
-use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use tch::{Device, Kind, Tensor, no_grad};
+use tch::{Device, Tensor, no_grad};
 
 /// What learns, with its constants.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -10,7 +10,8 @@
 
 use super::TrainError;
 use super::schedule::ScheduleState;
-use crate::agent::learner::{InputScale, Learner};
+use crate::agent::batch::InputScale;
+use crate::agent::learner::Learner;
 use crate::agent::replay_buffer::ReplayBuffer;
 use crate::agent::replay_files::{ReplayManifest, remove_unused, write_whole};
 use rand::SeedableRng;

@@ -1,7 +1,8 @@
 //! What a training run is made of; saved as its `config.json`.
 
+use crate::agent::batch::Inputs;
 use crate::agent::exploration::ExplorationParams;
-use crate::agent::learner::{Algorithm, Inputs};
+use crate::agent::learner::Algorithm;
 use crate::agent::replay_buffer::Sampling;
 use crate::env::{EnvOptions, ObservationMode};
 use serde::{Deserialize, Serialize};

@@ -1,7 +1,7 @@
 //! Who drives what next: demonstrations first, then the curriculum, with validations between.
 
 use super::config::TrainConfig;
-use crate::agent::learner::InputScale;
+use crate::agent::batch::InputScale;
 use crate::env::Ending;
 use crate::reward::RewardTerms;
 use rand::{RngExt, SeedableRng};

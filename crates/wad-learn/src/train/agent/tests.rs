@@ -3,7 +3,8 @@
 use super::checkpoint::{Checkpoints, RngState, State};
 use super::config::TrainConfig;
 use super::schedule::{ActorCopy, Purpose, Schedule};
-use crate::agent::learner::{Algorithm, Batches, InputScale, Learner, Metrics};
+use crate::agent::batch::{Batches, InputScale, Metrics};
+use crate::agent::learner::{Algorithm, Learner};
 use crate::agent::networks::Dims;
 use crate::agent::replay_buffer::{ReplayBuffer, Sampled, Sampling, Segment};
 use crate::agent::sac::SacParams;
