@@ -6,7 +6,7 @@
 //!
 //! ```no_run
 //! # fn example() -> Result<(), wad_cosim::replay::ReplayError> {
-//! use wad_cosim::replay::Recording;
+//! use wad_sim::replay::Recording;
 //! let recording = Recording::open("runs/nocrash/episodes/wad-t-000".as_ref())?;
 //! for frame in recording.frames() {
 //!     println!("{:.1} s: {:?}, {} others", frame.world.time, frame.ego.pose, frame.world.vehicles.len());
