@@ -89,7 +89,8 @@ fn flat(tree: &str) -> Vec<String> {
     let Some(open) = tree.find('{') else {
         return vec![tree.split(" as ").next().unwrap_or_default().trim().to_string()];
     };
-    let (before, inner) = (&tree[..open], &tree[open + 1..tree.rfind('}').unwrap_or(tree.len())]);
+    let Some(close) = tree.rfind('}').filter(|close| *close > open) else { return Vec::new() };
+    let (before, inner) = (&tree[..open], &tree[open + 1..close]);
     let (mut parts, mut depth, mut part) = (Vec::new(), 0, String::new());
     for c in inner.chars().chain([',']) {
         depth += i32::from(c == '{') - i32::from(c == '}');

@@ -1,6 +1,7 @@
 //! From a suite and what the user wants of it to the episodes to be driven.
 
 use super::routes::{RouteError, Routes};
+use super::suite::MOST_EPISODES;
 use super::{DriverSpec, Suite, SuiteError, SuiteTask};
 use crate::env::Assets;
 use serde::{Deserialize, Serialize};
@@ -29,9 +30,6 @@ pub struct Selection {
     /// Route file for a town that brings none.
     pub routes: Option<PathBuf>,
 }
-
-/// More episodes of one task are a slip of the keyboard.
-pub(super) const MOST_EPISODES: u64 = 1_000_000;
 
 /// One episode to be driven.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -1,7 +1,6 @@
 //! Suites as data: what is driven, where, in which weather, and what ends an episode (spec.md "Ends",
 //! "Conditions"). A suite is a JSON file; the paper's travel with the program.
 
-use super::plan::MOST_EPISODES;
 use super::routes::RouteError;
 use crate::env::Termination;
 use serde::{Deserialize, Serialize};
@@ -67,6 +66,9 @@ pub struct SuiteTask {
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub endless: bool,
 }
+
+/// More episodes of one task are a slip of the keyboard.
+pub(super) const MOST_EPISODES: u64 = 1_000_000;
 
 /// Times that a scenario is driven: start, traffic and the detector's faults differ by their seeds.
 const SCENARIO_EPISODES: u64 = 5;
