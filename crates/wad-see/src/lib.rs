@@ -19,3 +19,7 @@ pub mod record;
 pub mod torch;
 #[cfg(feature = "learn")]
 pub mod weights;
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

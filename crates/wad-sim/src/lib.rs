@@ -33,3 +33,7 @@ pub mod sumo_config;
 pub mod tasks;
 pub mod telemetry;
 pub mod traffic;
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;
