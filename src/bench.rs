@@ -3,10 +3,10 @@
 //! For each population a short stretch of the same simulation is timed twice, many times over:
 //! *bridge*: pose in, step, the whole [`crate::world::WorldState`] within 100 m decoded (physics and
 //! autopilot are timed apart); *SUMO alone*: a second `sumo` that loads the state saved where the
-//! stretch begins and is told, in one message, to run to its end.
+//! stretch begins, and runs to its end on one message.
 //!
-//! Stretches are short, so that nobody arrives who would have been replaced, and that a machine whose
-//! speed drifts is equally fast for both; the two take turns in going first.
+//! Stretches are short: no road user arrives that would have been replaced, and a machine whose speed
+//! drifts is equally fast for both. The two take turns in going first.
 
 use crate::cores::Cores;
 use crate::cpu_time;
@@ -201,7 +201,7 @@ async fn bridge_stretch(drive: &mut Drive, ticks: u64) -> Result<Stretch, BenchE
     })
 }
 
-/// A SUMO of its own that runs whole stretches without hearing from anybody.
+/// A second SUMO that runs whole stretches without messages in between.
 struct Alone {
     process: SumoProcess,
     client: TcpClient,

@@ -1,4 +1,4 @@
-//! What a tick of the whole loop costs, stage by stage.
+//! The cost of a tick of the whole loop, by stage.
 //!
 //! The loop is that of `run` with the front camera: the autopilot decides, the ego's physics moves it,
 //! SUMO steps, the reply is decoded, the camera renders what the ego sees, perception looks at it.
@@ -59,9 +59,9 @@ pub struct TickBenchOptions {
     pub camera: CameraConfig,
     pub weather: Preset,
     pub outputs: Outputs,
-    /// Who detects; None: perception is left out.
+    /// The detector; None: no perception.
     pub detector: Option<Box<dyn Detector>>,
-    /// Who makes the latent of the transformed image; None: nobody.
+    /// The encoder; None: no latent.
     pub encoder: Option<Box<dyn Encoder>>,
     /// Ticks that are driven first and not measured.
     pub warm_up: u64,
@@ -105,7 +105,7 @@ impl TickBench {
     /// Starts the drive and builds the town.
     ///
     /// # Errors
-    /// A camera that cannot be, bad input, SUMO fails.
+    /// The camera's configuration is invalid, the input is bad, or SUMO fails.
     pub async fn start(options: TickBenchOptions) -> Result<Self, TickBenchError> {
         let seed = options.drive.bridge.seed;
         let drive = Drive::start(options.drive).await?;
@@ -130,7 +130,7 @@ impl TickBench {
         })
     }
 
-    /// Ticks done, those of the warm-up included.
+    /// Ticks done, including the warm-up.
     pub fn ticks_done(&self) -> u64 {
         self.done
     }

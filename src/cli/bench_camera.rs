@@ -16,8 +16,8 @@ Examples:
   wad-cosim bench camera town3 --traffic 100,250 --frames 300 --json
   wad-cosim bench camera --weather ClearNoon,WetSunset --sizes 512x512";
 
-/// Frames of a drive through a town, one each tick, on one core; nothing but the rendering is timed. Each row
-/// is a drive of its own: the same one.
+/// Time the rendering of a drive through a town, one frame each tick, on one core. Each row is the same
+/// drive again.
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -49,7 +49,7 @@ pub struct Args {
 
 /// Simulated time before the first frame (s).
 const BEFORE: f64 = 20.0;
-/// Of so many frames one is rendered once more, for its stages.
+/// Every so many frames one is rendered once more, to time its stages.
 const STAGES_EVERY: usize = 8;
 
 /// One way to render, and what its frames took.
@@ -66,8 +66,8 @@ struct Row {
     median_ms: f64,
     median_cpu_ms: f64,
     p95_ms: f64,
-    /// Medians of a frame's stages, each eighth frame rendered once more for it: they are a little dearer, as
-    /// looking at the clock takes time, and cheaper, as the caches are warm.
+    /// Medians of a frame's stages; each eighth frame is rendered once more for this. Reading the clock makes
+    /// them a little slower, warm caches a little faster.
     stages: Stages,
     frames: usize,
 }

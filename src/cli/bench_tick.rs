@@ -38,9 +38,9 @@ pub struct Args {
     /// What the camera makes.
     #[arg(long, value_enum, default_value_t = Made::Rgb)]
     outputs: Made,
-    #[arg(long, help = format!("Who detects: {DETECTORS}"), default_value = "truth", value_name = "NAME")]
+    #[arg(long, help = format!("The detector: {DETECTORS}"), default_value = "truth", value_name = "NAME")]
     detector: String,
-    /// Who makes the latent: a .safetensors file, a folder of `train encoder`, or a bundled encoder; none.
+    /// The encoder: a .safetensors file, a folder of `train encoder`, a bundled encoder, or none.
     #[arg(long, default_value = "default", value_name = "NAME")]
     encoder: String,
     /// Leave perception and encoder out.

@@ -15,7 +15,7 @@ use wad_cosim::stats::{median, quantile};
 use wad_cosim::traffic::TrafficSpec;
 use wad_cosim::view::{Crowd, Listener, ViewAddress};
 
-/// Ticks with nobody, one viewer and many, in turn: what else the machine does touches them alike.
+/// Ticks with no viewer, one viewer and many, in turns, so that other load affects all alike.
 #[derive(clap::Args, Debug)]
 pub struct Args {
     /// Config or bundled town.
@@ -24,19 +24,19 @@ pub struct Args {
     /// Background traffic: as-is, empty, regular, dense, or VEHICLES,PEDESTRIANS.
     #[arg(long, default_value = "70,100", value_name = "T")]
     traffic: TrafficSpec,
-    /// How many are many.
+    /// Number of viewers in the largest case.
     #[arg(long, default_value_t = 20)]
     viewers: usize,
-    /// Length of a tick in milliseconds; they are driven in real time.
+    /// Length of a tick in milliseconds; ticks run in real time.
     #[arg(long, default_value_t = 50.0, value_name = "MS")]
     tick_ms: f64,
-    /// Ticks of a turn that are measured.
+    /// Measured ticks per turn.
     #[arg(long, default_value_t = 40)]
     ticks: usize,
-    /// Turns.
+    /// How often each case is measured.
     #[arg(long, default_value_t = 5)]
     repeat: usize,
-    #[arg(long, help = format!("Who detects: {DETECTORS}"), default_value = "truth", value_name = "NAME")]
+    #[arg(long, help = format!("The detector: {DETECTORS}"), default_value = "truth", value_name = "NAME")]
     detector: String,
     /// Seed of the traffic.
     #[arg(long, default_value_t = 0)]
@@ -51,12 +51,12 @@ pub struct Args {
 struct Row {
     viewers: usize,
     ticks: usize,
-    /// A tick from its begin to its being handed over (ms): median, and what 95 of 100 stay below.
+    /// From a tick's begin to its hand-over (ms): median and 95th percentile.
     tick_ms: f64,
     tick_p95_ms: f64,
     /// Of that: handing over.
     show_ms: f64,
-    /// Beyond a tick without viewers (ms, and as a share).
+    /// More than a tick without viewers (ms, and as a share).
     cost_ms: f64,
     share: f64,
     /// Frames that a viewer got, of the ticks that there were.

@@ -75,13 +75,13 @@ pub struct CollectArgs {
     /// bicycle, person, bus, truck, "traffic light", bench.
     #[arg(long, value_name = "CLASS", value_delimiter = ',', value_parser = class)]
     showing: Vec<ObjectClass>,
-    /// Mean seconds between disturbances of the autopilot's hand; 0: none.
+    /// Mean seconds between disturbances of the autopilot's controls; 0: none.
     #[arg(long, value_name = "SECONDS", default_value_t = NoiseParams::default().pause)]
     noise_pause: f64,
     /// Frames per shard [default: a twentieth of all, at most 500].
     #[arg(long, value_name = "N")]
     per_shard: Option<usize>,
-    /// Stop after this wall time, and be content with what there is.
+    /// Stop after this wall time; the frames so far are a complete dataset.
     #[arg(long, value_name = "MINUTES")]
     max_minutes: Option<f64>,
     /// Print the result as one JSON line on stdout.
@@ -160,7 +160,7 @@ fn run_collect(args: &CollectArgs) -> anyhow::Result<Exit> {
     let runs = args.from.iter().map(|folder| RecordedRun::open(folder)).collect::<Result<_, _>>();
     options.runs = runs.map_err(with_exit)?;
     if options.weathers.iter().any(|w| !TRAINING_WEATHERS.contains(w)) && !args.town.contains("town5") {
-        tracing::warn!("weathers beyond the three training ones: what is trained on this has seen them");
+        tracing::warn!("networks trained on this dataset also know weathers beyond the three of training");
     }
     let interrupt = wad_cosim::interrupt::flag().context("cannot listen for Ctrl-C")?;
     let bar = Bar::new(args.frames as u64, "frames");

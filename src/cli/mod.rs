@@ -61,17 +61,17 @@ enum Command {
     Train(train::Args),
     /// Measure speed, as a ratio to SUMO alone in the same run.
     Bench(bench::Args),
-    /// Drive the episodes of a suite, or judge a part of the system by the ground truth.
+    /// Drive the episodes of a suite, or score a part of the system against the ground truth.
     Eval(eval::Args),
     /// Show a kept episode again, as a film or in sumo-gui, or simulate it again and compare every bit.
     Replay(replay::Args),
-    /// Make pictures and tables of what was trained and measured.
+    /// Make pictures and tables of trainings and evaluations.
     Report(report::Args),
     /// Make, edit, check, list and drive scenarios: folders of SUMO files that netedit opens.
     Scenario(Box<scenario::Args>),
     /// Facts about a net; build, import and enrich nets.
     Net(Box<net::Args>),
-    /// Check what this machine has for wad-cosim, and say what to do about what is missing.
+    /// Check this machine for everything that wad-cosim needs, and say how to install what is missing.
     Doctor(doctor::Args),
 }
 

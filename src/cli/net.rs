@@ -28,7 +28,7 @@ pub struct Args {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// Say what is in a net, what hinders, and what to do about it.
+    /// Print facts about a net, its problems, and the command that fixes each.
     Info(Info),
     /// Build a net from plain sources (.netccfg, or .nod.xml, .edg.xml, ...).
     Build(Make),
@@ -49,10 +49,10 @@ struct Info {
 
 #[derive(Debug, clap::Args)]
 struct Make {
-    /// What it is made of.
+    /// The source file: plain XML, .netccfg, OpenDRIVE, OpenStreetMap or a SUMO net.
     #[arg(value_hint = ValueHint::FilePath)]
     source: PathBuf,
-    /// The new folder: NAME.net.xml, NAME.sumocfg and, of OpenStreetMap, NAME.poly.xml.
+    /// The new folder: NAME.net.xml, NAME.sumocfg and, from OpenStreetMap, NAME.poly.xml.
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     out: PathBuf,
     /// Print one JSON object as the last line of stdout; everything else goes to stderr.

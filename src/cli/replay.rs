@@ -1,4 +1,4 @@
-//! `wad-cosim replay`: a kept episode again, as it was recorded, or simulated anew.
+//! `wad-cosim replay`: plays a kept episode as it was recorded, or simulates it again.
 
 use super::progress::Bar;
 use super::{Exit, agents, print};

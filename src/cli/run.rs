@@ -45,7 +45,7 @@ pub struct Args {
     /// A .sumocfg, a .net.xml(.gz), a scenario's folder, a bundled town (town3, town5) or a shipped scenario.
     #[arg(value_hint = ValueHint::FilePath)]
     config: String,
-    /// Who drives: autopilot, wad-t, wad-s, a file that `train agent` wrote, constant, random, manual (with --view),
+    /// The driver: autopilot, wad-t, wad-s, a file that `train agent` wrote, constant, random, manual (with --view),
     /// or exec:COMMAND (docs/evaluate.md).
     #[arg(long, default_value = "autopilot", value_name = "NAME|FILE|exec:CMD", value_hint = ValueHint::FilePath)]
     agent: DriverSpec,
@@ -94,7 +94,7 @@ pub struct Args {
     /// transformed image, reconstruction) below the film.
     #[arg(long)]
     perception: bool,
-    #[arg(long, help = format!("Who detects: {}", perception::DETECTORS), default_value = "truth", value_name = "NAME")]
+    #[arg(long, help = format!("The detector: {}", perception::DETECTORS), default_value = "truth", value_name = "NAME")]
     detector: String,
     /// Run no faster than real time.
     #[arg(long)]
@@ -263,7 +263,7 @@ async fn next_tick(
 /// The town; with its scenario, where it is one and no other route is asked for.
 fn town(args: &Args, config: &std::path::Path) -> anyhow::Result<Arc<Assets>> {
     if args.attach.is_none() {
-        // One that is too old is told so, rather than that its list of options reads badly.
+        // Checked first: a SUMO that is too old should not fail with an unreadable list of options.
         let install = SumoInstall::find().map_err(|e| Exit::Sumo.because(e))?;
         install.check_version().map_err(|e| Exit::Sumo.because(e))?;
     }

@@ -46,13 +46,13 @@ enum What {
 struct New {
     /// Its name, or the path of its folder. A plain name goes into scenarios/ where that is here.
     name: PathBuf,
-    /// What to begin from; see `scenario list`.
+    /// The template; see `scenario list`.
     #[arg(long, value_name = "T", default_value = "straight")]
     template: String,
     /// The net: a bundled town, a .sumocfg or a .net.xml(.gz).
     #[arg(long, value_name = "CONFIG", default_value = "town5")]
     town: String,
-    /// Another number, another place in the town.
+    /// Seed: another number gives another place in the town.
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
 }
@@ -146,9 +146,8 @@ fn has_polygons(file: &Path) -> bool {
     file.to_string_lossy().contains(".poly.xml")
 }
 
-/// How the scenario names each file, and whether it gets a copy: a bundled town is named where it lies
-/// beside the scenario as in the repository, and copied elsewhere, so that the folder can be given away;
-/// an author's own net is named where it is.
+/// The path of each file in the scenario, and whether to copy it: a bundled town is referred to inside the
+/// repository and copied elsewhere, so that the folder can be passed on; an author's own net is referred to.
 fn place_files(folder: &Path, files: &[PathBuf], bundled: bool) -> Vec<(PathBuf, String, bool)> {
     let place = |file: &PathBuf| {
         let base = file.file_name().unwrap_or_default().to_string_lossy().to_string();
@@ -209,8 +208,8 @@ fn edit(args: &Edit) -> anyhow::Result<Exit> {
     Ok(Exit::Done)
 }
 
-/// The files of a scenario's town, which others use too. netedit writes them again with everything that it
-/// saves, in other digits: where they mean the same, they get their own bytes back.
+/// The files of a scenario's town, which other scenarios share. netedit rewrites them at each save, with
+/// other digits. If their meaning is unchanged, their old bytes are restored.
 struct Town {
     files: Vec<(PathBuf, Vec<u8>, Shapes)>,
     network: Option<Network>,

@@ -59,16 +59,16 @@ pub struct Args {
     /// WIDTHxHEIGHT in pixels [default: 512x512; 1280x720 for chase, 720x720 for bird].
     #[arg(long, value_name = "WxH", value_parser = size)]
     size: Option<(usize, usize)>,
-    /// From where.
+    /// The camera's place.
     #[arg(long, value_enum, default_value_t = Place::Front)]
     view: Place,
     /// What to show in place of the plain picture.
     #[arg(long, value_enum)]
     overlay: Option<Overlay>,
-    /// What perception makes of the front camera's picture, in place of the plain picture.
+    /// A stage of perception on the front camera's picture, in place of the plain picture.
     #[arg(long, value_enum, conflicts_with_all = ["overlay", "view"])]
     stage: Option<Stage>,
-    #[arg(long, help = format!("Who detects: {}", perception::DETECTORS), default_value = "truth", value_name = "NAME", requires = "stage")]
+    #[arg(long, help = format!("The detector: {}", perception::DETECTORS), default_value = "truth", value_name = "NAME", requires = "stage")]
     detector: String,
     /// All 14 weathers in one picture, each in --size.
     #[arg(long, conflicts_with_all = ["weather", "overlay", "stage"])]
@@ -89,23 +89,23 @@ enum Place {
 enum Overlay {
     /// Bright near, dark far.
     Depth,
-    /// CARLA's colours of what things are.
+    /// Semantic classes in CARLA's colours.
     Semantic,
     /// A colour for each object.
     Instance,
-    /// The picture with boxes of what is seen.
+    /// The picture with the true boxes of visible objects.
     Boxes,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
 enum Stage {
-    /// Boxes of what is detected.
+    /// Boxes of the detections.
     Detect,
     /// The ego lane's boundaries; a red border where the light at the intersection is red.
     Lanes,
     /// The transformed image, 128x128.
     Transformed,
-    /// What the latent holds of the transformed image, 128x128.
+    /// The transformed image's reconstruction from the latent, 128x128.
     Latent,
     /// Camera, detections, transformed image and reconstruction side by side.
     All,
@@ -119,7 +119,7 @@ pub fn size(text: &str) -> Result<(usize, usize), String> {
 
 fn seconds(text: &str) -> Result<f64, String> {
     let seconds = text.parse().ok().filter(|s: &f64| s.is_finite() && *s >= 0.0);
-    seconds.ok_or_else(|| format!("`{text}` is no time: expected seconds, 0 or more"))
+    seconds.ok_or_else(|| format!("expected seconds, 0 or more, found `{text}`"))
 }
 
 /// Runs the command.

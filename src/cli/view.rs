@@ -20,14 +20,14 @@ use wad_cosim::view::{
 /// The live view's options.
 #[derive(clap::Args, Debug)]
 pub struct ViewArgs {
-    /// Open a page that shows the run in the browser, and lets people drive; it then runs at real time
+    /// Open a page that shows the run in the browser and lets viewers drive; the run goes at real time
     /// [default address: 127.0.0.1:8765].
     #[arg(long, value_name = "ADDR", num_args = 0..=1, default_missing_value = DEFAULT_ADDRESS)]
     pub view: Option<ViewAddress>,
-    /// A secret that viewers must know; asked for where the page can be reached from other machines.
+    /// A secret that viewers must know; required if other machines can reach the page.
     #[arg(long, value_name = "TOKEN", requires = "view")]
     view_token: Option<Token>,
-    /// The live view's pace, times real time; 0: as fast as it goes. The page can change it.
+    /// The run's speed in the live view, times real time; 0: as fast as possible. The page can change it.
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, requires = "view")]
     pub view_speed: f64,
 }
@@ -42,7 +42,7 @@ impl ViewArgs {
     pub fn listen(&self) -> anyhow::Result<Option<Listener>> {
         let Some(address) = self.view else { return Ok(None) };
         if !(self.view_speed == 0.0 || (0.05..=50.0).contains(&self.view_speed)) {
-            return Err(Exit::Input.because(anyhow::anyhow!("--view-speed is 0, or from 0.05 to 50")));
+            return Err(Exit::Input.because(anyhow::anyhow!("--view-speed: expected 0, or 0.05 to 50")));
         }
         listen(address, self.view_token.clone()).map(Some)
     }
@@ -164,7 +164,7 @@ pub fn artist(
 ) -> anyhow::Result<Artist> {
     let detector =
         perception::detector(detector, perception::MIN_SCORE).map_err(|e| Exit::Input.because(e))?;
-    // Without OpenCV there are no stages, but everything else.
+    // Without OpenCV everything works but the stages.
     let mut eyes = match Eyes::new(assets.town(), CameraConfig::default(), detector) {
         Ok(eyes) => eyes,
         Err(error) => {

@@ -27,7 +27,7 @@ pub struct Listed {
     pub id: String,
     pub name: String,
     pub outcome: String,
-    /// A line that tells it from others.
+    /// A line that identifies it in the list.
     pub about: String,
 }
 
@@ -88,7 +88,7 @@ struct Seen {
     leader: Option<LeaderRecord>,
 }
 
-/// Goes through an episode with the autopilot's eyes.
+/// Runs the autopilot over an episode's recorded states.
 fn course(recording: &Recording, network: &Network, route: &Route, ego: &EgoParams) -> Vec<Seen> {
     let mut autopilot = Autopilot::new(AutopilotParams::default(), EgoModel::from(ego));
     let mut score = Score::default();
@@ -216,7 +216,7 @@ impl Player {
         let hub = Arc::clone(&self.hub);
         let thread = std::thread::Builder::new().name("view artist".to_string());
         self.drawing = Some(thread.spawn(move || artist.work(&hub, number)).map_err(ViewError::Thread)?);
-        // Pages that show another episode come again and are told of this one.
+        // Pages that show another episode reload and get this one.
         self.hub.greet_again();
         self.show();
         Ok(())

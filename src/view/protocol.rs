@@ -109,7 +109,7 @@ impl Request {
     }
 }
 
-/// An event with the time (s) at which it happened and a number that tells it from others.
+/// An event with its time (s) and a number of its own.
 #[derive(Clone, Debug, Serialize)]
 pub struct Noted {
     pub n: u64,
@@ -160,7 +160,7 @@ pub struct State {
     pub driver: String,
     /// The viewer who drives.
     pub holder: Option<u64>,
-    /// An agent that is being made ready.
+    /// An agent that is loading.
     pub loading: Option<String>,
     pub weather: String,
     /// Background traffic that is kept alive; None: the config's own.
@@ -188,7 +188,7 @@ pub struct State {
     pub over: Option<String>,
 }
 
-/// Who is round the ego: `[key, kind, x, y, heading, length, width, speed, lights]`, lights 1 brake,
+/// Road users round the ego: `[key, kind, x, y, heading, length, width, speed, lights]`, lights 1 brake,
 /// 2 left, 4 right; and the states of the traffic lights in sight.
 pub fn around(world: &WorldState) -> Value {
     let place = |v: f64| (v * 100.0).round() / 100.0;

@@ -111,7 +111,7 @@ fn wad_t_trains_stops_on_ctrl_c_goes_on_and_drives() {
     let mut command = wad(&["run", "town3", "--ticks", "5", "--agent"]);
     let output = command.arg(&broken).arg("--out").arg(dir.path().join("three")).output().unwrap();
     assert_eq!(output.status.code(), Some(2));
-    assert!(stderr(&output).contains("is no trained agent"), "{}", stderr(&output));
+    assert!(stderr(&output).contains("is not a trained agent"), "{}", stderr(&output));
 }
 
 /// A SUMO that `parent` started.

@@ -96,7 +96,7 @@ impl From<ItineraryError> for DriveError {
 struct RunConfig<'a> {
     #[serde(flatten)]
     options: &'a DriveOptions,
-    /// Who drives, where it is not the autopilot.
+    /// The driver; None for the autopilot.
     #[serde(skip_serializing_if = "Option::is_none")]
     driver: Option<&'a PilotRecord>,
 }
@@ -127,7 +127,7 @@ pub struct Drive {
     began: Instant,
     /// Asked for since the last tick.
     wishes: Vec<Wish>,
-    /// Who took the wheel from the run's own driver.
+    /// The viewer or agent that replaced the run's own driver.
     guest: Option<String>,
     /// Ticks that the scenario may take, and how it ended.
     limit: Option<u64>,
@@ -219,7 +219,7 @@ impl Drive {
         self.session.bridge()
     }
 
-    /// The same, for what is to be asked of SUMO beside the drive.
+    /// The same, for requests to SUMO beside the drive.
     pub fn bridge_mut(&mut self) -> &mut Bridge {
         self.session.bridge_mut()
     }
@@ -419,8 +419,8 @@ impl Drive {
         Ok(())
     }
 
-    /// Does what a person asks for before the next tick, which records it. False where it cannot be done;
-    /// everything stays as it is then.
+    /// Grants a viewer's request before the next tick, which records it. False if it is impossible; nothing
+    /// changes then.
     ///
     /// # Errors
     /// SUMO fails, or the net has nowhere to start.

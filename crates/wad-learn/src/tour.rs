@@ -1,4 +1,4 @@
-//! A drive through a town for pictures: from view to view that differ, for scoring and for training.
+//! A drive through a town that takes differing pictures, for scoring and for training.
 
 use crate::drive::{Drive, DriveError, DriveOptions};
 use sumo_network::geometry::Pose;

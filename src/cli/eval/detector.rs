@@ -168,7 +168,7 @@ fn progress(length: u64) -> Option<ProgressBar> {
     })
 }
 
-/// The frame with boxes: judged truths white, others grey, believed detections green or red.
+/// The frame with boxes: counted truths white, others grey, counted detections green or red.
 fn picture(frame: &wad_cosim::camera::Frame, view: &View, found: &[Detection]) -> Picture {
     use wad_cosim::perception::metrics::{Fate, fates};
     let mut picture = Picture::rgb(frame);
@@ -212,7 +212,7 @@ fn text(report: &Report) -> String {
     let goals: Vec<String> = goals.chain([format!("< {FALSE_ALARM_GOAL:.0}")]).collect();
     let _ = writeln!(out, "| goal | {} |\n", goals.join(" | "));
 
-    out += "Of what is there, found as any class of its group, by class:";
+    out += "By class, counted as found if detected as any class of its group:";
     for (n, (class, score)) in report.realism.classes.iter().enumerate() {
         let recall = score.hits as f64 / score.truths.max(1) as f64;
         let comma = if n == 0 { "" } else { "," };

@@ -1,4 +1,4 @@
-//! `wad-cosim eval lanes` and `eval lead`: the autopilot drives, perception looks on.
+//! `wad-cosim eval lanes` and `eval lead`: scores perception while the autopilot drives.
 
 use crate::cli::{Exit, print, run};
 use anyhow::Context;
@@ -39,7 +39,7 @@ pub struct Args {
     /// Background traffic: empty, regular, dense, or VEHICLES,PEDESTRIANS.
     #[arg(long, default_value = "regular", value_name = "T")]
     traffic: TrafficSpec,
-    /// Who detects: truth (the renderer's boxes) or truth:faulty (with a real detector's faults).
+    /// The detector: truth (the renderer's boxes) or truth:faulty (with a real detector's faults).
     #[arg(long, default_value = "truth", value_name = "NAME")]
     detector: String,
     /// WIDTHxHEIGHT of the camera's picture in pixels.

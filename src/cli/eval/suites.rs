@@ -36,7 +36,7 @@ Exit codes: 0 done; 2 usage or input; 3 SUMO failed; 4 interrupted, results kept
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
-    /// Who drives: wad-t, wad-s, a trained agent's file, autopilot, random, constant[:THROTTLE,STEER,BRAKE], exec:COMMAND. May be given several times.
+    /// The driver: wad-t, wad-s, a trained agent's file, autopilot, random, constant[:THROTTLE,STEER,BRAKE], exec:COMMAND. May be given several times.
     #[arg(long = "agent", value_name = "NAME", default_value = "autopilot")]
     agents: Vec<DriverSpec>,
     /// Only this condition of the suite, e.g. training or new; may be given several times.
@@ -64,7 +64,7 @@ pub struct Args {
     /// Route file for a town that brings none (eval routes makes one).
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     routes: Option<PathBuf>,
-    #[arg(long, help = format!("Who detects: {}", wad_cosim::perception::DETECTORS), default_value = "truth", value_name = "NAME")]
+    #[arg(long, help = format!("The detector: {}", wad_cosim::perception::DETECTORS), default_value = "truth", value_name = "NAME")]
     detector: String,
     /// Environments at a time; each takes a core.
     #[arg(long, value_name = "N", default_value_t = 1)]
@@ -234,7 +234,7 @@ pub fn run(suite: &str, args: Args) -> anyhow::Result<Exit> {
         Some((store, episodes)) => (Some(store), episodes),
         None => (None, Vec::new()),
     };
-    // Those in which SUMO died say nothing of the agent, and are tried again.
+    // Episodes in which SUMO died do not count for the agent, and are driven again.
     episodes.retain(|episode| episode.fault != Some(Fault::Simulator));
     let left: Vec<_> = (mine.iter().zip(eval::in_order(&mine, &episodes)))
         .filter(|(_, done)| done.is_none())

@@ -27,7 +27,7 @@ pub struct Args {
     /// PNG file to write.
     #[arg(long, value_name = "FILE", default_value = "latents.png", value_hint = ValueHint::FilePath)]
     out: PathBuf,
-    /// Use a dataset that was not collected to its end.
+    /// Accept an unfinished dataset.
     #[arg(long)]
     partial: bool,
 }

@@ -71,8 +71,8 @@ fn write(path: &Path, text: &str) -> anyhow::Result<()> {
 /// The tables as a page of their own, with where they come from.
 fn page_of_markdown(report: &Report, tables: &[Vec<Table>]) -> String {
     let mut text = String::from(
-        "# Results\n\nMade by `wad-cosim report`; [evaluate.md](evaluate.md) tells how to measure them again. Success \
-         rates carry their standard deviation over weathers and seeds and Wilson's 95 % interval.\n\n",
+        "# Results\n\n`wad-cosim report` wrote the tables of this page; [evaluate.md](evaluate.md) says how to measure them \
+         again. Each success rate has its standard deviation over weathers and seeds and Wilson's 95 % interval.\n\n",
     );
     for (section, tables) in report.sections.iter().zip(tables) {
         text += &format!("## {}\n\n", section.suite.title);

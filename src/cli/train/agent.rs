@@ -34,7 +34,7 @@ DIR/train.jsonl, DIR/validation.jsonl and for TensorBoard; checkpoints hold the 
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
-    /// What learns: td3 (WAD-T) or sac (WAD-S).
+    /// The algorithm: td3 (WAD-T) or sac (WAD-S).
     #[arg(long, value_enum, required_unless_present = "resume")]
     algo: Option<Algo>,
     /// Folder for actors, checkpoints and figures.
@@ -104,7 +104,7 @@ pub struct Args {
     /// Begin with the episodes in DIR, as this encoder sees them; can be given several times.
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     recorded: Vec<PathBuf>,
-    /// Weight of imitating what the autopilot would do (beyond the paper); 0: never.
+    /// Weight of imitating the autopilot's action (beyond the paper); 0: no imitation.
     #[arg(long, value_name = "W", default_value_t = 0.0)]
     bc_weight: f64,
     /// Updates over which imitation fades.
@@ -113,10 +113,10 @@ pub struct Args {
     /// Share of imitation's weight that stays.
     #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
     bc_floor: f64,
-    /// Imitate only where the critic prefers what the autopilot would do.
+    /// Imitate only where the critic prefers the autopilot's action.
     #[arg(long)]
     bc_filter: bool,
-    /// td3: what critics end in: the paper's sigmoid, or linear.
+    /// td3: the critics' last layer: the paper's sigmoid, or linear.
     #[arg(long, value_enum, default_value_t = Critic::Sigmoid)]
     critic: Critic,
     /// td3: the returns that the sigmoid's 0 and 1 stand for.
@@ -131,13 +131,13 @@ pub struct Args {
     /// Discount per tick of a sixth of a second.
     #[arg(long, value_name = "X", default_value_t = 0.99)]
     gamma: f64,
-    /// Rewards summed before the critic's word is taken.
+    /// Rewards summed before the critic's estimate is used (n-step return).
     #[arg(long, value_name = "N", default_value_t = 1)]
     n_step: usize,
-    /// sac: the temperature, in scaled reward per nat; where --autotune begins.
+    /// sac: the temperature, in scaled reward per nat; with --autotune its initial value.
     #[arg(long, value_name = "X", default_value_t = 0.1)]
     alpha: f64,
-    /// sac: let the temperature keep the entropy where it belongs.
+    /// sac: adjust the temperature to keep the entropy at its target.
     #[arg(long)]
     autotune: bool,
     /// Noise on the actions driven in training: a factor on its standard deviations.
@@ -149,12 +149,12 @@ pub struct Args {
     /// Standard deviation that the latent's numbers are scaled to.
     #[arg(long, value_name = "X", default_value_t = 1.0)]
     latent_gain: f64,
-    /// Share of the images that are shown as on other days: other light, tints, haze, wet roads, rain;
-    /// never in validation.
+    /// Share of the images changed to other days: other light, tints, haze, wet roads, rain; never in
+    /// validation.
     #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
     other_days: f64,
-    /// Add to each latent that is learned from up to this share of the difference between two others, so that
-    /// less rests on how a day looks.
+    /// Add to each latent up to this share of the difference between two others of the batch, so that the
+    /// agent relies less on the look of a day.
     #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
     latent_mixing: f64,
     /// Environment steps between validations; 0: never.
@@ -342,8 +342,8 @@ fn saved_config(args: &Args) -> anyhow::Result<TrainConfig> {
     let found = find_encoder(&config.encoder).map_err(|e| Exit::Input.because(e))?.hash().to_string();
     if found != config.encoder_hash {
         return Err(Exit::Input.because(anyhow!(
-            "the training in `{}` sees through the encoder {} (`{}`), which is {found} now; put that one back, or \
-             train anew",
+            "the training in `{}` uses the encoder {} (`{}`), which is {found} now; restore that encoder, or \
+             start a new training",
             args.out.display(),
             config.encoder_hash,
             config.encoder

@@ -41,11 +41,10 @@ pub struct Args {
     /// Folder for weights, checkpoint and losses.
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     out: PathBuf,
-    /// Begin with these weights instead of new ones: centernet (those that travel with the program) or
-    /// centernet:FILE.
+    /// Start with these weights instead of new ones: centernet (the bundled ones) or centernet:FILE.
     #[arg(long, value_name = "NAME", conflicts_with = "resume")]
     init: Option<String>,
-    /// Walks through the data.
+    /// Epochs over the training frames.
     #[arg(long, value_name = "N", default_value_t = 12)]
     epochs: u64,
     /// Pictures to a step.
@@ -87,7 +86,7 @@ pub struct Args {
     /// Go on with the training in --out.
     #[arg(long)]
     resume: bool,
-    /// Use a dataset that was not collected to its end.
+    /// Accept an unfinished dataset.
     #[arg(long)]
     partial: bool,
     /// End after this wall time.

@@ -28,13 +28,13 @@ pub struct Args {
     /// Folder for weights, checkpoint and losses.
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     out: PathBuf,
-    /// Walks through the data.
+    /// Epochs over the training images.
     #[arg(long, value_name = "N", default_value_t = 50)]
     epochs: u64,
-    /// Images to a step.
+    /// Images per step.
     #[arg(long, value_name = "N", default_value_t = 128)]
     batch: usize,
-    /// Most steps to an epoch; validation comes after each.
+    /// Most steps per epoch; validation follows each epoch.
     #[arg(long, value_name = "N", default_value_t = 600)]
     epoch_steps: usize,
     /// Where to compute.
@@ -55,14 +55,14 @@ pub struct Args {
     /// Weight of a variational encoder's divergence; 0: not variational.
     #[arg(long, value_name = "B", default_value_t = 0.0)]
     beta: f64,
-    /// How much more painted pixels (blue, green, red) count.
+    /// Extra weight of painted pixels (blue, green, red) in the loss.
     #[arg(long, value_name = "W", default_value_t = 4.0)]
     paint_weight: f64,
-    /// How much more of that small painted objects count.
+    /// Extra weight of small painted objects, on top of --paint-weight.
     #[arg(long, value_name = "W", default_value_t = 4.0)]
     small_weight: f64,
-    /// Teach the latent what the linear probes ask (vehicle and pedestrian in the lane, red light, gap, lane
-    /// boundaries), with this weight beside the picture's error; 0: not.
+    /// Train the latent on the probes' labels too (vehicle and pedestrian in the lane, red light, gap, lane
+    /// boundaries), with this weight beside the picture's error; 0: off.
     #[arg(long, value_name = "W", default_value_t = 0.03)]
     label_weight: f64,
     /// Compute convolutions in bfloat16: twice as fast on processors that have it.
@@ -77,13 +77,13 @@ pub struct Args {
     /// Threads of libtorch on the processor.
     #[arg(long, value_name = "N", default_value_t = 1)]
     threads: i32,
-    /// Images kept in memory (GB); more take turns [default: 6 on the processor, 40 on a GPU].
+    /// Memory for images (GB); if there are more, they take turns [default: 6 on the CPU, 40 on a GPU].
     #[arg(long, value_name = "GB")]
     resident_gb: Option<f64>,
     /// Go on with the training in --out.
     #[arg(long)]
     resume: bool,
-    /// Use a dataset that was not collected to its end.
+    /// Accept an unfinished dataset.
     #[arg(long)]
     partial: bool,
     /// End after this wall time.

@@ -36,8 +36,8 @@ pub fn from_control(control: Control) -> Action {
     [control.steer.clamp(-1.0, 1.0) as f32, control.throttle.clamp(0.0, 1.0) as f32, brake]
 }
 
-/// What is shown of an expert's `action` at `speed` (m/s): at rest its wheels may point anywhere, so its
-/// steering counts from a walking pace on, and below it the less the slower.
+/// The part of an expert's `action` at `speed` (m/s) that is imitated: at rest the wheels may point anywhere,
+/// so steering counts fully from walking pace on, and less below it.
 pub fn shown(action: Action, speed: f64) -> Action {
     let [steer, throttle, brake] = action;
     [steer * (0.5 * speed).clamp(0.0, 1.0) as f32, throttle, brake]

@@ -22,9 +22,9 @@ pub struct ExplorationParams {
     /// Each episode draws its own share of the noise, uniform from 0 to 1; this part of the episodes
     /// is driven without any.
     pub quiet_episodes: f64,
-    /// Chance, by tick, that a demonstrating foot slips onto the throttle for about a second while it comes
-    /// close to a stop line or a vehicle (standing there: less often). Else nobody is ever shown how to
-    /// stop in time there.
+    /// Chance per tick that the demonstrating autopilot's throttle slips for about a second close to a stop
+    /// line or a vehicle (less often while it stands there). Without slips, demonstrations never show how
+    /// to stop there in time.
     #[serde(default)]
     pub lapses: f64,
     /// Actions before learning starts: means of steering, throttle and brake, and standard deviations.

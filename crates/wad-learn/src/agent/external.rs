@@ -1,4 +1,4 @@
-//! Another process as an agent, over a pipe: a model in any language is judged without linking anything.
+//! An external process as an agent, over a pipe: a model in any language can be evaluated without linking.
 //!
 //! Lines of JSON, one object each (docs/evaluate.md):
 //!
@@ -8,8 +8,8 @@
 //!    `tick` 0 begins an episode. `raw` and `state` are [`RawState`]'s numbers, scaled and in units.
 //! 3. It answers each with `{"throttle": 0..1, "steer": -1..1, "brake": 0..1}` within the time limit.
 //!
-//! At the end its standard input is closed, and it is killed. One that dies, hangs or answers nonsense
-//! costs the episode; a new one is started for the next.
+//! At the end its standard input is closed, and it is killed. If it dies, hangs or gives an invalid
+//! answer, the episode fails, and a new process is started for the next one.
 
 use super::{Agent, AgentError, Seen};
 use serde::{Deserialize, Serialize};
@@ -52,7 +52,7 @@ pub struct ExternalAgent {
 
 /// Lines of its standard error that an error quotes.
 const TAIL: usize = 3;
-/// A line longer than this is no answer (bytes).
+/// Longest answer (bytes).
 const LONGEST_LINE: u64 = 1 << 16;
 
 #[derive(Default, Deserialize)]
@@ -181,7 +181,7 @@ impl ExternalAgent {
     }
 }
 
-/// The process, with a thread for each of its pipes, so that one that neither reads nor writes blocks nobody.
+/// The process, with a thread for each of its pipes, so that a hung process does not block us.
 struct Process {
     child: Child,
     wants_image: bool,
@@ -198,7 +198,7 @@ impl Process {
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
-            // A group of its own: what it starts ends with it, and Ctrl-C is ours.
+            // A process group of its own: its children end with it, and Ctrl-C comes to us only.
             .process_group(0)
             .spawn()
             .map_err(|e| format!("it cannot be started: {e}"))?;
@@ -258,7 +258,7 @@ impl Process {
         }
     }
 
-    /// What became of it, once its output has ended.
+    /// How the process ended, once its output has ended.
     fn died(&mut self) -> String {
         let until = Instant::now() + Duration::from_millis(500);
         loop {

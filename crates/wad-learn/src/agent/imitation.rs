@@ -46,7 +46,7 @@ impl Imitation {
 
     /// -mean(value), with `value` [B] in units of the critic's mean size `size` [B], and `weight` times the
     /// mean square distance of `action` [B, A] from what was shown, each number in units of `half` its
-    /// range. `shown_value` [B] is the critic's word on what was shown, for the filter.
+    /// range. `shown_value` [B] is the critic's value of the shown action, for the filter.
     pub fn loss(
         &self,
         weight: f64,

@@ -1,4 +1,4 @@
-//! TD3 or SAC behind one face: batches in, an actor out, and a state that can be saved.
+//! TD3 or SAC behind one interface: batches in, an actor out, and a state that can be saved.
 
 use super::action::{ACTION_SIZE, Action};
 use super::batch::{Batch, InputScale, Metrics, Scale};

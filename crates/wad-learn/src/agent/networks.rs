@@ -9,7 +9,7 @@
 //! WAD-S value   observation 215 - 256 - 128 - 64 - 1
 //! ```
 //!
-//! Everything between is ReLU. The paper does not tell the sizes of WAD-T's critics.
+//! All layers between are ReLU. The paper does not give the sizes of WAD-T's critics.
 //!
 //! Shapes: B is the batch. All of a network's parameters lie in one flat tensor ([`Params`]); a pair of
 //! critics is one network whose weights have a leading dimension of two.

@@ -61,16 +61,16 @@ pub struct Policy {
 pub enum PolicyError {
     #[error("cannot {what} `{}`: {source}", path.display())]
     File { what: &'static str, path: PathBuf, source: std::io::Error },
-    #[error("`{}` is no trained agent: {why}; expected a file that `train agent` wrote", path.display())]
+    #[error("`{}` is not a trained agent: {why}; expected a file that `train agent` wrote", path.display())]
     Format { path: PathBuf, why: String },
     #[error(
-        "the agent `{}` was trained behind the {what} {expected}, and this one is {found}; \
-         use the {what} that it was trained with, or train it anew", path.display()
+        "the agent `{}` was trained with the {what} {expected}, and this one is {found}; \
+         use the agent's {what}, or train the agent again", path.display()
     )]
     Other { path: PathBuf, what: &'static str, expected: String, found: String },
     #[error("no agent is called `{0}`: expected autopilot, wad-t, wad-s or a file that `train agent` wrote")]
     Unknown(String),
-    #[error("this build comes without the trained agent `{0}`; train one, and name its file")]
+    #[error("this build does not include the trained agent `{0}`; train one, and give its file")]
     NotShipped(String),
     #[error("the agent's encoder: {0}")]
     Encoder(#[from] LatentError),
@@ -400,7 +400,7 @@ mod tests {
         for keep in [0, 5, 200, bytes.len() / 2, bytes.len() - 1] {
             std::fs::write(&path, &bytes[..keep]).unwrap();
             let error = Policy::load(&path).unwrap_err().to_string();
-            assert!(error.contains("is no trained agent"), "{error}");
+            assert!(error.contains("is not a trained agent"), "{error}");
         }
         assert!(Policy::load(&folder.path().join("none")).is_err());
     }

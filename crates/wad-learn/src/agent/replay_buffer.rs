@@ -28,9 +28,9 @@ pub struct Segment {
     pub rewards: Vec<f32>,
     /// The last transition ended the task for good: nothing is worth anything after it.
     pub terminated: bool,
-    /// The last transition was cut off by the clock: what comes after it is worth what it is worth.
+    /// The clock ended the episode: the last transition still bootstraps.
     pub truncated: bool,
-    /// What an expert would have done in place of each action; None or missing: nobody was asked.
+    /// The expert's action in place of each action; None or missing: the expert was not asked.
     pub shown: Vec<Option<Action>>,
 }
 

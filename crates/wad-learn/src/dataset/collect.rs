@@ -24,7 +24,7 @@ use wad_sim::traffic::TrafficSpec;
 /// How far it is.
 #[derive(Clone, Copy, Debug)]
 pub struct Progress {
-    /// Frames on disk or under way, those of earlier calls too.
+    /// Frames on disk or in work, including earlier calls.
     pub frames: usize,
     pub wanted: usize,
 }
@@ -35,7 +35,7 @@ pub struct Collected {
     pub out: PathBuf,
     pub town: String,
     pub frames: usize,
-    /// Those that were there before.
+    /// Frames of earlier calls.
     pub frames_before: usize,
     pub shards: usize,
     pub bytes: u64,
@@ -175,7 +175,7 @@ pub fn collect(
     })
 }
 
-/// Segments without a whole shard, and the frames in those that have one. A torn shard counts as missing.
+/// Segments without a complete shard, and the number of frames in complete shards. A torn shard is missing.
 fn missing_segments(folder: &Path, segments: &[Segment]) -> Result<(Vec<Segment>, usize), DatasetError> {
     let (mut missing, mut frames) = (Vec::new(), 0);
     for segment in segments {

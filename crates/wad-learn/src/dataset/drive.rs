@@ -17,7 +17,7 @@ use wad_vehicle::{Control, EgoParams};
 
 /// Driven before the first frame (s).
 const WARM_UP: f64 = 8.0;
-/// Standing for so long it is put down elsewhere (s): enough for a red light.
+/// Standing time after which the ego is moved to another place (s): longer than a red light.
 const STUCK_AFTER: f64 = 75.0;
 /// Frames go on for this long after a crash (s).
 const AFTER_CRASH: f64 = 1.0;

@@ -14,7 +14,7 @@ pub enum DatasetError {
     )]
     DiskFull { path: PathBuf, source: std::io::Error },
     #[error(
-        "`{}` is no dataset: expected dataset.json in it; make one with `wad-cosim dataset collect --out {}`",
+        "`{}` is not a dataset: expected dataset.json in it; make one with `wad-cosim dataset collect --out {}`",
         path.display(), path.display()
     )]
     NotADataset { path: PathBuf },
@@ -25,8 +25,8 @@ pub enum DatasetError {
     )]
     Version { path: PathBuf, found: u64, expected: u64 },
     #[error(
-        "`{}` is half-written: {found} of {wanted} frames are there; give the `dataset collect` command \
-         again to go on with it, or use what there is with --partial",
+        "`{}` is unfinished: {found} of {wanted} frames are there; run the same `dataset collect` command \
+         again to finish it, or use these frames with --partial",
         path.display()
     )]
     HalfWritten { path: PathBuf, found: usize, wanted: usize },
@@ -35,7 +35,7 @@ pub enum DatasetError {
     #[error("`{}` is torn: {why}", path.display())]
     Torn { path: PathBuf, why: String },
     #[error(
-        "`{}` holds another dataset: {what} is {found}, asked for was {asked}; name another folder with \
+        "`{}` holds another dataset: expected {what} {asked}, found {found}; name another folder with \
          --out, or remove it",
         path.display()
     )]
@@ -52,12 +52,12 @@ pub enum DatasetError {
     )]
     TestData { path: PathBuf, town: String },
     #[error(
-        "`{}` is no recorded run: {why}; expected a folder that `wad-cosim run --out` wrote", path.display()
+        "`{}` is not a recorded run: {why}; expected a folder that `wad-cosim run --out` wrote", path.display()
     )]
     NotARun { path: PathBuf, why: String },
     #[error(
-        "the run in `{}` goes another way now: {off:.2} m off at tick {tick}; it was recorded by another version \
-         of this program, of SUMO or of the config, so record it again",
+        "the run in `{}` does not repeat: {off:.2} m off its record at tick {tick}; it was recorded with another \
+         version of this program, of SUMO or of the config, so record it again",
         path.display()
     )]
     Drifted { path: PathBuf, tick: u64, off: f64 },

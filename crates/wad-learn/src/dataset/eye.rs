@@ -1,4 +1,4 @@
-//! Looks at the world through camera and perception, and makes frames of what it sees.
+//! Makes a dataset's frames of the world, with camera and perception.
 
 use super::error::DatasetError;
 use super::image_codec::CameraCodec;
@@ -51,7 +51,7 @@ impl Eye {
         Ok(eye)
     }
 
-    /// Forgets what it saw: the ego was put down elsewhere.
+    /// Clears its memory, because the ego was moved to another place.
     pub fn reset(&mut self) {
         self.eyes.reset(self.segment.weather, self.segment.seed);
     }

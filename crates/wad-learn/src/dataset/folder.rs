@@ -41,7 +41,7 @@ impl Role {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum State {
-    /// Under way, or broken off.
+    /// Running, or interrupted.
     Collecting,
     /// All that was wanted, or what there was time for.
     Complete,
@@ -171,7 +171,7 @@ impl Dataset {
     /// its end is refused.
     ///
     /// # Errors
-    /// The folder is no dataset, half-written, empty, of another version or of another camera.
+    /// The folder is not a dataset, or it is unfinished, empty, of another version or of another camera.
     pub fn open(folder: &Path, partial: bool) -> Result<Self, DatasetError> {
         let path = folder.to_path_buf();
         let manifest =
@@ -349,7 +349,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path();
         let error = |partial| Dataset::open(path, partial).unwrap_err().to_string();
-        assert!(error(false).contains("no dataset"), "{}", error(false));
+        assert!(error(false).contains("not a dataset"), "{}", error(false));
         data(path, "town5");
         let dataset = Dataset::open(path, false).unwrap();
         assert!(matches!(dataset.require_training(), Err(DatasetError::TestData { .. })));

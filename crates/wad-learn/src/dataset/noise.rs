@@ -1,4 +1,4 @@
-//! Disturbances of the autopilot's hand, so that off-centre and near-accident views get into the data.
+//! Disturbances of the autopilot's controls, so that the data has off-centre and near-accident views.
 //!
 //! Now and then a push of about a second: the wheel turned, the throttle held, or both. In between the
 //! autopilot recovers, and the recovery is in the data too.

@@ -1,4 +1,4 @@
-//! What a dataset tells of one frame.
+//! The record of one frame in a dataset.
 
 use serde::{Deserialize, Serialize};
 use sumo_network::world::SignalState;

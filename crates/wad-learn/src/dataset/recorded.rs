@@ -1,5 +1,5 @@
 //! A recorded run as data: it is driven again from its `config.json`, with the controls of its telemetry,
-//! and what its ego saw is kept. Any driver's will do, for the run itself tells what he did.
+//! and the ego's frames are kept. It works for any driver, because the telemetry has every control.
 
 use super::error::DatasetError;
 use super::eye::{Eye, Moment};
@@ -37,7 +37,7 @@ impl RecordedRun {
             serde_json::from_str(&read("config.json")?).map_err(|e| not(format!("config.json: {e}")))?;
         if options.bridge.attach.is_some() {
             return Err(not(
-                "it joined a SUMO that was running already, which cannot be had again".to_string()
+                "it was driven with --attach in a foreign SUMO, so it cannot be driven again".to_string()
             ));
         }
         let text = read("telemetry.jsonl")?;

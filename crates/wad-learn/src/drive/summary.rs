@@ -1,4 +1,4 @@
-//! What came of a run: counts while it goes, the summary at its end.
+//! The result of a run: counts during the run, the summary at its end.
 
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -45,13 +45,13 @@ pub struct Summary {
     pub top_speed_mps: f64,
     pub destinations_reached: u64,
     pub collisions: CollisionCounts,
-    /// Those that the ego caused.
+    /// Collisions that the ego caused.
     pub collisions_caused: CollisionCounts,
     pub red_lights_run: u64,
     pub outside_lane_ticks: u64,
     pub sidewalk_events: u64,
     pub vehicle_blocked: u64,
-    /// Times the ego was put down elsewhere because it was blocked or had nowhere to go on.
+    /// Times the ego was moved to another place because it was blocked or its route could not go on.
     pub respawns: u64,
     pub vehicles_mean: f64,
     pub pedestrians_mean: f64,

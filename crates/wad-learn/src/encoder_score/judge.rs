@@ -1,4 +1,4 @@
-//! Judges an encoder on frames that it has not seen.
+//! Scores an encoder on frames that it was not trained on.
 
 use super::probe::{Probe, Regression, auc, explained};
 use super::score::{ObjectScore, psnr, ssim};
@@ -72,9 +72,9 @@ pub struct Judgement {
     /// Gap to the vehicle in the lane within 20 m (m).
     pub gap: LinearScore,
     /// The same probe of the vehicle, measured where the route goes straight on: where it turns, the picture
-    /// does not tell which of the roads ahead is the ego's.
+    /// does not show which of the roads ahead is the ego's.
     pub lead_straight: ProbeScore,
-    /// What the picture itself would tell: the same probes from the share of blue in each 8x8 pixels.
+    /// The same probes on the picture itself: the share of blue in each cell of 8x8 pixels.
     pub lead_of_picture: ProbeScore,
     pub pedestrian_of_picture: ProbeScore,
     /// Middle of the two painted boundaries (m, left of the ego), and their slope, where both are painted;

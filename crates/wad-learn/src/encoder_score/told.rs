@@ -1,4 +1,4 @@
-//! What is known of a frame that a latent should tell.
+//! A frame's ground truth that the latent should hold: the labels of the linear probes.
 
 use crate::dataset::{FrameRecord, Labels};
 

@@ -1,4 +1,4 @@
-//! One episode: its clock, its judge, and what its reward is made from.
+//! One episode: its clock, its criteria, and the facts for its reward.
 
 use crate::reward::{self, Facts, Light, RewardParams};
 use sumo_network::geometry::{Pose, Vector};

@@ -1,4 +1,4 @@
-//! Lights held at green for the tasks that come before the one with lights.
+//! Holds lights at green for the tasks before the cross task.
 
 use std::collections::BTreeMap;
 use sumo_network::network::{Route, TrafficLightId};

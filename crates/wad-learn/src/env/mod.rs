@@ -61,7 +61,7 @@ use wad_sim::tasks::{Placement, TaskSpec};
 use wad_vehicle::{Control, EgoState};
 use world::World;
 
-/// What came of a control.
+/// The result of one control.
 #[derive(Clone, Debug)]
 pub struct Step {
     pub observation: Observation,
@@ -150,8 +150,8 @@ impl Env {
     /// Drives one tick.
     ///
     /// # Errors
-    /// There is no episode under way, or perception or encoder fail. SUMO's death is no error here: see
-    /// the module.
+    /// No episode is running, or perception or encoder fail. SUMO's death is not an error here: see the
+    /// module.
     pub fn step(&mut self, control: Control) -> Result<Step, EnvError> {
         self.runtime.block_on(self.world.step(control))
     }

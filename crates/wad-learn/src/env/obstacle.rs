@@ -1,4 +1,4 @@
-//! What stands in the ego's way in the obstacle task.
+//! The obstacle of the obstacle task.
 
 use super::EnvError;
 use std::sync::Arc;
@@ -63,7 +63,7 @@ pub fn take_away(bridge: &mut Bridge, ego: &mut Ego) {
     vehicle::remove(bridge.next_batch(), OBSTACLE, RemoveReason::Vaporized);
 }
 
-/// A person who stands at `place`, turned to whoever comes.
+/// A person who stands at `place` and faces the traffic.
 fn person(place: Pose) -> Actor {
     let walker = &WALKERS[0];
     let heading = place.heading + std::f64::consts::PI;

@@ -1,4 +1,4 @@
-//! What an environment is made of; saved with every result.
+//! The environment's options; saved with every result.
 
 use crate::reward::RewardParams;
 use rand::RngExt;
@@ -10,14 +10,14 @@ use wad_sim::criteria::CriteriaParams;
 use wad_sim::end::Termination;
 use wad_vehicle::EgoParams;
 
-/// What becomes of SUMO between episodes.
+/// What happens to SUMO between episodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum WorldMode {
     /// A new SUMO per episode: reproducible from task and seed alone. For evaluation.
     #[default]
     Fresh,
-    /// SUMO and its traffic run on; the ego is put down elsewhere, at a place that is free. For training.
+    /// SUMO and its traffic run on; the ego moves to another free place. For training.
     Running,
 }
 
@@ -67,12 +67,12 @@ pub struct EnvOptions {
     /// Which events end an episode.
     pub termination: Termination,
     pub reward: RewardParams,
-    /// In [`WorldMode::Running`]: episodes after which SUMO is started anew all the same, so that jams
+    /// In [`WorldMode::Running`]: episodes after which SUMO is started again, so that jams
     /// dissolve and the traffic's seed changes. Default 200.
     pub episodes_per_sumo: u64,
     /// Longest time a tick may take before SUMO counts as hung (s). Default 60.
     pub tick_timeout: f64,
-    /// Show SUMO's window. It changes nothing of what happens, so it is not kept with results.
+    /// Show SUMO's window. It does not change the simulation, so it is not saved with results.
     #[serde(skip)]
     pub gui: bool,
 }

@@ -226,8 +226,8 @@ impl World {
         self.folder.path().join("sumo")
     }
 
-    /// The ego put down at the route's begin, or, where somebody stands there who cannot be taken away,
-    /// at another place for the same task.
+    /// Moves the ego to the route's begin, or, if a road user stands there that cannot be removed, to
+    /// another place for the same task.
     async fn go_on(
         &mut self,
         task: &TaskSpec,

@@ -24,7 +24,7 @@ pub struct Kept {
 pub enum KeptError {
     #[error("cannot {what} {}: {source}", path.display())]
     File { what: &'static str, path: PathBuf, source: std::io::Error },
-    #[error("{} is no kept episode: {why}; expected a folder as `eval` keeps of each failure", path.display())]
+    #[error("{} is not a kept episode: {why}; expected a folder that `eval` keeps of a failure", path.display())]
     Format { path: PathBuf, why: String },
     #[error(transparent)]
     Replay(#[from] ReplayError),

@@ -56,7 +56,7 @@ impl Case {
         seeds::derive(self.seed, &format!("{} {} {} {}", self.suite, self.town, self.task, self.episode))
     }
 
-    /// What tells it from every other episode, as a name for a folder.
+    /// A unique name for the episode's folder.
     pub fn name(&self) -> String {
         let text = format!(
             "{}_{}_{}_{}_{}_s{}_{:03}",

@@ -8,18 +8,18 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use wad_sim::tasks::Placement;
 
-/// Whose fault it is that an episode could not be driven to its end.
+/// What stopped an episode before its end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Fault {
-    /// It died, hung, or answered nonsense: the episode counts as failed.
+    /// The agent died, hung, or gave an invalid answer: the episode counts as failed.
     Agent,
     /// SUMO died, twice: the episode does not count, and is driven again on `--resume`.
     Simulator,
 }
 
-/// What came of an episode, and everything that is needed to drive it again. It holds nothing that
-/// depends on wall time: equal cases give equal bytes.
+/// The result of an episode, and everything that is needed to drive it again. Nothing in it depends
+/// on wall time: equal cases give equal bytes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EpisodeRecord {
     #[serde(flatten)]

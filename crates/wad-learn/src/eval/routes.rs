@@ -28,15 +28,15 @@ pub struct Routes {
 #[derive(Debug, thiserror::Error)]
 pub enum RouteError {
     #[error(
-        "the suite's routes for `{town}` are not there: `wad-cosim eval routes {town}` makes them, and \
-         `--routes FILE` names them where they do not lie beside the net"
+        "the suite's routes for `{town}` are missing: make them with `wad-cosim eval routes {town}`, or name \
+         their file with `--routes FILE` if it is not beside the net"
     )]
     None { town: String },
     #[error("the suite needs routes `{set}`, and {} has none: {why}{}", path.display(), remedy(set))]
     NoSet { set: String, path: PathBuf, why: String },
     #[error("cannot {what} the routes {}: {source}", path.display())]
     File { what: &'static str, path: PathBuf, source: std::io::Error },
-    #[error("{} are no routes: {why}; `wad-cosim eval routes` makes such a file", path.display())]
+    #[error("{} is not a file of routes: {why}; `wad-cosim eval routes` makes one", path.display())]
     Format { path: PathBuf, why: String },
     #[error(
         "the routes {} belong to another net ({expected}) than {town} ({found}): make them anew with \

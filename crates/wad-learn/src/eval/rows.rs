@@ -35,7 +35,7 @@ pub struct Score {
     pub success_rate: f64,
     /// Wilson's 95 % interval of the success rate.
     pub interval: (f64, f64),
-    /// How many ended how; those that nobody did are left out.
+    /// Number of episodes by end; ends that did not occur are left out.
     pub ends: BTreeMap<End, u64>,
     /// Of those that ended with an error those in which the agent failed.
     pub agent_failures: u64,

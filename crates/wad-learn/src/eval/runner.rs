@@ -77,7 +77,7 @@ pub struct Evaluation<'a> {
 /// that is.
 ///
 /// # Errors
-/// A town, a task or an agent cannot be had, or `done` fails. What is done already stays with `done`.
+/// A town, a task or an agent cannot be opened, or `done` fails. Finished episodes stay with `done`.
 pub fn run(
     plan: &[Case],
     towns: &BTreeMap<String, Arc<Assets>>,
@@ -110,7 +110,7 @@ pub fn run(
         for record in receiver {
             let outcome = record.and_then(&mut done);
             failed.fetch_or(outcome.is_err(), Ordering::Relaxed);
-            // The first error is the one to tell; what others drove meanwhile is kept all the same.
+            // The first error is returned; episodes that other jobs finished meanwhile are kept.
             if result.is_ok() {
                 result = outcome;
             }

@@ -4,8 +4,8 @@
 //! |---|---|
 //! | `config.json` | the [`Manifest`]: what the results were made by |
 //! | `episodes.jsonl` | one line per episode, appended when it ends |
-//! | `summary.json` | the table, in the plan's order: the same whoever drove which episode when |
-//! | `episodes/NAME/` | what is needed to see an episode again, of failures |
+//! | `summary.json` | the table in the plan's order, whatever the order of driving |
+//! | `episodes/NAME/` | the recording of each failed episode, for `replay` |
 
 use super::record::RECORDINGS;
 use super::{Case, EpisodeRecord, Manifest, RecordingFolder};
@@ -40,7 +40,7 @@ pub enum StoreError {
     Recording { path: PathBuf, why: String },
     #[error("another evaluation is writing into {}", path.display())]
     Busy { path: PathBuf },
-    #[error("{} is no folder of an evaluation: {why}", path.display())]
+    #[error("{} is not an evaluation's folder: {why}", path.display())]
     Format { path: PathBuf, why: String },
     #[error(
         "the results in {} were made otherwise, and must not be mixed with new ones: {}; use another folder, or what \
@@ -81,7 +81,7 @@ impl Results {
     /// Reads a folder.
     ///
     /// # Errors
-    /// It is no folder of an evaluation, or cannot be read.
+    /// It is not an evaluation's folder, or cannot be read.
     pub fn open(path: &Path) -> Result<Self, StoreError> {
         let file = |what, path: PathBuf| move |source| StoreError::File { what, path, source };
         let config = path.join(CONFIG);

@@ -78,7 +78,7 @@ pub enum SuiteError {
     Unknown { found: String },
     #[error("cannot read the suite {}: {source}", path.display())]
     Read { path: PathBuf, source: std::io::Error },
-    #[error("{} is no suite: {why}; docs/evaluate.md shows one", path.display())]
+    #[error("{} is not a suite: {why}; docs/evaluate.md shows one", path.display())]
     Format { path: PathBuf, why: String },
     #[error("the suite {suite} has no {what} `{found}`: expected {}", expected.join(", "))]
     NotIn { suite: String, what: &'static str, found: String, expected: Vec<String> },

@@ -22,7 +22,7 @@ pub enum VerifyError {
     Agent(#[from] AgentError),
     #[error(transparent)]
     Eval(#[from] EvalError),
-    #[error("the episode was driven on another net: {town} was {expected} then, and is {found} now")]
+    #[error("the episode was driven on another net: expected {town} with hash {expected}, found {found}")]
     OtherNet { town: String, expected: String, found: String },
 }
 
@@ -51,7 +51,7 @@ pub struct Verdict {
 /// early with false.
 ///
 /// # Errors
-/// The town is another one by now, or the environment or the agent cannot be made.
+/// The town has changed since, or the environment or the agent cannot be made.
 pub fn verify(
     kept: &Kept,
     recording: &Recording,

@@ -1,7 +1,7 @@
 //! Trains CenterNet on the camera's pictures (Zhou et al. 2019; losses and targets in
 //! [`wad_see::perception::centernet`]).
 //!
-//! An epoch shows each frame about once, those with rare classes more often, those without objects less
+//! An epoch uses each frame about once, frames with rare classes more often, frames without objects less
 //! often. After it comes validation: COCO's mAP@0.5 of boxes 24 px high or more, on shards that were not
 //! trained on. The best network so far is exported in half precision, and a checkpoint written.
 
@@ -165,7 +165,7 @@ struct Trainer<'a> {
 /// is then lost. `report` is called every few steps.
 ///
 /// # Errors
-/// Bad data, no memory, a full disk, or a loss that is no number. The last checkpoint is kept.
+/// Bad data, no memory, a full disk, or a loss that is not a number. The last checkpoint is kept.
 pub fn train(
     options: &TrainOptions,
     device: Device,

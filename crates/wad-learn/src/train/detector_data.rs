@@ -344,7 +344,7 @@ pub fn epoch<E: From<DatasetError>>(
                 for (n, (size, count, picked)) in picks.iter().enumerate().skip(worker).step_by(workers) {
                     let mut rng = seeds::rng(seed, &format!("detector epoch {epoch} step {n}"));
                     if send.send(Batch::new(show, samples, (picked, *count), *size, &mut rng)).is_err() {
-                        return; // nobody listens any more
+                        return; // the receiver is gone
                     }
                 }
             });

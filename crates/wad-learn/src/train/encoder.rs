@@ -1,9 +1,9 @@
 //! Trains the encoder-decoder (paper, section "Latent State Extraction").
 //!
-//! An epoch is one walk through the training images, or `epoch_steps` batches of it where that is less;
-//! then comes validation, the best so far is exported, and a checkpoint written. A run that was broken off
-//! goes on from its last checkpoint; on the processor with one thread it then ends with the very bits of
-//! one that was not (cuDNN's sums differ from run to run).
+//! An epoch is one pass over the training images, or `epoch_steps` batches if that is less. Then validation
+//! runs, the best network so far is exported, and a checkpoint is written. An interrupted run goes on from
+//! its last checkpoint; on the CPU with one thread it gives the same bits as an uninterrupted run (cuDNN's
+//! sums differ from run to run).
 
 pub mod heads;
 mod terms;
@@ -67,7 +67,7 @@ struct Trainer<'a> {
 /// is then lost. `report` is called every few steps.
 ///
 /// # Errors
-/// Bad data, no memory, a full disk, or a loss that is no number. The last checkpoint is kept.
+/// Bad data, no memory, a full disk, or a loss that is not a number. The last checkpoint is kept.
 pub fn train(
     options: &TrainOptions,
     device: Device,
@@ -146,7 +146,7 @@ impl<'a> Trainer<'a> {
         self.options.time_limit.is_some_and(|limit| self.began.elapsed().as_secs_f64() >= limit)
     }
 
-    /// Loads the images of this epoch's shards: all that fit, chosen anew where not all do.
+    /// Loads the images of this epoch's shards: all, or a new random choice if not all fit.
     fn load(&mut self) -> Result<(), TrainError> {
         let (mut shards, _) = self.dataset.split();
         let room = (self.options.resident_gb * 1e9 / TransformedImage::BYTES as f64) as usize;

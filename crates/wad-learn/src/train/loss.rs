@@ -1,4 +1,4 @@
-//! What the encoder-decoder is trained for, and how its pictures are augmented; all on the device.
+//! The encoder-decoder's loss, and the augmentation of its pictures; all on the device.
 
 use rand_chacha::ChaCha8Rng;
 use tch::{Kind, TchError, Tensor};

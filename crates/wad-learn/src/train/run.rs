@@ -1,4 +1,4 @@
-//! What the trainings of encoder and detector share: the folder, the walk epoch by epoch, the errors.
+//! Shared by the trainings of encoder and detector: the folder, the loop over epochs, the errors.
 //!
 //! ```text
 //! out: config.json  checkpoint.safetensors (after each epoch)  the best network
@@ -39,7 +39,7 @@ pub enum TrainError {
     Taken { path: PathBuf },
     #[error("`{}` holds no training to resume: expected checkpoint.safetensors in it", path.display())]
     NothingToResume { path: PathBuf },
-    #[error("the training in `{}` differs in {what}: it has {found}, asked for was {asked}", path.display())]
+    #[error("the training in `{}` differs in {what}: expected {asked}, found {found}", path.display())]
     Differs { path: PathBuf, what: &'static str, found: String, asked: String },
     #[error(
         "the loss became {loss} at step {step}: training stopped, `{}` is the last good one; a smaller \
@@ -56,7 +56,7 @@ impl TrainError {
         move |source| Self::Write { path, source }
     }
 
-    /// Whether what was asked for is wrong, rather than this machine.
+    /// Whether the user's input is wrong, not this machine.
     pub fn is_input(&self) -> bool {
         match self {
             Self::Dataset(_)

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-/// Colours that are told apart by those who see red and green alike (Okabe and Ito).
+/// Colours that people with red-green blindness can distinguish (Okabe and Ito).
 const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000"];
 
 /// A drawing under way.

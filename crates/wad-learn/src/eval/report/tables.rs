@@ -82,7 +82,7 @@ fn success(section: &Section) -> Table {
     let blind: Vec<String> = agents.iter().filter(|agent| blind(agent)).cloned().collect();
     if !blind.is_empty() && section.suite.conditions.iter().any(|c| c.weathers.len() > 1) {
         notes.push(format!(
-            "Without eyes, an episode is the same in every weather: the intervals of {} count it once per weather, \
+            "Blind agents drive the same in every weather: the intervals of {} count each episode once per weather, \
              and are narrower than they should be.",
             blind.join(", ")
         ));
@@ -102,7 +102,7 @@ fn success(section: &Section) -> Table {
         .collect();
     if !untrained.is_empty() {
         notes.push(format!(
-            "“training” is the benchmark's word: nothing of ours was trained in {} (town3 in {} only).",
+            "“training” is the benchmark's name: nothing was trained in {} (only in town3 in {}).",
             untrained.join(", "),
             TRAINED_IN.map(Preset::name).join(", ")
         ));
@@ -188,7 +188,7 @@ fn infractions(section: &Section) -> Table {
         cells.extend(s.events.named().map(|(_, n)| {
             match s.distance_km {
                 _ if n == 0 => "0".to_string(),
-                // Who does not move has none per km.
+                // An agent that does not move has no rate per km.
                 km if km < 0.1 => format!("({n})"),
                 km => format!("{:.2} ({n})", n as f64 / km),
             }
@@ -220,7 +220,7 @@ fn ends(section: &Section) -> Table {
         title: format!("{}: how episodes ended", section.suite.title),
         head,
         rows: lines(section).into_iter().map(row).collect(),
-        notes: vec!["“error” is an external agent that died, hung or answered nonsense.".to_string()],
+        notes: vec!["“error” is an external agent that died, hung or gave an invalid answer.".to_string()],
         ..Table::default()
     }
 }
@@ -255,7 +255,7 @@ fn weathers(section: &Section) -> Table {
         title: format!("{}: success by weather", section.suite.title),
         head: head.collect(),
         rows,
-        notes: vec!["† a weather that nothing of ours was trained in.".to_string()],
+        notes: vec!["† agents, encoder and detector were not trained in this weather.".to_string()],
         ..Table::default()
     }
 }

@@ -214,7 +214,7 @@ impl Checkpoints {
         if state.raw_meaning != RAW_MEANING {
             return Err(format!(
                 "the raw states in its replay buffer are of meaning {}, expected {RAW_MEANING}; \
-                 begin anew",
+                 start a new training",
                 state.raw_meaning
             ));
         }

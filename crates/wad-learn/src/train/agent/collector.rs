@@ -60,7 +60,7 @@ pub struct Times {
     pub waiting: f64,
 }
 
-/// Why an episode was not driven to its end.
+/// Why an episode stopped before its end.
 enum Stop {
     /// Training is over.
     Over,
@@ -161,7 +161,7 @@ struct Collector<'a> {
     /// What `actor` is a copy of.
     version: Option<u64>,
     times: Times,
-    /// What `env` had spent when that was last told.
+    /// The time that `env` had spent at the last report.
     told: Stages,
 }
 

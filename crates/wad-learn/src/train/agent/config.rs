@@ -9,8 +9,8 @@ use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use wad_sim::tasks::Curriculum;
 
-/// Everything that decides what is learned. How long, with how many collectors, where and on what device
-/// is said apart ([`super::Limits`]), so that a run can go on elsewhere.
+/// Every setting that changes what is learned. Length, number of collectors, folder and device are in
+/// [`super::Limits`], so that a run can go on elsewhere.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrainConfig {
@@ -159,7 +159,7 @@ impl TrainConfig {
         }
     }
 
-    /// What cannot be, if anything.
+    /// The first invalid setting, if there is one.
     pub fn problem(&self) -> Option<String> {
         let gamma = self.algorithm.gamma();
         if !(0.0..1.0).contains(&gamma) {

@@ -92,7 +92,7 @@ pub fn train(
         drop(out);
         let result = result.and_then(|()| learning.run(&messages, &shared, interrupt, &mut progress));
         shared.stop.store(true, Ordering::Relaxed);
-        // Collectors that wait to be heard find nobody there, and end.
+        // Closing the channel ends collectors that wait to send.
         drop(messages);
         result
     });
@@ -134,7 +134,7 @@ struct Learning<'a> {
     checkpoints: Checkpoints,
     /// Steps of behaviour cloning so far.
     cloned: u64,
-    /// Environment steps of the agent, and those that the autopilot drove.
+    /// Environment steps of the agent, and of the autopilot.
     steps: u64,
     demonstrated: u64,
     version: u64,

@@ -7,8 +7,8 @@
 //! ```
 //!
 //! The channel between them is short: where the learner falls behind its fixed ratio of updates to
-//! steps, collectors wait; where it is ahead, it waits. So what is learned does not depend on how fast
-//! which of them is.
+//! steps, collectors wait; where it is ahead, it waits. So what is learned does not depend on
+//! the speed of either.
 
 mod checkpoint;
 mod collector;
@@ -73,13 +73,13 @@ pub enum TrainError {
     Policy(#[from] PolicyError),
     #[error(transparent)]
     Misfit(#[from] Misfit),
-    #[error("the training cannot be: {0}")]
+    #[error("the training's configuration is invalid: {0}")]
     Config(String),
     #[error("could not write `{}`: {source}; what was written before stays", path.display())]
     Write { path: PathBuf, source: std::io::Error },
     #[error("could not read `{}`: {source}", path.display())]
     Read { path: PathBuf, source: std::io::Error },
-    #[error("`{}` is no training's configuration: {why}", path.display())]
+    #[error("`{}` is not a training's configuration: {why}", path.display())]
     ConfigFile { path: PathBuf, why: String },
     #[error("`{}` already holds a training; go on with --resume, or name another folder with --out", path.display())]
     Taken { path: PathBuf },
@@ -114,7 +114,7 @@ pub struct Progress<'a> {
     pub news: Option<String>,
 }
 
-/// What came of a training; `summary.json`.
+/// The result of a training; `summary.json`.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Trained {
     pub algorithm: String,

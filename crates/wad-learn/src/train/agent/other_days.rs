@@ -1,7 +1,7 @@
-//! Transformed images of the training weathers as on other days: other light, tints, haze, wet roads, rain.
+//! Changes transformed images of the training weathers to other days: light, tints, haze, wet roads, rain.
 //!
-//! Agents learn in three weathers and are driven in eleven others, which move the latent. Nothing here comes
-//! from the renderer's weathers: pixels are changed by numbers drawn at random, what was painted stays.
+//! Agents train in three weathers and drive in eleven others, which shift the latent. Nothing here comes from
+//! the renderer's weathers: random numbers change the pixels, and paint stays.
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;

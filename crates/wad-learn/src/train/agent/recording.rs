@@ -1,4 +1,4 @@
-//! Episodes on disk with their transformed images, so that what was driven once serves every encoder.
+//! Episodes on disk with their transformed images, so that a recorded episode serves every encoder.
 //!
 //! ```text
 //! DIR/SEED.episode   one line of JSON (Header), then per observation: length and bytes of a PNG, the raw
@@ -132,7 +132,7 @@ pub fn load(
     }
     if header.raw_meaning != observation::RAW_MEANING {
         return Err(failed(invalid(format!(
-            "its raw states are of meaning {}, expected {}; record anew, or begin without --recorded",
+            "its raw states are of meaning {}, expected {}; record again, or train without --recorded",
             header.raw_meaning,
             observation::RAW_MEANING
         ))));

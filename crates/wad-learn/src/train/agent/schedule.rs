@@ -1,4 +1,4 @@
-//! Who drives what next: demonstrations first, then the curriculum, with validations between.
+//! The next episode: demonstrations first, then the curriculum, with validations between.
 
 use super::config::TrainConfig;
 use crate::agent::batch::InputScale;
@@ -41,7 +41,7 @@ pub enum Purpose {
     Validate(Arc<ActorCopy>),
 }
 
-/// What came of an episode.
+/// The result of an episode.
 #[derive(Clone, Debug)]
 pub struct Report {
     pub purpose: Purpose,
@@ -72,7 +72,7 @@ pub struct Schedule {
     pub state: ScheduleState,
     seed: u64,
     validations: VecDeque<Job>,
-    /// Environment steps of the agent so far, as far as the learner has told.
+    /// Environment steps of the agent so far, by the learner's last message.
     pub steps: u64,
 }
 

@@ -1,7 +1,7 @@
-//! Linear heads on the latent that learn with it to tell what the linear probes ask (`--label-weight`).
+//! Linear heads on the latent, trained with it on the labels of the linear probes (`--label-weight`).
 //!
-//! The reconstruction alone has no reason to keep apart what is small in the picture and large on the
-//! road: a pedestrian in the lane and one beside it. The heads are left behind when the training ends.
+//! The reconstruction loss hardly separates cases that differ by few pixels but matter on the road: a
+//! pedestrian in the lane and one beside it. The heads are dropped when the training ends.
 
 use crate::encoder_score::told::{LEAD, Told};
 use crate::optim::Adam;
@@ -16,7 +16,7 @@ pub const LABELS: usize = (QUESTIONS + NUMBERS) as usize;
 /// A rarer yes weighs no more than one of this share.
 const RAREST: f64 = 0.01;
 
-/// A frame's labels; no number where there is nothing to tell.
+/// A frame's labels; NaN where a label does not apply.
 pub fn labels(told: &Told) -> [f32; LABELS] {
     let yes = |is: bool| f32::from(u8::from(is));
     let number = |value: Option<f64>, unit: f64| value.map_or(f32::NAN, |value| (value / unit) as f32);
@@ -67,7 +67,7 @@ impl Heads {
         })
     }
 
-    /// How badly `theta`'s heads tell `labels` (n, 6) from raw latents (n, 200): cross entropy in which all
+    /// Loss of `theta`'s heads on `labels` (n, 6) from raw latents (n, 200): cross entropy in which all
     /// yes and all no weigh the same, and the numbers' errors in deviations (square up to one, then
     /// linear); the mean of both kinds.
     ///
@@ -145,7 +145,7 @@ mod tests {
             last = loss.double_value(&[]);
             heads.adam.step(&mut heads.theta, &gradient);
         }
-        // The red light cannot be told from these latents.
+        // These latents hold nothing about the red light.
         assert!(last < 0.15, "{last}");
         let weights = heads.theta.narrow(0, 0, 12).view([6, 2]);
         let at = |row: i64, column: i64| weights.double_value(&[row, column]);

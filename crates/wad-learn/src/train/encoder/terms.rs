@@ -1,4 +1,4 @@
-//! What an encoder's training is asked for and answers: options, progress, figures.
+//! An encoder training's options, progress and metrics.
 
 use crate::train::run;
 use serde::{Deserialize, Serialize};
@@ -25,7 +25,7 @@ pub struct TrainOptions {
     /// How much more painted pixels count, and how much more of that small objects.
     pub paint_weight: f64,
     pub small_weight: f64,
-    /// Weight of heads on the latent that tell what the linear probes ask; 0: none.
+    /// Weight of the linear heads that predict the probes' labels from the latent; 0: none.
     #[serde(default)]
     pub label_weight: f64,
     /// Convolutions in bfloat16; parameters and optimiser stay in single precision.
@@ -79,7 +79,7 @@ pub struct Validation {
     /// Of painted pixels: intersection over union of wanted and made, over all images.
     pub painted_iou: f64,
     pub divergence: f64,
-    /// How badly the heads tell the labels; 0 without heads.
+    /// The heads' loss on the labels; 0 without heads.
     #[serde(default)]
     pub labels: f64,
 }

@@ -1,4 +1,4 @@
-//! What was driven before, into the replay buffer.
+//! Loads recorded episodes into the replay buffer.
 
 use super::{Learning, Maker, Progress, TrainError};
 use crate::train::agent::other_days::OtherDays;

@@ -1,4 +1,4 @@
-//! What is said of a training: lines of figures, progress, the summary at the end.
+//! A training's reports: metrics, progress, the summary at the end.
 
 use super::{Learning, Progress, TrainError, Trained, lock, write_whole};
 use crate::train::agent::collector::Shared;
