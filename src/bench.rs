@@ -1,4 +1,4 @@
-//! What the bridge costs, as a ratio to SUMO alone in the same run.
+//! The bridge's time per tick, as a ratio to SUMO alone in the same run.
 //!
 //! For each population a short stretch of the same simulation is timed twice, many times over:
 //! *bridge*: pose in, step, the whole [`crate::world::WorldState`] within 100 m decoded (physics and
@@ -19,17 +19,17 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// What to measure.
+/// Options of a measurement of the bridge.
 #[derive(Clone, Debug)]
 pub struct BridgeBench {
-    /// The run that is measured; its traffic and folder are replaced per row.
+    /// The run to measure; its traffic and folder are replaced per row.
     pub base: DriveOptions,
     /// Populations: vehicles and pedestrians.
     pub populations: Vec<(usize, usize)>,
     /// Ticks before the first stretch, and in each.
     pub warm_up: u64,
     pub ticks: u64,
-    /// Stretches, each measured both ways; the median counts.
+    /// Number of stretches, each measured both ways; the median counts.
     pub repeat: usize,
     /// Folder for scratch files.
     pub scratch: PathBuf,
@@ -83,7 +83,7 @@ pub enum BenchError {
 const HEAD: u64 = 10;
 
 impl BridgeBench {
-    /// Measures one population. `progress` hears of each stretch.
+    /// Measures one population. `progress` is called with the number of each stretch.
     ///
     /// # Errors
     /// SUMO fails.
@@ -157,7 +157,7 @@ impl BridgeBench {
     }
 }
 
-/// One stretch: milliseconds per tick, and how many were there.
+/// One stretch: milliseconds per tick, and the mean population.
 #[derive(Clone, Copy, Debug, Default)]
 struct Stretch {
     wall: f64,

@@ -1,7 +1,7 @@
 //! The cost of a tick of the whole loop, by stage.
 //!
 //! The loop is that of `run` with the front camera: the autopilot decides, the ego's physics moves it,
-//! SUMO steps, the reply is decoded, the camera renders what the ego sees, perception looks at it.
+//! SUMO steps, the reply is decoded, the camera renders a frame, perception processes it.
 
 use crate::camera::{CameraConfig, Outputs, Preset};
 use crate::cpu_time;
@@ -22,7 +22,7 @@ use std::time::Instant;
 pub struct Stages(Vec<(&'static str, Vec<f64>)>);
 
 impl Stages {
-    /// What `stage` took in one tick (s).
+    /// Adds the time of `stage` in one tick (s).
     pub fn record(&mut self, stage: &'static str, seconds: f64) {
         let ms = seconds * 1000.0;
         match self.0.iter_mut().find(|(name, _)| *name == stage) {
@@ -53,7 +53,7 @@ impl Serialize for Stages {
     }
 }
 
-/// What to measure.
+/// Options of a measurement of the whole loop.
 pub struct TickBenchOptions {
     pub drive: DriveOptions,
     pub camera: CameraConfig,
@@ -63,7 +63,7 @@ pub struct TickBenchOptions {
     pub detector: Option<Box<dyn Detector>>,
     /// The encoder; None: no latent.
     pub encoder: Option<Box<dyn Encoder>>,
-    /// Ticks that are driven first and not measured.
+    /// Ticks of warm-up, not measured.
     pub warm_up: u64,
 }
 
@@ -76,7 +76,7 @@ pub enum TickBenchError {
     Eyes(#[from] EyesError),
 }
 
-/// A measurement under way.
+/// A running measurement.
 pub struct TickBench {
     drive: Drive,
     eyes: Eyes,
@@ -84,7 +84,7 @@ pub struct TickBench {
     done: u64,
     stages: Stages,
     totals: Vec<f64>,
-    /// Processor time (s), SUMO's and ours, when the measured ticks began and after the last one.
+    /// CPU time (s), SUMO's and ours, when the measured ticks began and after the last one.
     cpu: Option<(f64, f64)>,
 }
 
@@ -94,9 +94,9 @@ pub struct TickReport {
     pub stages: Stages,
     /// The time (ms) that 95 of 100 ticks stay below, by stage.
     pub stages_p95: BTreeMap<&'static str, f64>,
-    /// The whole tick (ms): the stages, and the judging and recording that belongs to none.
+    /// The whole tick (ms): all stages, criteria and recording.
     pub total_ms: f64,
-    /// Mean processor time of a tick, SUMO's and ours (ms); other load hardly touches it.
+    /// Mean CPU time of a tick, SUMO's and ours (ms); other load hardly changes it.
     pub cpu_ms: Option<f64>,
     pub ticks: u64,
 }
@@ -185,7 +185,7 @@ impl TickBench {
         sumo.zip(cpu_time::of_thread()).map(|(sumo, ours)| sumo + ours)
     }
 
-    /// The figures so far; None before the first measured tick.
+    /// The results so far; None before the first measured tick.
     pub fn report(&self) -> Option<TickReport> {
         let ticks = self.totals.len() as u64;
         (ticks > 0).then(|| TickReport {

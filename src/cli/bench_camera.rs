@@ -1,4 +1,4 @@
-//! `wad-cosim bench camera`: what a frame costs.
+//! `wad-cosim bench camera`: the time of a camera frame.
 
 use super::{Exit, print, run};
 use anyhow::Context;
@@ -21,7 +21,7 @@ Examples:
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
-    /// Config or bundled town.
+    /// A .sumocfg, a .net.xml(.gz) or a bundled town.
     #[arg(default_value = "town5")]
     config: String,
     /// Background traffic.
@@ -52,7 +52,7 @@ const BEFORE: f64 = 20.0;
 /// Every so many frames one is rendered once more, to time its stages.
 const STAGES_EVERY: usize = 8;
 
-/// One way to render, and what its frames took.
+/// One way to render, and the times of its frames.
 #[derive(Serialize)]
 struct Row {
     weather: Preset,
@@ -60,7 +60,7 @@ struct Row {
     height: usize,
     /// `rgb`, or `all`: with depth, semantic, instance and boxes.
     outputs: &'static str,
-    /// The town's size: 1 as it is.
+    /// How often the town is repeated; 1: once.
     town_times: usize,
     /// Wall time and the thread's processor time; the latter hardly depends on other load.
     median_ms: f64,
@@ -114,7 +114,7 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
     report(&ways, args.json)
 }
 
-/// The same drive for each way: one camera looks at every tick, as in use; the others' pictures are not in
+/// The same drive for each way. One camera renders every tick, as in use, so that other pictures are not in
 /// the caches.
 async fn drive(way: &mut Way, args: &Args, config: std::path::PathBuf) -> anyhow::Result<()> {
     let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;

@@ -1,4 +1,4 @@
-//! `wad-cosim bench view`: what viewers cost the simulation.
+//! `wad-cosim bench view`: how much viewers slow down the simulation.
 
 use super::film::Film;
 use super::run::{Interrupt, with_exit};
@@ -15,10 +15,10 @@ use wad_cosim::stats::{median, quantile};
 use wad_cosim::traffic::TrafficSpec;
 use wad_cosim::view::{Crowd, Listener, ViewAddress};
 
-/// Ticks with no viewer, one viewer and many, in turns, so that other load affects all alike.
+/// Measure ticks with no viewer, one viewer and many, in turns, so that other load affects all alike.
 #[derive(clap::Args, Debug)]
 pub struct Args {
-    /// Config or bundled town.
+    /// A .sumocfg, a .net.xml(.gz) or a bundled town.
     #[arg(default_value = "town5")]
     config: String,
     /// Background traffic: as-is, empty, regular, dense, or VEHICLES,PEDESTRIANS.
@@ -46,7 +46,7 @@ pub struct Args {
     json: bool,
 }
 
-/// What was measured with so many viewers.
+/// The figures for one number of viewers.
 #[derive(Debug, Default, Serialize)]
 struct Row {
     viewers: usize,
@@ -59,7 +59,7 @@ struct Row {
     /// More than a tick without viewers (ms, and as a share).
     cost_ms: f64,
     share: f64,
-    /// Frames that a viewer got, of the ticks that there were.
+    /// Share of the ticks that a viewer got as frames.
     frames_share: f64,
     /// From the end of a tick to its message at a viewer (ms).
     late_ms: f64,
@@ -76,7 +76,7 @@ struct Times {
     seconds: f64,
 }
 
-/// Ticks after a change before anything is measured.
+/// Ticks of warm-up after each change.
 const SETTLE: usize = 10;
 
 /// Runs the command.
@@ -162,7 +162,7 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
     Ok(Exit::Done)
 }
 
-/// What was measured with each crowd, `turn` ticks to a turn.
+/// The figures for each number of viewers, `turn` ticks per turn.
 fn rows(crowds: &[usize], times: &[Times], turn: usize) -> Vec<Row> {
     let alone = times.first().map_or(f64::NAN, |times| median(times.ticks.clone()));
     let per_turn = (SETTLE + turn) as f64 / turn as f64;

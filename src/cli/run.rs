@@ -29,11 +29,11 @@ Examples:
   wad-cosim run nets/town5.sumocfg                          the town's own traffic, until Ctrl-C or the config's end
   wad-cosim run town5 --traffic dense --ticks 1200          70 vehicles and 150 pedestrians, 200 s
   wad-cosim run town3 --traffic 40,80 --seed 7 --gui        watch it in sumo-gui
-  wad-cosim run town5 --view                                watch it in the browser, and take the wheel
-  wad-cosim run town5 --agent wad-t                         the trained agent at the wheel
-  wad-cosim run town5 --perception --record see.mp4         film what the ego sees and makes of it
+  wad-cosim run town5 --view                                watch it in the browser, and drive
+  wad-cosim run town5 --agent wad-t                         the trained agent drives
+  wad-cosim run town5 --perception --record see.mp4         film the camera, detections and reconstruction
   wad-cosim run my.sumocfg --route -E12,E7 --json           own net, from edge -E12 to edge E7, machine-readable
-  wad-cosim run my.net.xml --attach 127.0.0.1:8813          join a SUMO that is running already
+  wad-cosim run my.net.xml --attach 127.0.0.1:8813          join a running SUMO
 
 Results go to runs/DATE-TOWN-SEED (or --out): config.json, telemetry.jsonl, summary.json, sumo/sumo.log.
 Exit codes: 0 done; 2 usage or input; 3 SUMO failed; 4 interrupted, results kept; 1 anything else.";
@@ -49,7 +49,7 @@ pub struct Args {
     /// or exec:COMMAND (docs/evaluate.md).
     #[arg(long, default_value = "autopilot", value_name = "NAME|FILE|exec:CMD", value_hint = ValueHint::FilePath)]
     agent: DriverSpec,
-    /// The encoder that the agent sees through [default: the one that it was trained with], and whose
+    /// The agent's encoder [default: the one that it was trained with], and the encoder whose
     /// reconstruction --perception shows [default: the bundled one].
     #[arg(long, value_name = "NAME", value_hint = ValueHint::AnyPath)]
     encoder: Option<String>,
@@ -59,14 +59,14 @@ pub struct Args {
     /// Stop after this many simulation seconds.
     #[arg(long, value_name = "SECONDS", conflicts_with = "ticks")]
     time: Option<f64>,
-    /// Everything random derives from it [default: the config's seed, or 0].
+    /// Seed of everything random [default: the config's seed, or 0].
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
     /// Background traffic: as-is (the config's own), empty, regular, dense, or VEHICLES,PEDESTRIANS
     /// [default: as-is, or the scenario's].
     #[arg(long, value_name = "T")]
     traffic: Option<TrafficSpec>,
-    /// Drive from one edge (or lane) to another first; later destinations are drawn.
+    /// First route, from one edge (or lane) to another; later destinations are random.
     #[arg(long, value_name = "FROM,TO", allow_hyphen_values = true)]
     route: Option<String>,
     /// Folder for the results.
@@ -75,10 +75,10 @@ pub struct Args {
     /// Length of a tick in milliseconds [default: the config's step-length, or 167].
     #[arg(long, value_name = "MS")]
     tick_ms: Option<f64>,
-    /// Show it in sumo-gui, the ego followed.
+    /// Show the run in sumo-gui; its view follows the ego.
     #[arg(long)]
     gui: bool,
-    /// The weather that agent and recording see, by CARLA's name [default: ClearNoon, or the scenario's].
+    /// Weather of camera and film, by CARLA's name [default: ClearNoon, or the scenario's].
     #[arg(long, value_name = "NAME")]
     weather: Option<Preset>,
     /// Film the run: a .mp4 file, or a folder with a trailing / for numbered PNG pictures.
@@ -90,8 +90,8 @@ pub struct Args {
     /// Codec of a .mp4 film: auto (H.264, else MPEG-4), h264, mp4v, or another four-character code.
     #[arg(long, value_name = "CODEC", default_value = "auto", requires = "record")]
     record_codec: Codec,
-    /// Look through the front camera too: say what is seen, and record the stages (camera, detections,
-    /// transformed image, reconstruction) below the film.
+    /// Run perception on the front camera: print its results, and film its stages (camera, detections,
+    /// transformed image, reconstruction) below the view.
     #[arg(long)]
     perception: bool,
     #[arg(long, help = format!("The detector: {}", perception::DETECTORS), default_value = "truth", value_name = "NAME")]
@@ -101,10 +101,10 @@ pub struct Args {
     realtime: bool,
     #[command(flatten)]
     view: ViewArgs,
-    /// Use a running SUMO (started with --remote-port) instead of an own one.
+    /// Join a running SUMO (started with --remote-port) instead of starting one.
     #[arg(long, value_name = "HOST:PORT", conflicts_with = "gui")]
     attach: Option<String>,
-    /// Give SUMO up as hung when one tick takes longer than this.
+    /// Fail if SUMO takes longer than this for one tick.
     #[arg(long, value_name = "SECONDS", default_value_t = 60.0)]
     tick_timeout: f64,
     /// Print one JSON object as the last line of stdout; everything else goes to stderr.
@@ -128,7 +128,7 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
     if let Some(scenario) = assets.scenario() {
         args.weather = args.weather.or(Some(scenario.weather));
         args.traffic = Some(match args.traffic.unwrap_or(scenario.traffic) {
-            // What is drawn is there anyway.
+            // The film shows it anyway.
             TrafficSpec::AsIs => TrafficSpec::Empty,
             traffic => traffic,
         });
@@ -139,7 +139,7 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
     let listener = args.view.listen()?;
     if args.agent == DriverSpec::Manual && listener.is_none() {
         return Err(Exit::Input.because(anyhow::anyhow!(
-            "--agent manual needs a person at the live view's wheel: add --view, or name another driver"
+            "--agent manual needs the live view to drive in: add --view, or choose another driver"
         )));
     }
     let pilot = pilot(&args, &assets)?;
@@ -218,7 +218,7 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
                 if let Some(view) = view {
                     view.close();
                 }
-                // What there is stays readable, with a summary that says how it ended.
+                // The results so far stay readable, with a summary that says how the run ended.
                 if let Err(second) = drive.abort().await {
                     eprintln!("wad-cosim: {second}");
                 }
@@ -247,7 +247,7 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
     Ok(if interrupted { Exit::Interrupted } else { Exit::Done })
 }
 
-/// A tick when it is due: at once, or, where there are viewers, at their pace and with their control.
+/// One tick when it is due: at once, or with a live view at the viewers' pace and with their control.
 async fn next_tick(
     drive: &mut Drive,
     view: &mut Option<View>,
@@ -260,7 +260,7 @@ async fn next_tick(
     drive.tick_with(control).await
 }
 
-/// The town; with its scenario, where it is one and no other route is asked for.
+/// The town; with its scenario, if CONFIG is one and no --route replaces its route.
 fn town(args: &Args, config: &std::path::Path) -> anyhow::Result<Arc<Assets>> {
     if args.attach.is_none() {
         // Checked first: a SUMO that is too old should not fail with an unreadable list of options.
@@ -271,7 +271,7 @@ fn town(args: &Args, config: &std::path::Path) -> anyhow::Result<Arc<Assets>> {
     Assets::open(config, plays).map_err(|e| with_exit(e.into()))
 }
 
-/// Who drives. What people are shown is what it sees.
+/// The driver. The live view shows the same camera frames that it gets.
 fn pilot(args: &Args, assets: &Assets) -> anyhow::Result<wad_cosim::driver::Pilot> {
     let mut pilot = agents::pilot(assets, &args.agent, args.encoder.as_deref(), &args.detector)?;
     if let Some(decoder) = decoder(args).filter(|_| pilot.driver.looks()) {
@@ -280,7 +280,7 @@ fn pilot(args: &Args, assets: &Assets) -> anyhow::Result<wad_cosim::driver::Pilo
     Ok(pilot)
 }
 
-/// The reconstruction among the stages, where perception is asked for: of the encoder that the agent sees through.
+/// With --perception: the decoder for the reconstruction, of the agent's encoder.
 fn decoder(args: &Args) -> Option<Box<dyn Decoder>> {
     let encoder = || agents::sees_through(args.encoder.as_deref(), Some(&args.agent.to_string()));
     args.perception.then(|| agents::decoder(&encoder())).flatten()
@@ -307,7 +307,7 @@ fn default_folder(config: &std::path::Path, seed: u64) -> PathBuf {
     folder
 }
 
-/// How many ticks to drive: as asked for, else to the config's end, else for ever.
+/// Number of ticks to drive: from the options, else to the config's end, else unlimited.
 fn tick_limit(args: &Args, drive: &Drive) -> anyhow::Result<Option<u64>> {
     if args.ticks.is_some() {
         return Ok(args.ticks);

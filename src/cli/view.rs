@@ -33,12 +33,12 @@ pub struct ViewArgs {
 }
 
 impl ViewArgs {
-    /// What a measurement has.
+    /// The view of a benchmark.
     pub fn at_real_time() -> Self {
         Self { view: None, view_token: None, view_speed: 1.0 }
     }
 
-    /// Takes the port, before anything else is done. None where no view is asked for.
+    /// Binds the port before anything else. None without --view.
     pub fn listen(&self) -> anyhow::Result<Option<Listener>> {
         let Some(address) = self.view else { return Ok(None) };
         if !(self.view_speed == 0.0 || (0.05..=50.0).contains(&self.view_speed)) {
@@ -48,12 +48,12 @@ impl ViewArgs {
     }
 }
 
-/// Listens on an address; where that is the default one and in use, on the next that is free.
+/// Listens on an address; if that is the default one and in use, on the next free port.
 pub fn listen(address: ViewAddress, token: Option<Token>) -> anyhow::Result<Listener> {
     let is_default = DEFAULT_ADDRESS.parse() == Ok(address);
     let listener = match Listener::bind(address, token.clone()) {
         Err(ViewError::Busy { address, free: Some(free) }) if is_default => {
-            eprintln!("{address} is in use already, perhaps by another run; taking {free}");
+            eprintln!("{address} is in use, perhaps by another run; using {free}");
             Listener::bind(ViewAddress(free), token)
         }
         other => other,
@@ -63,7 +63,7 @@ pub fn listen(address: ViewAddress, token: Option<Token>) -> anyhow::Result<List
     Ok(listener)
 }
 
-/// What the run says of itself.
+/// Facts about the run that the page shows.
 pub struct About<'a> {
     pub seed: u64,
     pub agent: &'a str,
@@ -79,7 +79,7 @@ pub struct About<'a> {
 pub struct View {
     run: RunView,
     out: PathBuf,
-    /// Films that the page has asked for.
+    /// Number of films that viewers have begun.
     films: usize,
 }
 
@@ -114,7 +114,7 @@ impl View {
         Ok(Self { run, out: about.out.to_path_buf(), films: 0 })
     }
 
-    /// Waits until a tick is due; with the control of the person who drives.
+    /// Waits until a tick is due; returns the control of a viewer who drives.
     pub async fn next(&mut self, drive: &mut Drive, film: &mut Film) -> Result<Option<Control>, DriveError> {
         loop {
             match self.run.next(drive).await? {
@@ -140,7 +140,7 @@ impl View {
         Ok(Some(path))
     }
 
-    /// The cores for all but the simulation.
+    /// The cores for everything except the simulation.
     pub fn cores(&self) -> Option<Cores> {
         self.run.cores()
     }

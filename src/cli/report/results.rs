@@ -1,4 +1,4 @@
-//! `wad-cosim report RUN...`: what evaluations found.
+//! `wad-cosim report RUN...`: the results of evaluations.
 
 use crate::cli::{Exit, print};
 use anyhow::Context;
@@ -68,7 +68,7 @@ fn write(path: &Path, text: &str) -> anyhow::Result<()> {
         .with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// The tables as a page of their own, with where they come from.
+/// The tables as a Markdown page, with the runs that they come from.
 fn page_of_markdown(report: &Report, tables: &[Vec<Table>]) -> String {
     let mut text = String::from(
         "# Results\n\n`wad-cosim report` wrote the tables of this page; [evaluate.md](evaluate.md) says how to measure them \

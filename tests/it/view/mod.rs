@@ -395,7 +395,7 @@ fn the_page_in_a_browser() {
 
     // Keys drive the ego for ten simulated seconds, from a place where nobody stands in its way.
     browser.ask(&page, "document.getElementById('respawn').click()");
-    browser.wait(&page, "document.getElementById('events').textContent.includes('put down')");
+    browser.wait(&page, "document.getElementById('events').textContent.includes('moved to another place')");
     browser.key(&page, "m", "KeyM", true);
     browser.key(&page, "m", "KeyM", false);
     browser.wait(&page, "wad.state.holder === wad.hello.you");
