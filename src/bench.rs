@@ -28,6 +28,7 @@ pub struct BridgeBench {
     pub populations: Vec<(usize, usize)>,
     /// Ticks before the first stretch, and in each.
     pub warm_up: u64,
+    /// Ticks per stretch.
     pub ticks: u64,
     /// Number of stretches, each measured both ways; the median counts.
     pub repeat: usize,
@@ -38,9 +39,13 @@ pub struct BridgeBench {
 /// One population's figures: medians per tick (ms).
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct BridgeRow {
+    /// Background vehicles, as configured.
     pub vehicles: usize,
+    /// Pedestrians, as configured.
     pub pedestrians: usize,
+    /// SUMO alone.
     pub sumo_alone_ms: f64,
+    /// With the bridge.
     pub bridge_ms: f64,
     /// Median of the ratios of the stretches, not ratio of the medians.
     pub ratio: f64,
@@ -49,32 +54,45 @@ pub struct BridgeRow {
     /// The same in CPU time, which other load on the machine hardly touches: SUMO's and ours together
     /// against SUMO's alone.
     pub sumo_alone_cpu_ms: f64,
+    /// CPU time with the bridge, SUMO's and ours.
     pub bridge_cpu_ms: f64,
+    /// Median of the ratios of CPU time.
     pub cpu_ratio: f64,
+    /// The ego's physics.
     pub physics_ms: f64,
+    /// The autopilot.
     pub autopilot_ms: f64,
     /// Mean background population of the stretches, the ego left out, on either side.
     pub alone_vehicles: f64,
+    /// Mean pedestrians with SUMO alone.
     pub alone_pedestrians: f64,
+    /// Mean background vehicles with the bridge.
     pub bridge_vehicles: f64,
+    /// Mean pedestrians with the bridge.
     pub bridge_pedestrians: f64,
     /// Actors within sight of the ego, on average.
     pub actors_in_sight: f64,
     /// Size of SUMO's answer to a tick (bytes), on average.
     pub answer_bytes: f64,
+    /// Ticks per stretch.
     pub ticks: u64,
+    /// Number of stretches.
     pub repeat: usize,
 }
 
 /// Why a measurement failed.
 #[derive(Debug, thiserror::Error)]
 pub enum BenchError {
+    /// The drive fails.
     #[error(transparent)]
     Drive(#[from] DriveError),
+    /// SUMO is not installed.
     #[error(transparent)]
     Install(#[from] InstallError),
+    /// The second SUMO cannot be started.
     #[error("SUMO alone, for the comparison: {0}")]
     Launch(#[from] LaunchError),
+    /// The second SUMO fails.
     #[error("SUMO alone, for the comparison: {0}")]
     Alone(#[from] traci::Error),
 }

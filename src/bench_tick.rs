@@ -36,8 +36,8 @@ impl Stages {
         self.quantiles(0.5)
     }
 
-    /// Each stage's name and the time (ms) that a share `q` of the ticks stays below, in order: a stage that is
-    /// left out in most ticks, as the lanes are where the ego stands, has a median of nothing.
+    /// Each stage's name and the time (ms) that a share `q` of the ticks stays below, in order: a stage that
+    /// is left out in most ticks, as the lanes are where the ego stands, has a median of nothing.
     pub fn quantiles(&self, q: f64) -> impl Iterator<Item = (&'static str, f64)> + '_ {
         self.0.iter().map(move |(name, times)| (*name, quantile(times.clone(), q)))
     }
@@ -55,9 +55,13 @@ impl Serialize for Stages {
 
 /// Options of a measurement of the whole loop.
 pub struct TickBenchOptions {
+    /// The drive to measure.
     pub drive: DriveOptions,
+    /// The front camera.
     pub camera: CameraConfig,
+    /// The camera's weather.
     pub weather: Preset,
+    /// The camera's outputs.
     pub outputs: Outputs,
     /// The detector; None: no perception.
     pub detector: Option<Box<dyn Detector>>,
@@ -70,8 +74,10 @@ pub struct TickBenchOptions {
 /// Why a measurement failed.
 #[derive(Debug, thiserror::Error)]
 pub enum TickBenchError {
+    /// The drive fails.
     #[error(transparent)]
     Drive(#[from] DriveError),
+    /// Camera or perception fail.
     #[error(transparent)]
     Eyes(#[from] EyesError),
 }
@@ -91,6 +97,7 @@ pub struct TickBench {
 /// Medians over the measured ticks.
 #[derive(Clone, Debug, Serialize)]
 pub struct TickReport {
+    /// Median of each stage (ms).
     pub stages: Stages,
     /// The time (ms) that 95 of 100 ticks stay below, by stage.
     pub stages_p95: BTreeMap<&'static str, f64>,
@@ -98,6 +105,7 @@ pub struct TickReport {
     pub total_ms: f64,
     /// Mean CPU time of a tick, SUMO's and ours (ms); other load hardly changes it.
     pub cpu_ms: Option<f64>,
+    /// Ticks measured.
     pub ticks: u64,
 }
 

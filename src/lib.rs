@@ -37,8 +37,8 @@
 //! | [`view`] | the live view: a run in the browser, with manual driving |
 //! | [`drive`] | `run`: from destination to destination, with telemetry |
 //!
-//! [`traci`], [`network`] (with [`geometry`], [`world`] and [`seeds`]), [`vehicle`] and [`camera`] are crates of
-//! their own below `crates/`, under their old names here.
+//! [`traci`], [`network`] (with [`geometry`], [`world`] and [`seeds`]), [`vehicle`] and [`camera`] are crates
+//! of their own below `crates/`, under their old names here.
 //!
 //! World frame: SUMO's, x east, y north, z up, metres. Headings in radians, counter-clockwise from
 //! east. Speeds in m/s, times in s, impulses in N s. SUMO's own angles and bumper positions exist in

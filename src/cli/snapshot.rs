@@ -53,7 +53,8 @@ pub struct Args {
     /// First route, from one edge (or lane) to another.
     #[arg(long, value_name = "FROM,TO", allow_hyphen_values = true)]
     route: Option<String>,
-    /// The encoder for --stage latent and all: a .safetensors file, a folder of `train encoder`, or a bundled encoder.
+    /// The encoder for --stage latent and all: a .safetensors file, a folder of `train encoder`, or a bundled
+    /// encoder.
     #[arg(long, value_name = "NAME", default_value = "default")]
     encoder: String,
     /// WIDTHxHEIGHT in pixels [default: 512x512; 1280x720 for chase, 720x720 for bird].

@@ -25,7 +25,9 @@ use tokio::sync::mpsc;
 pub struct Listed {
     /// What a page asks for to see it.
     pub id: String,
+    /// Agent, town and task.
     pub name: String,
+    /// How the episode ended.
     pub outcome: String,
     /// A line that identifies it in the list.
     pub about: String,
@@ -33,11 +35,15 @@ pub struct Listed {
 
 /// What is played.
 pub struct Played {
+    /// The recorded states.
     pub recording: Recording,
+    /// The episode in the list.
     pub listed: Listed,
+    /// The town's network.
     pub network: Arc<Network>,
     /// Its route, where it can still be made: for perception and speed limits.
     pub route: Option<Route>,
+    /// The ego's physics.
     pub ego: EgoParams,
     /// Who drove.
     pub driver: String,
@@ -45,6 +51,7 @@ pub struct Played {
     pub ending: String,
     /// Buildings and the like for the map.
     pub map: String,
+    /// Draws the town.
     pub artist: Artist,
 }
 

@@ -23,19 +23,38 @@ use tokio::sync::watch;
 /// Why there is no live view.
 #[derive(Debug, thiserror::Error)]
 pub enum ViewError {
+    /// The port is in use.
     #[error("{address} is in use already, perhaps by another run; {}", free_port(*.free))]
-    Busy { address: SocketAddr, free: Option<SocketAddr> },
+    Busy {
+        /// The address.
+        address: SocketAddr,
+        /// A free port near by.
+        free: Option<SocketAddr>,
+    },
+    /// The address cannot be listened on.
     #[error("cannot listen on {address}: {source}")]
-    Listen { address: SocketAddr, source: std::io::Error },
+    Listen {
+        /// The address.
+        address: SocketAddr,
+        /// The cause.
+        source: std::io::Error,
+    },
+    /// The address is open to other machines, and there is no token.
     #[error(
         "{address} can be reached from other machines: give a secret that viewers must know with --view-token, or stay \
          on 127.0.0.1"
     )]
-    Open { address: SocketAddr },
+    Open {
+        /// The address.
+        address: SocketAddr,
+    },
+    /// The view's thread cannot be started.
     #[error("the view's thread cannot be started: {0}")]
     Thread(std::io::Error),
+    /// The camera cannot be made.
     #[error(transparent)]
     Camera(#[from] crate::camera::CameraError),
+    /// Perception cannot be made.
     #[error(transparent)]
     Perception(#[from] crate::perception::PerceptionError),
 }

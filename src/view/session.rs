@@ -42,19 +42,23 @@ const SLACK: Duration = Duration::from_millis(250);
 
 /// What a run with viewers begins with.
 pub struct RunSetting {
+    /// The run's seed.
     pub seed: u64,
     /// Who drives: `autopilot`, or an agent's name.
     pub driver: String,
+    /// The weather at the start.
     pub weather: Preset,
     /// Times real time; 0: as fast as it goes.
     pub speed_factor: f64,
     /// Names of the agents to pick from.
     pub agents: Vec<String>,
+    /// Makes drivers that viewers choose; None: none can be chosen.
     pub make_driver: Option<MakeDriver>,
     /// Background traffic that is kept alive; None: the config's own.
     pub traffic: Option<Counts>,
     /// The film that runs already.
     pub recording: Option<String>,
+    /// The run's folder, as shown to viewers.
     pub folder: String,
 }
 

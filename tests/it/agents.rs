@@ -141,7 +141,8 @@ fn a_sumo_that_dies_costs_an_episode_and_a_killed_training_goes_on() {
         command.stdout(Stdio::null()).stderr(std::fs::File::create(&errors).unwrap()).spawn().unwrap();
     let pid = child.id();
     wait_until(&mut child, "a SUMO", || sumo_of(pid).is_some());
-    // It may still be starting: then it is started again, and nothing is lost. The first may have ended by then.
+    // It may still be starting: then it is started again, and nothing is lost. The first may have ended by
+    // then.
     std::thread::sleep(Duration::from_secs(3));
     wait_until(&mut child, "a SUMO to kill", || sumo_of(pid).is_some_and(kill));
     wait_until(&mut child, "word of the loss", || {

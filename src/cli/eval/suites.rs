@@ -36,7 +36,8 @@ Exit codes: 0 done; 2 usage or input; 3 SUMO failed; 4 interrupted, results kept
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
-    /// The driver: wad-t, wad-s, a trained agent's file, autopilot, random, constant[:THROTTLE,STEER,BRAKE], exec:COMMAND. May be given several times.
+    /// The driver: wad-t, wad-s, a trained agent's file, autopilot, random, constant[:THROTTLE,STEER,BRAKE],
+    /// exec:COMMAND. May be given several times.
     #[arg(long = "agent", value_name = "NAME", default_value = "autopilot")]
     agents: Vec<DriverSpec>,
     /// Only this condition of the suite, e.g. training or new; may be given several times.

@@ -24,12 +24,12 @@ use wad_camera::Picture;
 use wad_see::observation::{Observation, RawState};
 use wad_vehicle::Control;
 
-/// How long an external agent may take.
+/// Time limits of an external agent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
-    /// From its start to its first line. Default 60 s: importing a deep-learning library takes time.
+    /// From the start to the first line. Default 60 s: importing a deep-learning library takes time.
     pub start: Duration,
-    /// For an answer. Default 10 s.
+    /// For each answer. Default 10 s.
     pub answer: Duration,
 }
 
@@ -39,7 +39,7 @@ impl Default for Limits {
     }
 }
 
-/// An agent behind a pipe.
+/// An agent in another process.
 pub struct ExternalAgent {
     name: String,
     command: String,
@@ -50,7 +50,7 @@ pub struct ExternalAgent {
     seed: u64,
 }
 
-/// Lines of its standard error that an error quotes.
+/// Lines of its standard error that an error message quotes.
 const TAIL: usize = 3;
 /// Longest answer (bytes).
 const LONGEST_LINE: u64 = 1 << 16;
@@ -82,7 +82,7 @@ struct Answer {
 }
 
 impl ExternalAgent {
-    /// The agent that the shell command `command` starts. It is started with the first episode.
+    /// The agent of the shell command `command`. The process starts with the first episode.
     pub fn new(command: &str, limits: Limits) -> Self {
         Self {
             name: format!("exec:{command}"),
@@ -102,7 +102,7 @@ impl ExternalAgent {
         };
         if let Ok(line) = process.lines.try_recv() {
             return Err(match line {
-                Some(line) => format!("it spoke unasked: {}", shortened(&line)),
+                Some(line) => format!("it wrote a line without a request: {}", shortened(&line)),
                 None => process.died(),
             });
         }
@@ -124,7 +124,7 @@ impl ExternalAgent {
         };
         let mut line = serde_json::to_vec(&question).map_err(|e| e.to_string())?;
         line.push(b'\n');
-        // The writer goes only when the pipe is broken; the reader then says why.
+        // The writer ends only if the pipe is broken; the reader then reports why.
         let _ = process.questions.send(line);
         self.tick += 1;
         let answer = process.line(self.limits.answer)?;
@@ -264,7 +264,7 @@ impl Process {
         loop {
             match self.child.try_wait() {
                 Ok(Some(status)) => {
-                    // What it said last may still be on its way.
+                    // Its last lines may not have been read yet.
                     std::thread::sleep(Duration::from_millis(50));
                     return format!("it died ({status}){}", self.said());
                 }
@@ -288,7 +288,7 @@ impl Drop for Process {
             // its number is still ours until then.
             unsafe { libc::kill(-pid, libc::SIGKILL) };
         }
-        // It is gone already, or will be.
+        // An error means that it has ended already.
         let _ = self.child.wait();
     }
 }

@@ -7,14 +7,14 @@
 use crate::dataset::BoxRecord;
 use rand::RngExt;
 
-/// Where a window lies in the camera's picture.
+/// A window of the camera's picture.
 #[derive(Clone, Copy, Debug)]
 pub struct View<'a> {
     /// Pixels.
     pub left: usize,
     pub top: usize,
     pub width: usize,
-    /// What the whole picture shows.
+    /// Facts about the whole picture.
     pub objects: &'a [BoxRecord],
 }
 
@@ -56,7 +56,7 @@ pub fn weather(rgb: &mut [u8], view: View, rng: &mut impl RngExt) {
 const HORIZON: f32 = 256.0;
 const FOCAL: f32 = 256.0;
 const UP: f32 = 1.4;
-/// What stands above the horizon is as far as this (m).
+/// Distance of everything above the horizon (m).
 const FAR: f32 = 90.0;
 /// Most light that haze takes per metre: a visual range of 200 m.
 const THICKEST: f32 = 0.014;
@@ -170,7 +170,7 @@ fn blur(rgb: &mut [u8], width: usize) {
     }
 }
 
-/// What contrast is varied about.
+/// The fixed point of contrast changes.
 const MIDDLE: f32 = 0.45;
 /// The most that noise changes a byte by.
 const NOISE: f32 = 12.0;

@@ -11,9 +11,9 @@ use tch::{Device, Kind, TchError, Tensor};
 const QUESTIONS: i64 = 3;
 /// Numbers: the vehicle's gap, middle and slope of the painted boundaries.
 const NUMBERS: i64 = 3;
-/// Numbers to a frame.
+/// Numbers per frame.
 pub const LABELS: usize = (QUESTIONS + NUMBERS) as usize;
-/// A rarer yes weighs no more than one of this share.
+/// Positives rarer than this share get no more weight.
 const RAREST: f64 = 0.01;
 
 /// A frame's labels; NaN where a label does not apply.
@@ -30,11 +30,12 @@ pub fn labels(told: &Told) -> [f32; LABELS] {
     ]
 }
 
-/// The heads, and how the labels of the training are spread.
+/// The heads, and the statistics of the training's labels.
 #[derive(Debug)]
 pub struct Heads {
     /// Weights (latent x [`LABELS`]), then biases, flat.
     pub theta: Tensor,
+    /// The heads' optimiser.
     pub adam: Adam,
     latent: i64,
     /// Share of yes ([`QUESTIONS`]); mean and deviation of the numbers ([`NUMBERS`]).
@@ -44,7 +45,7 @@ pub struct Heads {
 }
 
 impl Heads {
-    /// Heads that know nothing, for a latent of so many numbers, with the training's labels (n, 6).
+    /// Untrained heads for a latent of `latent` numbers, with the training's labels (n, 6).
     ///
     /// # Errors
     /// torch fails.

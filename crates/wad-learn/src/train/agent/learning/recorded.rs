@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use sumo_network::seeds;
 
 impl Learning<'_> {
-    /// Fills the buffer with what was recorded, as this training's encoder sees it.
+    /// Fills the buffer with recorded episodes, with latents of this training's encoder.
     pub(super) fn recall(
         &mut self,
         interrupt: &AtomicBool,

@@ -51,7 +51,7 @@ impl Learning<'_> {
         });
     }
 
-    /// The last checkpoint and the summary; after an error only what is there is kept.
+    /// Writes the last checkpoint and the summary; after an error only the summary.
     pub(super) fn finish(
         mut self,
         shared: &Shared,
