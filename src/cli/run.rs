@@ -9,7 +9,7 @@ use anyhow::Context;
 use clap::ValueHint;
 use status::StatusLine;
 use std::io::IsTerminal;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use wad_cosim::assets::{Assets, AssetsError};
@@ -23,6 +23,7 @@ use wad_cosim::record::{Codec, RecordView};
 use wad_cosim::telemetry::FolderError;
 use wad_cosim::traci::process::SumoInstall;
 use wad_cosim::traffic::TrafficSpec;
+use wad_cosim::view::Listener;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -45,8 +46,8 @@ pub struct Args {
     /// A .sumocfg, a .net.xml(.gz), a scenario's folder, a bundled town (town3, town5) or a shipped scenario.
     #[arg(value_hint = ValueHint::FilePath)]
     config: String,
-    /// The driver: autopilot, wad-t, wad-s, a file that `train agent` wrote, constant, random, manual (with --view),
-    /// or exec:COMMAND (docs/evaluate.md).
+    /// The driver: autopilot, wad-t, wad-s, a file that `train agent` wrote, constant, random, manual (with
+    /// --view), or exec:COMMAND (docs/evaluate.md).
     #[arg(long, default_value = "autopilot", value_name = "NAME|FILE|exec:CMD", value_hint = ValueHint::FilePath)]
     agent: DriverSpec,
     /// The agent's encoder [default: the one that it was trained with], and the encoder whose
@@ -124,18 +125,8 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
 async fn drive(args: Args) -> anyhow::Result<Exit> {
     let config = config::resolve(&args.config)?;
     let assets = town(&args, &config)?;
-    let mut args = args;
-    if let Some(scenario) = assets.scenario() {
-        args.weather = args.weather.or(Some(scenario.weather));
-        args.traffic = Some(match args.traffic.unwrap_or(scenario.traffic) {
-            // The film shows it anyway.
-            TrafficSpec::AsIs => TrafficSpec::Empty,
-            traffic => traffic,
-        });
-    }
-    let args = args;
-    let seed = args.seed.unwrap_or(0);
-    let out = args.out.clone().unwrap_or_else(|| default_folder(&config, seed));
+    let args = args.in_scenario(&assets);
+    let out = args.out.clone().unwrap_or_else(|| default_folder(&config, args.seed()));
     let listener = args.view.listen()?;
     if args.agent == DriverSpec::Manual && listener.is_none() {
         return Err(Exit::Input.because(anyhow::anyhow!(
@@ -143,27 +134,10 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
         )));
     }
     let pilot = pilot(&args, &assets)?;
-    let weather = args.weather.unwrap_or_default();
-    let options = DriveOptions {
-        bridge: BridgeOptions {
-            seed,
-            tick_ms: args.tick_ms,
-            traffic: args.traffic.unwrap_or_default(),
-            scenario: assets.scenario().is_some(),
-            gui: args.gui,
-            attach: args.attach.clone(),
-            tick_timeout: args.tick_timeout,
-            ..BridgeOptions::new(config, out.join("sumo"))
-        },
-        route: args.route.clone(),
-        out: out.clone(),
-        ego: Default::default(),
-        autopilot: Default::default(),
-        criteria: Default::default(),
-    };
+    let options = args.options(config, &out, assets.scenario().is_some());
     let mut interrupt = Interrupt::listen()?;
     let started = tokio::select! {
-        started = Drive::start_in(&assets, options, pilot, weather) => started,
+        started = Drive::start_in(&assets, options, pilot, args.weather.unwrap_or_default()) => started,
         () = interrupt.wait() => {
             eprintln!("interrupted before the first tick");
             return Ok(Exit::Interrupted);
@@ -171,80 +145,118 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
     };
     let mut drive = started.map_err(with_exit)?;
     let limit = tick_limit(&args, &drive)?;
-    let wanted = Wanted {
-        path: args.record.as_deref(),
-        view: args.record_view,
-        codec: args.record_codec,
-        perception: args.perception,
-        detector: &args.detector,
+    let film = Film::begin(&mut drive, &args.wanted(), decoder(&args))?;
+    let view = listener.map(|listener| open_view(listener, &args, &drive, &out)).transpose()?;
+    let line = StatusLine::new(args.quiet_status(), limit);
+    let mut watched = Watched { drive, film, view, line };
+    let interrupted = match watched.ticks(limit, &args, &mut interrupt).await? {
+        Stop::Over => false,
+        Stop::Interrupted => true,
+        Stop::Failed(error) => return Err(watched.abort(error).await),
     };
-    let mut film = Film::begin(&mut drive, &wanted, decoder(&args))?;
-    let mut view = match listener {
-        Some(listener) => {
-            let about = About {
-                seed,
-                agent: &args.agent.to_string(),
-                encoder: args.encoder.as_deref(),
-                detector: &args.detector,
-                weather,
-                traffic: args.traffic.unwrap_or_default().counts(&drive.bridge().config().town()),
-                out: &out,
-                recording: args.record.as_deref(),
-            };
-            Some(View::open(listener, &args.view, &drive, &about)?)
-        }
-        None => None,
-    };
-    let mut line = StatusLine::new(args.quiet_status(), limit);
-    let (began, tick) = (Instant::now(), drive.bridge().tick());
-    let mut interrupted = false;
-    let mut ticks = 0;
-    while limit.is_none_or(|limit| ticks < limit) {
-        let ticked = tokio::select! {
-            biased;
-            () = interrupt.wait() => { interrupted = true; break; }
-            ticked = next_tick(&mut drive, &mut view, &mut film) => ticked,
-        };
-        match ticked {
-            Ok(status) => {
-                film.add(&mut drive)?;
-                if let Some(view) = &mut view {
-                    view.show(&drive, &status);
-                }
-                line.show(&status, drive.eyes().percept().filter(|_| args.perception));
-            }
-            Err(error) => {
-                line.clear();
-                if let Some(view) = view {
-                    view.close();
-                }
-                // The results so far stay readable, with a summary that says how the run ended.
-                if let Err(second) = drive.abort().await {
-                    eprintln!("wad-cosim: {second}");
-                }
-                return Err(with_exit(error));
-            }
-        }
-        ticks += 1;
-        if drive.ending().is_some() {
-            break;
-        }
-        if args.realtime && view.is_none() {
-            let due = began + Duration::from_secs_f64(ticks as f64 * tick);
-            tokio::select! {
-                () = interrupt.wait() => { interrupted = true; break; }
-                () = tokio::time::sleep_until(due.into()) => {}
-            }
-        }
-    }
-    line.clear();
-    if let Some(view) = view {
-        view.close();
-    }
-    film.end()?;
-    let summary = drive.finish(interrupted).await.map_err(with_exit)?;
+    let summary = watched.finish(interrupted).await?;
     report(&summary, args.json)?;
     Ok(if interrupted { Exit::Interrupted } else { Exit::Done })
+}
+
+/// Opens the live view of a run with its results in `out`.
+fn open_view(listener: Listener, args: &Args, drive: &Drive, out: &Path) -> anyhow::Result<View> {
+    let about = About {
+        seed: args.seed(),
+        agent: &args.agent.to_string(),
+        encoder: args.encoder.as_deref(),
+        detector: &args.detector,
+        weather: args.weather.unwrap_or_default(),
+        traffic: args.traffic.unwrap_or_default().counts(&drive.bridge().config().town()),
+        out,
+        recording: args.record.as_deref(),
+    };
+    View::open(listener, &args.view, drive, &about)
+}
+
+/// Why the ticks of a run stopped.
+enum Stop {
+    /// The limit, or the scenario's end.
+    Over,
+    Interrupted,
+    Failed(DriveError),
+}
+
+/// A drive with its film, live view and status line.
+struct Watched {
+    drive: Drive,
+    film: Film,
+    view: Option<View>,
+    line: StatusLine,
+}
+
+impl Watched {
+    /// Drives and shows tick by tick.
+    async fn ticks(
+        &mut self,
+        limit: Option<u64>,
+        args: &Args,
+        interrupt: &mut Interrupt,
+    ) -> anyhow::Result<Stop> {
+        let (began, tick) = (Instant::now(), self.drive.bridge().tick());
+        let mut ticks = 0;
+        while limit.is_none_or(|limit| ticks < limit) {
+            let ticked = tokio::select! {
+                biased;
+                () = interrupt.wait() => return Ok(Stop::Interrupted),
+                ticked = next_tick(&mut self.drive, &mut self.view, &mut self.film) => ticked,
+            };
+            match ticked {
+                Ok(status) => self.show(&status, args.perception)?,
+                Err(error) => return Ok(Stop::Failed(error)),
+            }
+            ticks += 1;
+            if self.drive.ending().is_some() {
+                break;
+            }
+            if args.realtime && self.view.is_none() {
+                let due = began + Duration::from_secs_f64(ticks as f64 * tick);
+                tokio::select! {
+                    () = interrupt.wait() => return Ok(Stop::Interrupted),
+                    () = tokio::time::sleep_until(due.into()) => {}
+                }
+            }
+        }
+        Ok(Stop::Over)
+    }
+
+    /// Shows a tick in film, live view and status line.
+    fn show(&mut self, status: &Status, perception: bool) -> anyhow::Result<()> {
+        self.film.add(&mut self.drive)?;
+        if let Some(view) = &mut self.view {
+            view.show(&self.drive, status);
+        }
+        self.line.show(status, self.drive.eyes().percept().filter(|_| perception));
+        Ok(())
+    }
+
+    /// Ends film, view and SUMO, and writes the summary.
+    async fn finish(self, interrupted: bool) -> anyhow::Result<Summary> {
+        let Self { drive, mut film, view, line } = self;
+        line.clear();
+        if let Some(view) = view {
+            view.close();
+        }
+        film.end()?;
+        drive.finish(interrupted).await.map_err(with_exit)
+    }
+
+    /// Ends after `error`: the results so far stay readable, with a summary that says how the run ended.
+    async fn abort(self, error: DriveError) -> anyhow::Error {
+        self.line.clear();
+        if let Some(view) = self.view {
+            view.close();
+        }
+        if let Err(second) = self.drive.abort().await {
+            eprintln!("wad-cosim: {second}");
+        }
+        with_exit(error)
+    }
 }
 
 /// One tick when it is due: at once, or with a live view at the viewers' pace and with their control.
@@ -261,7 +273,7 @@ async fn next_tick(
 }
 
 /// The town; with its scenario, if CONFIG is one and no --route replaces its route.
-fn town(args: &Args, config: &std::path::Path) -> anyhow::Result<Arc<Assets>> {
+fn town(args: &Args, config: &Path) -> anyhow::Result<Arc<Assets>> {
     if args.attach.is_none() {
         // Checked first: a SUMO that is too old should not fail with an unreadable list of options.
         let install = SumoInstall::find().map_err(|e| Exit::Sumo.because(e))?;
@@ -287,13 +299,62 @@ fn decoder(args: &Args) -> Option<Box<dyn Decoder>> {
 }
 
 impl Args {
+    /// With the scenario's weather and traffic for those that the command line leaves open.
+    fn in_scenario(mut self, assets: &Assets) -> Self {
+        if let Some(scenario) = assets.scenario() {
+            self.weather = self.weather.or(Some(scenario.weather));
+            self.traffic = Some(match self.traffic.unwrap_or(scenario.traffic) {
+                // The scenario's own road users are there anyway; as-is adds none.
+                TrafficSpec::AsIs => TrafficSpec::Empty,
+                traffic => traffic,
+            });
+        }
+        self
+    }
+
+    fn seed(&self) -> u64 {
+        self.seed.unwrap_or(0)
+    }
+
+    /// The drive's options, with results in `out`.
+    fn options(&self, config: PathBuf, out: &Path, scenario: bool) -> DriveOptions {
+        DriveOptions {
+            bridge: BridgeOptions {
+                seed: self.seed(),
+                tick_ms: self.tick_ms,
+                traffic: self.traffic.unwrap_or_default(),
+                scenario,
+                gui: self.gui,
+                attach: self.attach.clone(),
+                tick_timeout: self.tick_timeout,
+                ..BridgeOptions::new(config, out.join("sumo"))
+            },
+            route: self.route.clone(),
+            out: out.to_path_buf(),
+            ego: Default::default(),
+            autopilot: Default::default(),
+            criteria: Default::default(),
+        }
+    }
+
+    /// The options of film and perception.
+    fn wanted(&self) -> Wanted<'_> {
+        Wanted {
+            path: self.record.as_deref(),
+            view: self.record_view,
+            codec: self.record_codec,
+            perception: self.perception,
+            detector: &self.detector,
+        }
+    }
+
     fn quiet_status(&self) -> bool {
         !std::io::stderr().is_terminal()
     }
 }
 
 /// `runs/20261121-093000-town5-0` under the current folder.
-fn default_folder(config: &std::path::Path, seed: u64) -> PathBuf {
+fn default_folder(config: &Path, seed: u64) -> PathBuf {
     let name = config.file_name().map(|f| f.to_string_lossy().to_string()).unwrap_or_default();
     let town = name.split('.').next().unwrap_or("net").to_string();
     let base = PathBuf::from("runs").join(format!("{}-{town}-{seed}", wad_cosim::clock::timestamp()));
