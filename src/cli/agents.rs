@@ -55,12 +55,34 @@ pub fn pilot(
 #[cfg(feature = "learn")]
 fn trained(name: &str, encoder: Option<&str>, camera: &CameraConfig) -> Result<Made, DriverError> {
     let (agent, encoder) = wad_cosim::agent::policy::open(name, encoder, camera)?;
+    let id = format!("{}, encoder {}", weights(name), encoder.hash());
+    Ok(Made { agent, encoder, id })
+}
+
+/// `weights` and the checksum of the file of the trained agent `name`.
+#[cfg(feature = "learn")]
+fn weights(name: &str) -> String {
     let bytes = match wad_cosim::bundled::agent(name) {
         Some(bytes) if !std::path::Path::new(name).is_file() => bytes.to_vec(),
         _ => std::fs::read(name).unwrap_or_default(),
     };
-    let id = format!("weights {:08x}, encoder {}", crc32fast::hash(&bytes), encoder.hash());
-    Ok(Made { agent, encoder, id })
+    format!("weights {:08x}", crc32fast::hash(&bytes))
+}
+
+/// Whether the trained agent `name` learned from demonstrations; None if its file is missing or is not the
+/// one with the identity `id`.
+#[cfg(feature = "learn")]
+pub fn is_demonstrated(name: &str, id: &str) -> Option<bool> {
+    if id.split(", ").next() != Some(weights(name).as_str()) {
+        return None;
+    }
+    let (policy, _) = wad_cosim::agent::policy::Policy::find(name).ok()?;
+    Some(policy.card.demonstrations > 0)
+}
+
+#[cfg(not(feature = "learn"))]
+pub fn is_demonstrated(_: &str, _: &str) -> Option<bool> {
+    None
 }
 
 #[cfg(not(feature = "learn"))]

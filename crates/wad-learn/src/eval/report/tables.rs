@@ -91,20 +91,19 @@ fn success(section: &Section) -> Table {
     if lost > 0 {
         notes.push(format!("{lost} episodes in which SUMO died do not count."));
     }
-    let untrained: Vec<&str> = section
-        .suite
-        .conditions
-        .iter()
-        .filter(|c| c.name == "training")
-        .flat_map(|c| c.weathers.iter())
-        .filter(|w| !TRAINED_IN.contains(w))
-        .map(|w| w.name())
-        .collect();
+    let untrained = odd_weathers(section, "training", false);
     if !untrained.is_empty() {
         notes.push(format!(
-            "“training” is the benchmark's name: nothing was trained in {} (only in town3 in {}).",
+            "“training” is the benchmark's name: agents, encoder and detector were not trained in {} (only in town3 in {}).",
             untrained.join(", "),
             TRAINED_IN.map(Preset::name).join(", ")
+        ));
+    }
+    let trained = odd_weathers(section, "new", true);
+    if !trained.is_empty() {
+        notes.push(format!(
+            "“new” is the benchmark's name: agents, encoder and detector were trained in {}, though in another town.",
+            trained.join(", ")
         ));
     }
     Table {
@@ -115,6 +114,12 @@ fn success(section: &Section) -> Table {
         notes,
         published: false,
     }
+}
+
+/// The driven weathers of a condition that were (`trained`) or were not trained in.
+fn odd_weathers(section: &Section, condition: &str, trained: bool) -> Vec<&'static str> {
+    let own = section.suite.conditions.iter().filter(|c| c.name == condition).flat_map(|c| &c.weathers);
+    own.filter(|weather| TRAINED_IN.contains(weather) == trained).map(|weather| weather.name()).collect()
 }
 
 /// Groups by agent, condition and task, in that order, with their names.
