@@ -1,12 +1,12 @@
-//! What the bridge costs, as a ratio to SUMO alone in the same run.
+//! The bridge's time per tick, as a ratio to SUMO alone in the same run.
 //!
 //! For each population a short stretch of the same simulation is timed twice, many times over:
 //! *bridge*: pose in, step, the whole [`crate::world::WorldState`] within 100 m decoded (physics and
 //! autopilot are timed apart); *SUMO alone*: a second `sumo` that loads the state saved where the
-//! stretch begins and is told, in one message, to run to its end.
+//! stretch begins, and runs to its end on one message.
 //!
-//! Stretches are short, so that nobody arrives who would have been replaced, and that a machine whose
-//! speed drifts is equally fast for both; the two take turns in going first.
+//! Stretches are short: no road user arrives that would have been replaced, and a machine whose speed
+//! drifts is equally fast for both. The two take turns in going first.
 
 use crate::cores::Cores;
 use crate::cpu_time;
@@ -19,17 +19,18 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// What to measure.
+/// Options of a measurement of the bridge.
 #[derive(Clone, Debug)]
 pub struct BridgeBench {
-    /// The run that is measured; its traffic and folder are replaced per row.
+    /// The run to measure; its traffic and folder are replaced per row.
     pub base: DriveOptions,
     /// Populations: vehicles and pedestrians.
     pub populations: Vec<(usize, usize)>,
     /// Ticks before the first stretch, and in each.
     pub warm_up: u64,
+    /// Ticks per stretch.
     pub ticks: u64,
-    /// Stretches, each measured both ways; the median counts.
+    /// Number of stretches, each measured both ways; the median counts.
     pub repeat: usize,
     /// Folder for scratch files.
     pub scratch: PathBuf,
@@ -38,9 +39,13 @@ pub struct BridgeBench {
 /// One population's figures: medians per tick (ms).
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct BridgeRow {
+    /// Background vehicles, as configured.
     pub vehicles: usize,
+    /// Pedestrians, as configured.
     pub pedestrians: usize,
+    /// SUMO alone.
     pub sumo_alone_ms: f64,
+    /// With the bridge.
     pub bridge_ms: f64,
     /// Median of the ratios of the stretches, not ratio of the medians.
     pub ratio: f64,
@@ -49,32 +54,45 @@ pub struct BridgeRow {
     /// The same in CPU time, which other load on the machine hardly touches: SUMO's and ours together
     /// against SUMO's alone.
     pub sumo_alone_cpu_ms: f64,
+    /// CPU time with the bridge, SUMO's and ours.
     pub bridge_cpu_ms: f64,
+    /// Median of the ratios of CPU time.
     pub cpu_ratio: f64,
+    /// The ego's physics.
     pub physics_ms: f64,
+    /// The autopilot.
     pub autopilot_ms: f64,
     /// Mean background population of the stretches, the ego left out, on either side.
     pub alone_vehicles: f64,
+    /// Mean pedestrians with SUMO alone.
     pub alone_pedestrians: f64,
+    /// Mean background vehicles with the bridge.
     pub bridge_vehicles: f64,
+    /// Mean pedestrians with the bridge.
     pub bridge_pedestrians: f64,
     /// Actors within sight of the ego, on average.
     pub actors_in_sight: f64,
     /// Size of SUMO's answer to a tick (bytes), on average.
     pub answer_bytes: f64,
+    /// Ticks per stretch.
     pub ticks: u64,
+    /// Number of stretches.
     pub repeat: usize,
 }
 
 /// Why a measurement failed.
 #[derive(Debug, thiserror::Error)]
 pub enum BenchError {
+    /// The drive fails.
     #[error(transparent)]
     Drive(#[from] DriveError),
+    /// SUMO is not installed.
     #[error(transparent)]
     Install(#[from] InstallError),
+    /// The second SUMO cannot be started.
     #[error("SUMO alone, for the comparison: {0}")]
     Launch(#[from] LaunchError),
+    /// The second SUMO fails.
     #[error("SUMO alone, for the comparison: {0}")]
     Alone(#[from] traci::Error),
 }
@@ -83,7 +101,7 @@ pub enum BenchError {
 const HEAD: u64 = 10;
 
 impl BridgeBench {
-    /// Measures one population. `progress` hears of each stretch.
+    /// Measures one population. `progress` is called with the number of each stretch.
     ///
     /// # Errors
     /// SUMO fails.
@@ -157,7 +175,7 @@ impl BridgeBench {
     }
 }
 
-/// One stretch: milliseconds per tick, and how many were there.
+/// One stretch: milliseconds per tick, and the mean population.
 #[derive(Clone, Copy, Debug, Default)]
 struct Stretch {
     wall: f64,
@@ -201,7 +219,7 @@ async fn bridge_stretch(drive: &mut Drive, ticks: u64) -> Result<Stretch, BenchE
     })
 }
 
-/// A SUMO of its own that runs whole stretches without hearing from anybody.
+/// A second SUMO that runs whole stretches without messages in between.
 struct Alone {
     process: SumoProcess,
     client: TcpClient,

@@ -1,7 +1,7 @@
-//! What a tick of the whole loop costs, stage by stage.
+//! The cost of a tick of the whole loop, by stage.
 //!
 //! The loop is that of `run` with the front camera: the autopilot decides, the ego's physics moves it,
-//! SUMO steps, the reply is decoded, the camera renders what the ego sees, perception looks at it.
+//! SUMO steps, the reply is decoded, the camera renders a frame, perception processes it.
 
 use crate::camera::{CameraConfig, Outputs, Preset};
 use crate::cpu_time;
@@ -22,7 +22,7 @@ use std::time::Instant;
 pub struct Stages(Vec<(&'static str, Vec<f64>)>);
 
 impl Stages {
-    /// What `stage` took in one tick (s).
+    /// Adds the time of `stage` in one tick (s).
     pub fn record(&mut self, stage: &'static str, seconds: f64) {
         let ms = seconds * 1000.0;
         match self.0.iter_mut().find(|(name, _)| *name == stage) {
@@ -36,8 +36,8 @@ impl Stages {
         self.quantiles(0.5)
     }
 
-    /// Each stage's name and the time (ms) that a share `q` of the ticks stays below, in order: a stage that is
-    /// left out in most ticks, as the lanes are where the ego stands, has a median of nothing.
+    /// Each stage's name and the time (ms) that a share `q` of the ticks stays below, in order: a stage that
+    /// is left out in most ticks, as the lanes are where the ego stands, has a median of nothing.
     pub fn quantiles(&self, q: f64) -> impl Iterator<Item = (&'static str, f64)> + '_ {
         self.0.iter().map(move |(name, times)| (*name, quantile(times.clone(), q)))
     }
@@ -53,30 +53,36 @@ impl Serialize for Stages {
     }
 }
 
-/// What to measure.
+/// Options of a measurement of the whole loop.
 pub struct TickBenchOptions {
+    /// The drive to measure.
     pub drive: DriveOptions,
+    /// The front camera.
     pub camera: CameraConfig,
+    /// The camera's weather.
     pub weather: Preset,
+    /// The camera's outputs.
     pub outputs: Outputs,
-    /// Who detects; None: perception is left out.
+    /// The detector; None: no perception.
     pub detector: Option<Box<dyn Detector>>,
-    /// Who makes the latent of the transformed image; None: nobody.
+    /// The encoder; None: no latent.
     pub encoder: Option<Box<dyn Encoder>>,
-    /// Ticks that are driven first and not measured.
+    /// Ticks of warm-up, not measured.
     pub warm_up: u64,
 }
 
 /// Why a measurement failed.
 #[derive(Debug, thiserror::Error)]
 pub enum TickBenchError {
+    /// The drive fails.
     #[error(transparent)]
     Drive(#[from] DriveError),
+    /// Camera or perception fail.
     #[error(transparent)]
     Eyes(#[from] EyesError),
 }
 
-/// A measurement under way.
+/// A running measurement.
 pub struct TickBench {
     drive: Drive,
     eyes: Eyes,
@@ -84,20 +90,22 @@ pub struct TickBench {
     done: u64,
     stages: Stages,
     totals: Vec<f64>,
-    /// Processor time (s), SUMO's and ours, when the measured ticks began and after the last one.
+    /// CPU time (s), SUMO's and ours, when the measured ticks began and after the last one.
     cpu: Option<(f64, f64)>,
 }
 
 /// Medians over the measured ticks.
 #[derive(Clone, Debug, Serialize)]
 pub struct TickReport {
+    /// Median of each stage (ms).
     pub stages: Stages,
     /// The time (ms) that 95 of 100 ticks stay below, by stage.
     pub stages_p95: BTreeMap<&'static str, f64>,
-    /// The whole tick (ms): the stages, and the judging and recording that belongs to none.
+    /// The whole tick (ms): all stages, criteria and recording.
     pub total_ms: f64,
-    /// Mean processor time of a tick, SUMO's and ours (ms); other load hardly touches it.
+    /// Mean CPU time of a tick, SUMO's and ours (ms); other load hardly changes it.
     pub cpu_ms: Option<f64>,
+    /// Ticks measured.
     pub ticks: u64,
 }
 
@@ -105,7 +113,7 @@ impl TickBench {
     /// Starts the drive and builds the town.
     ///
     /// # Errors
-    /// A camera that cannot be, bad input, SUMO fails.
+    /// The camera's configuration is invalid, the input is bad, or SUMO fails.
     pub async fn start(options: TickBenchOptions) -> Result<Self, TickBenchError> {
         let seed = options.drive.bridge.seed;
         let drive = Drive::start(options.drive).await?;
@@ -130,7 +138,7 @@ impl TickBench {
         })
     }
 
-    /// Ticks done, those of the warm-up included.
+    /// Ticks done, including the warm-up.
     pub fn ticks_done(&self) -> u64 {
         self.done
     }
@@ -185,7 +193,7 @@ impl TickBench {
         sumo.zip(cpu_time::of_thread()).map(|(sumo, ours)| sumo + ours)
     }
 
-    /// The figures so far; None before the first measured tick.
+    /// The results so far; None before the first measured tick.
     pub fn report(&self) -> Option<TickReport> {
         let ticks = self.totals.len() as u64;
         (ticks > 0).then(|| TickReport {

@@ -12,7 +12,7 @@
 //! |---|---|
 //! | [`traci`] | the TraCI client: codec, connection, domains, SUMO as a child process |
 //! | [`network`] | `.net.xml` into lanes, links, crossings, signals; routes in (s, d) |
-//! | [`nets`] | nets built, imported, enriched, looked over |
+//! | [`nets`] | builds, imports, enriches and checks nets |
 //! | [`world`] | one picture of the traffic round an ego per tick |
 //! | [`traffic`] | the background population |
 //! | [`vehicle`] | the ego's physics |
@@ -22,11 +22,11 @@
 //! | [`watch`] | front camera and perception in a run |
 //! | [`dataset`] | frames by the autopilot, collected and read back |
 //! | [`latent`] | the encoder-decoder: the transformed image as 200 numbers |
-//! | [`observation`] | what an agent is given each tick |
+//! | [`observation`] | an agent's inputs of each tick |
 //! | [`train`] | training of the networks |
 //! | [`agent`] | agents that learn to drive |
-//! | [`tasks`] | what is to be driven, and where on a net that can be done |
-//! | [`scenario`] | situations drawn in netedit, and what makes them happen |
+//! | [`tasks`] | the driving tasks, and their places on a net |
+//! | [`scenario`] | situations drawn in netedit, and their events in SUMO |
 //! | [`reward`] | the paper's six reward terms |
 //! | [`env`] | all of that as `reset` and `step` |
 //! | [`eval`] | suites of episodes, driven in parallel |
@@ -34,11 +34,11 @@
 //! | [`autopilot`] | the rule-based expert |
 //! | [`criteria`] | collisions, red lights, lane, blocking, arrival |
 //! | [`learned_driver`] | a trained agent with camera, perception and encoder, for `run` |
-//! | [`view`] | the live view: a run in the browser, and its wheel in people's hands |
+//! | [`view`] | the live view: a run in the browser, with manual driving |
 //! | [`drive`] | `run`: from destination to destination, with telemetry |
 //!
-//! [`traci`], [`network`] (with [`geometry`], [`world`] and [`seeds`]), [`vehicle`] and [`camera`] are crates of
-//! their own below `crates/`, under their old names here.
+//! [`traci`], [`network`] (with [`geometry`], [`world`] and [`seeds`]), [`vehicle`] and [`camera`] are crates
+//! of their own below `crates/`, under their old names here.
 //!
 //! World frame: SUMO's, x east, y north, z up, metres. Headings in radians, counter-clockwise from
 //! east. Speeds in m/s, times in s, impulses in N s. SUMO's own angles and bumper positions exist in

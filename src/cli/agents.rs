@@ -1,4 +1,4 @@
-//! Agents by the names that the command line gives them.
+//! Agents by their names on the command line.
 
 use super::Exit;
 use wad_cosim::agent::external::{ExternalAgent, Limits};
@@ -8,7 +8,7 @@ use wad_cosim::driver::{DriverError, DriverSpec, Made, Pilot};
 use wad_cosim::latent::Decoder;
 use wad_cosim::latent::Encoder;
 
-/// Makes trained agents behind the camera `camera`, and external ones that keep to `limits`.
+/// Makes trained agents for the camera `camera`, and external agents with the time limits `limits`.
 pub fn maker(
     camera: CameraConfig,
     limits: Limits,
@@ -16,10 +16,10 @@ pub fn maker(
     move |spec| open(spec, None, &camera, limits)
 }
 
-/// The agent of a specification, and the encoder that it sees through: the one asked for, or its own.
+/// The agent of a specification, and its encoder: `encoder`, or the one that it was trained with.
 ///
 /// # Errors
-/// There is no such agent or encoder, or they do not belong together.
+/// The agent or encoder does not exist, or they do not fit together.
 pub fn open(
     spec: &DriverSpec,
     encoder: Option<&str>,
@@ -36,7 +36,7 @@ pub fn open(
     }
 }
 
-/// Who drives a run in the town of `assets`, with the eyes that it needs.
+/// The driver of a run in the town of `assets`, with camera and perception if it needs them.
 pub fn pilot(
     assets: &Assets,
     spec: &DriverSpec,
@@ -55,12 +55,34 @@ pub fn pilot(
 #[cfg(feature = "learn")]
 fn trained(name: &str, encoder: Option<&str>, camera: &CameraConfig) -> Result<Made, DriverError> {
     let (agent, encoder) = wad_cosim::agent::policy::open(name, encoder, camera)?;
+    let id = format!("{}, encoder {}", weights(name), encoder.hash());
+    Ok(Made { agent, encoder, id })
+}
+
+/// `weights` and the checksum of the file of the trained agent `name`.
+#[cfg(feature = "learn")]
+fn weights(name: &str) -> String {
     let bytes = match wad_cosim::bundled::agent(name) {
         Some(bytes) if !std::path::Path::new(name).is_file() => bytes.to_vec(),
         _ => std::fs::read(name).unwrap_or_default(),
     };
-    let id = format!("weights {:08x}, encoder {}", crc32fast::hash(&bytes), encoder.hash());
-    Ok(Made { agent, encoder, id })
+    format!("weights {:08x}", crc32fast::hash(&bytes))
+}
+
+/// Whether the trained agent `name` learned from demonstrations; None if its file is missing or is not the
+/// one with the identity `id`.
+#[cfg(feature = "learn")]
+pub fn is_demonstrated(name: &str, id: &str) -> Option<bool> {
+    if id.split(", ").next() != Some(weights(name).as_str()) {
+        return None;
+    }
+    let (policy, _) = wad_cosim::agent::policy::Policy::find(name).ok()?;
+    Some(policy.card.demonstrations > 0)
+}
+
+#[cfg(not(feature = "learn"))]
+pub fn is_demonstrated(_: &str, _: &str) -> Option<bool> {
+    None
 }
 
 #[cfg(not(feature = "learn"))]
@@ -68,7 +90,7 @@ fn trained(name: &str, _: Option<&str>, _: &CameraConfig) -> Result<Made, Driver
     Err(DriverError::Unknown { found: name.to_string() })
 }
 
-/// What the latent of an external agent is made with.
+/// The encoder for an external agent's latent.
 #[cfg(feature = "learn")]
 fn encoder_of_external(name: Option<&str>) -> Result<Box<dyn Encoder>, DriverError> {
     Ok(wad_cosim::agent::policy::find_encoder(name.unwrap_or("default"))?)
@@ -79,7 +101,7 @@ fn encoder_of_external(_: Option<&str>) -> Result<Box<dyn Encoder>, DriverError>
     Ok(Box::new(wad_cosim::latent::PooledEncoder))
 }
 
-/// The name of the encoder that belongs to `agent`: the one `asked` for, the agent's own, or the default.
+/// The name of `agent`'s encoder: `asked`, else the agent's own, else the default.
 #[cfg(feature = "learn")]
 pub fn sees_through(asked: Option<&str>, agent: Option<&str>) -> String {
     let own = || agent.and_then(wad_cosim::agent::policy::encoder_of);
@@ -91,7 +113,7 @@ pub fn sees_through(asked: Option<&str>, _: Option<&str>) -> String {
     asked.unwrap_or("default").to_string()
 }
 
-/// What shows the reconstruction of the latents of the encoder called `encoder`; None where this build or this
+/// The decoder for latents of the encoder called `encoder`; None where this build or this
 /// machine has none.
 #[cfg(feature = "learn")]
 pub fn decoder(encoder: &str) -> Option<Box<dyn Decoder>> {

@@ -1,4 +1,4 @@
-//! `wad-cosim bench`: what things cost.
+//! `wad-cosim bench`: measures speed.
 
 #[cfg(feature = "learn")]
 use super::bench_train;
@@ -18,15 +18,15 @@ pub struct Args {
 
 #[derive(clap::Subcommand, Debug)]
 enum What {
-    /// The bridge against SUMO alone: pose in, step, everything within 100 m decoded.
+    /// Measure the bridge against SUMO alone.
     Bridge(BridgeArgs),
-    /// A frame of the front camera, by weather, size and outputs, on one core.
+    /// Measure the front camera, by weather, size and outputs, on one core.
     Camera(bench_camera::Args),
-    /// A tick of the whole loop, stage by stage.
+    /// Measure a tick of the whole loop, by stage.
     Tick(bench_tick::Args),
-    /// What viewers of the live view cost the simulation.
+    /// Measure how much viewers of the live view slow down the simulation.
     View(bench_view::Args),
-    /// Driving and learning together, as `train agent` does it.
+    /// Measure driving and learning together, as in `train agent`.
     #[cfg(feature = "learn")]
     Train(bench_train::Args),
 }
@@ -37,11 +37,11 @@ Examples:
   wad-cosim bench bridge --populations 70/100 --repeat 80 --json
   wad-cosim bench bridge my.sumocfg --populations 0/0,200/0";
 
-/// The bridge against SUMO alone.
+/// Measure the bridge against SUMO alone: pose in, step, everything within 100 m decoded.
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
 struct BridgeArgs {
-    /// Config or bundled town.
+    /// A .sumocfg, a .net.xml(.gz) or a bundled town.
     #[arg(default_value = "town5")]
     config: String,
     /// VEHICLES/PEDESTRIANS, separated by commas.
@@ -62,7 +62,7 @@ struct BridgeArgs {
 }
 
 fn population(text: &str) -> Result<(usize, usize), String> {
-    let wrong = || format!("`{text}` is not VEHICLES/PEDESTRIANS, e.g. 70/100");
+    let wrong = || format!("expected VEHICLES/PEDESTRIANS, e.g. 70/100, found `{text}`");
     let (vehicles, pedestrians) = text.split_once('/').ok_or_else(wrong)?;
     Ok((vehicles.trim().parse().map_err(|_| wrong())?, pedestrians.trim().parse().map_err(|_| wrong())?))
 }

@@ -1,4 +1,4 @@
-//! `wad-cosim bench camera`: what a frame costs.
+//! `wad-cosim bench camera`: the time of a camera frame.
 
 use super::{Exit, print, run};
 use anyhow::Context;
@@ -16,12 +16,12 @@ Examples:
   wad-cosim bench camera town3 --traffic 100,250 --frames 300 --json
   wad-cosim bench camera --weather ClearNoon,WetSunset --sizes 512x512";
 
-/// Frames of a drive through a town, one each tick, on one core; nothing but the rendering is timed. Each row
-/// is a drive of its own: the same one.
+/// Time the rendering of a drive through a town, one frame each tick, on one core. Each row is the same
+/// drive again.
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
-    /// Config or bundled town.
+    /// A .sumocfg, a .net.xml(.gz) or a bundled town.
     #[arg(default_value = "town5")]
     config: String,
     /// Background traffic.
@@ -49,10 +49,10 @@ pub struct Args {
 
 /// Simulated time before the first frame (s).
 const BEFORE: f64 = 20.0;
-/// Of so many frames one is rendered once more, for its stages.
+/// Every so many frames one is rendered once more, to time its stages.
 const STAGES_EVERY: usize = 8;
 
-/// One way to render, and what its frames took.
+/// One way to render, and the times of its frames.
 #[derive(Serialize)]
 struct Row {
     weather: Preset,
@@ -60,14 +60,14 @@ struct Row {
     height: usize,
     /// `rgb`, or `all`: with depth, semantic, instance and boxes.
     outputs: &'static str,
-    /// The town's size: 1 as it is.
+    /// How often the town is repeated; 1: once.
     town_times: usize,
     /// Wall time and the thread's processor time; the latter hardly depends on other load.
     median_ms: f64,
     median_cpu_ms: f64,
     p95_ms: f64,
-    /// Medians of a frame's stages, each eighth frame rendered once more for it: they are a little dearer, as
-    /// looking at the clock takes time, and cheaper, as the caches are warm.
+    /// Medians of a frame's stages; each eighth frame is rendered once more for this. Reading the clock makes
+    /// them a little slower, warm caches a little faster.
     stages: Stages,
     frames: usize,
 }
@@ -114,7 +114,7 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
     report(&ways, args.json)
 }
 
-/// The same drive for each way: one camera looks at every tick, as in use; the others' pictures are not in
+/// The same drive for each way. One camera renders every tick, as in use, so that other pictures are not in
 /// the caches.
 async fn drive(way: &mut Way, args: &Args, config: std::path::PathBuf) -> anyhow::Result<()> {
     let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;

@@ -1,4 +1,4 @@
-//! `wad-cosim bench tick`: what a tick costs, stage by stage.
+//! `wad-cosim bench tick`: the time of a tick, by stage.
 
 use super::{Exit, answer, run};
 use anyhow::Context;
@@ -19,11 +19,11 @@ Examples:
   wad-cosim bench tick town3 --traffic 100,250 --weather HardRainNoon --json
   wad-cosim bench tick my.sumocfg --traffic as-is --outputs all";
 
-/// A tick of the whole loop: autopilot, physics, SUMO, decoding, camera, perception.
+/// Measure a tick of the whole loop: autopilot, physics, SUMO, decoding, camera, perception.
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
-    /// Config or bundled town.
+    /// A .sumocfg, a .net.xml(.gz) or a bundled town.
     #[arg(default_value = "town5")]
     config: String,
     /// Background traffic: as-is, empty, regular, dense, or VEHICLES,PEDESTRIANS.
@@ -35,21 +35,21 @@ pub struct Args {
     /// The camera's size in pixels.
     #[arg(long, default_value = "512x512", value_name = "WxH", value_parser = super::snapshot::size)]
     size: (usize, usize),
-    /// What the camera makes.
+    /// The camera's outputs.
     #[arg(long, value_enum, default_value_t = Made::Rgb)]
     outputs: Made,
-    #[arg(long, help = format!("Who detects: {DETECTORS}"), default_value = "truth", value_name = "NAME")]
+    #[arg(long, help = format!("The detector: {DETECTORS}"), default_value = "truth", value_name = "NAME")]
     detector: String,
-    /// Who makes the latent: a .safetensors file, a folder of `train encoder`, or a bundled encoder; none.
+    /// The encoder: a .safetensors file, a folder of `train encoder`, a bundled encoder, or none.
     #[arg(long, default_value = "default", value_name = "NAME")]
     encoder: String,
-    /// Leave perception and encoder out.
+    /// Do not run perception and encoder.
     #[arg(long, conflicts_with_all = ["detector", "encoder"])]
     no_perception: bool,
-    /// Ticks that are measured.
+    /// Ticks to measure.
     #[arg(long, default_value_t = 600)]
     ticks: u64,
-    /// Ticks that are driven first.
+    /// Ticks of warm-up, not measured.
     #[arg(long, default_value_t = 120)]
     warm_up: u64,
     /// Seed of the traffic.

@@ -21,23 +21,23 @@ Examples:
 Milliseconds are per environment step and summed over collectors, so that they say what a step costs,
 not how long it takes; update is per update.";
 
-/// Driving and learning together, as `train agent` does it: camera, encoder, SUMO and updates.
+/// Measure driving and learning together, as in `train agent`: camera, encoder, SUMO and updates.
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
-    /// Config or bundled town.
+    /// A .sumocfg, a .net.xml(.gz) or a bundled town.
     #[arg(default_value = "town3")]
     config: String,
     /// td3 or sac.
     #[arg(long, value_enum, default_value_t = super::train::agent::Algo::Td3)]
     algo: super::train::agent::Algo,
-    /// What is driven; composite has 70 vehicles and 100 pedestrians.
+    /// The task to drive; composite has 70 vehicles and 100 pedestrians.
     #[arg(long, value_name = "TASK", default_value = "composite")]
     task: TaskKind,
-    /// Seconds of driving and learning that are measured.
+    /// Seconds of driving and learning to measure.
     #[arg(long, default_value_t = 30.0)]
     seconds: f64,
-    /// Environments at once [default: as `train agent`].
+    /// Environments in parallel [default: as `train agent`].
     #[arg(long, value_name = "N")]
     collectors: Option<usize>,
     /// Updates per environment step.
@@ -46,10 +46,10 @@ pub struct Args {
     /// The encoder: a file, a folder, a bundled one's name, or `pooled`.
     #[arg(long, value_name = "NAME", default_value = "default")]
     encoder: String,
-    /// Where to learn.
+    /// Device of the updates.
     #[arg(long, value_enum, default_value_t = super::train::Device::Cpu)]
     device: super::train::Device,
-    /// Everything random derives from it.
+    /// Seed of everything random.
     #[arg(long, default_value_t = 0)]
     seed: u64,
     /// Print one JSON object as the last line of stdout; everything else goes to stderr.
@@ -57,7 +57,7 @@ pub struct Args {
     json: bool,
 }
 
-/// Steps that fill the buffer before anything is measured.
+/// Steps that fill the buffer before the measurement.
 const WARM_UP: u64 = 1000;
 
 /// Runs the command.
@@ -146,7 +146,7 @@ fn report(args: &Args, limits: &Limits, t: &Trained) -> anyhow::Result<()> {
     print(&format!("{json}\n"))
 }
 
-/// The most memory that this process has had (MB); None where the system does not say.
+/// This process's peak memory (MB); None if the system does not report it.
 fn peak_memory_mb() -> Option<f64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;

@@ -1,4 +1,4 @@
-//! `wad-cosim bench view`: what viewers cost the simulation.
+//! `wad-cosim bench view`: how much viewers slow down the simulation.
 
 use super::film::Film;
 use super::run::{Interrupt, with_exit};
@@ -15,28 +15,28 @@ use wad_cosim::stats::{median, quantile};
 use wad_cosim::traffic::TrafficSpec;
 use wad_cosim::view::{Crowd, Listener, ViewAddress};
 
-/// Ticks with nobody, one viewer and many, in turn: what else the machine does touches them alike.
+/// Measure ticks with no viewer, one viewer and many, in turns, so that other load affects all alike.
 #[derive(clap::Args, Debug)]
 pub struct Args {
-    /// Config or bundled town.
+    /// A .sumocfg, a .net.xml(.gz) or a bundled town.
     #[arg(default_value = "town5")]
     config: String,
     /// Background traffic: as-is, empty, regular, dense, or VEHICLES,PEDESTRIANS.
     #[arg(long, default_value = "70,100", value_name = "T")]
     traffic: TrafficSpec,
-    /// How many are many.
+    /// Number of viewers in the largest case.
     #[arg(long, default_value_t = 20)]
     viewers: usize,
-    /// Length of a tick in milliseconds; they are driven in real time.
+    /// Length of a tick in milliseconds; ticks run in real time.
     #[arg(long, default_value_t = 50.0, value_name = "MS")]
     tick_ms: f64,
-    /// Ticks of a turn that are measured.
+    /// Measured ticks per turn.
     #[arg(long, default_value_t = 40)]
     ticks: usize,
-    /// Turns.
+    /// How often each case is measured.
     #[arg(long, default_value_t = 5)]
     repeat: usize,
-    #[arg(long, help = format!("Who detects: {DETECTORS}"), default_value = "truth", value_name = "NAME")]
+    #[arg(long, help = format!("The detector: {DETECTORS}"), default_value = "truth", value_name = "NAME")]
     detector: String,
     /// Seed of the traffic.
     #[arg(long, default_value_t = 0)]
@@ -46,20 +46,20 @@ pub struct Args {
     json: bool,
 }
 
-/// What was measured with so many viewers.
+/// The figures for one number of viewers.
 #[derive(Debug, Default, Serialize)]
 struct Row {
     viewers: usize,
     ticks: usize,
-    /// A tick from its begin to its being handed over (ms): median, and what 95 of 100 stay below.
+    /// From a tick's begin to its hand-over (ms): median and 95th percentile.
     tick_ms: f64,
     tick_p95_ms: f64,
     /// Of that: handing over.
     show_ms: f64,
-    /// Beyond a tick without viewers (ms, and as a share).
+    /// More than a tick without viewers (ms, and as a share).
     cost_ms: f64,
     share: f64,
-    /// Frames that a viewer got, of the ticks that there were.
+    /// Share of the ticks that a viewer got as frames.
     frames_share: f64,
     /// From the end of a tick to its message at a viewer (ms).
     late_ms: f64,
@@ -76,7 +76,7 @@ struct Times {
     seconds: f64,
 }
 
-/// Ticks after a change before anything is measured.
+/// Ticks of warm-up after each change.
 const SETTLE: usize = 10;
 
 /// Runs the command.
@@ -162,7 +162,7 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
     Ok(Exit::Done)
 }
 
-/// What was measured with each crowd, `turn` ticks to a turn.
+/// The figures for each number of viewers, `turn` ticks per turn.
 fn rows(crowds: &[usize], times: &[Times], turn: usize) -> Vec<Row> {
     let alone = times.first().map_or(f64::NAN, |times| median(times.ticks.clone()));
     let per_turn = (SETTLE + turn) as f64 / turn as f64;

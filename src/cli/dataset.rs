@@ -1,4 +1,4 @@
-//! `wad-cosim dataset`: training data from the autopilot's drives.
+//! `wad-cosim dataset`: collects training data while the autopilot drives.
 
 use super::progress::Bar;
 use super::{Exit, answer, print};
@@ -16,7 +16,7 @@ use wad_cosim::dataset::{
 use wad_cosim::drive::DriveError;
 use wad_cosim::perception::coco::{CLASSES, class_name};
 
-/// Training data from the autopilot's drives.
+/// Collect training data while the autopilot drives.
 #[derive(clap::Args, Debug)]
 pub struct Args {
     #[command(subcommand)]
@@ -25,9 +25,9 @@ pub struct Args {
 
 #[derive(Subcommand, Debug)]
 enum Command {
-    /// Drive under the autopilot with disturbances, and keep what the camera sees.
+    /// Drive under the autopilot with disturbances, and save the camera's frames.
     Collect(CollectArgs),
-    /// Say what a dataset holds, and check that it can be read.
+    /// Print a dataset's contents, and check that it can be read.
     Info(InfoArgs),
 }
 
@@ -36,7 +36,7 @@ Examples:
   wad-cosim dataset collect --town town3 --frames 150000 --out data/town3 --jobs 2   (the paper's 100k + 50k)
   wad-cosim dataset collect --town town5 --frames 2000 --out data/town5              (for measuring only)
   wad-cosim dataset collect --frames 20000 --camera --out data/detector              (pictures for a detector)
-  wad-cosim dataset collect --from runs/mine --from runs/yours --out data/runs       (what recorded runs saw)
+  wad-cosim dataset collect --from runs/mine --from runs/yours --out data/runs       (frames of recorded runs)
 
 Given again, the same command goes on where it stopped. Frames of town5 are test data: `train` refuses them.";
 
@@ -46,20 +46,20 @@ pub struct CollectArgs {
     /// A bundled town, a .sumocfg or a .net.xml.
     #[arg(long, default_value = "town3", value_hint = ValueHint::FilePath)]
     town: String,
-    /// In place of the autopilot's drives: a folder that `run` wrote, driven again in each weather with the
-    /// controls of its telemetry. Can be given several times.
+    /// Instead of new drives: a folder that `run` wrote, driven again in each weather with the
+    /// controls of its telemetry. May be given several times.
     #[arg(long, value_name = "RUN", value_hint = ValueHint::DirPath, conflicts_with_all = ["town", "frames", "per_shard", "noise_pause", "showing"])]
     from: Vec<PathBuf>,
-    /// How many frames.
+    /// Number of frames.
     #[arg(long, value_name = "N", default_value_t = 150_000)]
     frames: usize,
     /// Folder for the dataset.
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     out: PathBuf,
-    /// SUMOs at once; each takes one core.
+    /// SUMOs in parallel; each takes one core.
     #[arg(long, value_name = "N", default_value_t = 1)]
     jobs: usize,
-    /// Everything random derives from it.
+    /// Seed of everything random.
     #[arg(long, default_value_t = 0, value_name = "N")]
     seed: u64,
     /// Weathers, in turn [default: ClearNoon, CloudyNoon, SoftRainNoon].
@@ -75,13 +75,13 @@ pub struct CollectArgs {
     /// bicycle, person, bus, truck, "traffic light", bench.
     #[arg(long, value_name = "CLASS", value_delimiter = ',', value_parser = class)]
     showing: Vec<ObjectClass>,
-    /// Mean seconds between disturbances of the autopilot's hand; 0: none.
+    /// Mean seconds between disturbances of the autopilot's controls; 0: none.
     #[arg(long, value_name = "SECONDS", default_value_t = NoiseParams::default().pause)]
     noise_pause: f64,
     /// Frames per shard [default: a twentieth of all, at most 500].
     #[arg(long, value_name = "N")]
     per_shard: Option<usize>,
-    /// Stop after this wall time, and be content with what there is.
+    /// Stop after this wall time; the frames so far are a complete dataset.
     #[arg(long, value_name = "MINUTES")]
     max_minutes: Option<f64>,
     /// Print the result as one JSON line on stdout.
@@ -104,7 +104,7 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
     }
 }
 
-/// The exit code that belongs to a dataset's error.
+/// The exit code of a dataset's error.
 pub fn with_exit(error: DatasetError) -> anyhow::Error {
     let exit = match &error {
         DatasetError::Bridge(bridge) if bridge.is_input() => Exit::Input,
@@ -134,7 +134,7 @@ pub fn minutes(minutes: Option<f64>) -> anyhow::Result<Option<Duration>> {
     minutes
         .map(|m| Duration::try_from_secs_f64(60.0 * m))
         .transpose()
-        .map_err(|_| Exit::Input.because(anyhow::anyhow!("--max-minutes must be 0 or more")))
+        .map_err(|_| Exit::Input.because(anyhow::anyhow!("--max-minutes: expected 0 or more")))
 }
 
 fn run_collect(args: &CollectArgs) -> anyhow::Result<Exit> {
@@ -160,7 +160,7 @@ fn run_collect(args: &CollectArgs) -> anyhow::Result<Exit> {
     let runs = args.from.iter().map(|folder| RecordedRun::open(folder)).collect::<Result<_, _>>();
     options.runs = runs.map_err(with_exit)?;
     if options.weathers.iter().any(|w| !TRAINING_WEATHERS.contains(w)) && !args.town.contains("town5") {
-        tracing::warn!("weathers beyond the three training ones: what is trained on this has seen them");
+        tracing::warn!("networks trained on this dataset also know weathers beyond the three of training");
     }
     let interrupt = wad_cosim::interrupt::flag().context("cannot listen for Ctrl-C")?;
     let bar = Bar::new(args.frames as u64, "frames");
@@ -185,8 +185,8 @@ fn report(c: &Collected, json: bool) -> anyhow::Result<()> {
         c.wall_seconds,
         c.frames_per_second,
         match (c.interrupted, c.complete) {
-            (true, _) => "interrupted; the same command goes on from here\n",
-            (_, false) => "the time was over; the same command goes on from here\n",
+            (true, _) => "interrupted; the same command continues from here\n",
+            (_, false) => "stopped by --max-minutes; the same command continues from here\n",
             _ => "",
         }
     );

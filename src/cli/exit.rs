@@ -1,9 +1,9 @@
-//! Exit codes, and how an error carries one from where it is understood to `main`.
+//! Exit codes, and errors that carry one to `main`.
 
 use std::fmt;
 use std::process::ExitCode;
 
-/// What the process says to its caller. The numbers are part of the interface.
+/// The process's exit codes. The numbers are part of the interface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Exit {
@@ -37,7 +37,7 @@ impl From<Exit> for ExitCode {
     }
 }
 
-/// An error that knows its exit code; it reads as the error inside.
+/// An error with an exit code; its message is the error inside.
 ///
 /// `load(path).map_err(|e| Exit::Input.because(e))?` is the usual way to make one; context
 /// may be added over it.

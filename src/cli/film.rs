@@ -1,4 +1,4 @@
-//! The film of a run, and what is seen of it.
+//! The film of a run, and perception for `run`.
 
 use super::Exit;
 use std::path::Path;
@@ -9,7 +9,7 @@ use wad_cosim::latent::Decoder;
 use wad_cosim::perception;
 use wad_cosim::record::{Codec, RecordError, RecordView, Recorder};
 
-/// What is to be filmed and seen.
+/// Options of film and perception.
 pub struct Wanted<'a> {
     /// None: no film.
     pub path: Option<&'a Path>,
@@ -20,7 +20,7 @@ pub struct Wanted<'a> {
     pub detector: &'a str,
 }
 
-/// The film of the run, where there is one, and whether perception was asked for.
+/// The film of the run, if there is one, and whether perception runs.
 #[derive(Default)]
 pub struct Film {
     recorder: Option<Recorder>,
@@ -28,7 +28,7 @@ pub struct Film {
 }
 
 impl Film {
-    /// Begins the film that is asked for. `decoder` shows the reconstruction.
+    /// Begins the film, if there is one. `decoder` makes the reconstruction.
     ///
     /// # Errors
     /// No such detector, or the film's place cannot be written.
@@ -37,7 +37,7 @@ impl Film {
         wanted: &Wanted<'_>,
         decoder: Option<Box<dyn Decoder>>,
     ) -> anyhow::Result<Self> {
-        // The film of all views holds the transformed image where this build can make one.
+        // The film of all views includes the transformed image if this build can make one.
         let inset = wanted.path.is_some() && wanted.view == RecordView::All && cfg!(feature = "vision");
         let looks = wanted.perception || inset;
         if looks {
@@ -59,7 +59,7 @@ impl Film {
         Ok(Self { recorder, looks })
     }
 
-    /// Looks, where that was asked for, and adds a picture of the tick.
+    /// Runs perception if it is on, and adds a picture of the tick.
     ///
     /// # Errors
     /// A stage of perception fails, or the film cannot be written.
@@ -75,14 +75,14 @@ impl Film {
         Ok(())
     }
 
-    /// Films from the next tick on, from behind.
+    /// Begins a film from the next tick on, from behind.
     pub fn restart(&mut self, path: &Path, drive: &Drive) -> Result<(), RecordError> {
         let (town, fps) = (drive.assets().town(), 1.0 / drive.bridge().tick());
         self.recorder = Some(Recorder::create(path, town, RecordView::Chase, fps, Codec::Auto, 0)?);
         Ok(())
     }
 
-    /// Completes the film under way, if there is one.
+    /// Completes the running film, if there is one.
     pub fn end(&mut self) -> Result<(), RecordError> {
         self.recorder.take().map_or(Ok(()), Recorder::finish)
     }

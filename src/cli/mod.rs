@@ -39,10 +39,10 @@ pub use exit::Exit;
 #[command(after_help = "Exit codes: 0 done; 2 usage or input; 3 SUMO failed; \
                         4 interrupted, results kept; 1 anything else.")]
 struct Cli {
-    /// Say more on stderr: -v progress, -vv details, -vvv everything.
+    /// Print more on stderr: -v progress, -vv details, -vvv everything.
     #[arg(short, long, global = true, action = ArgAction::Count)]
     verbose: u8,
-    /// Say only errors on stderr.
+    /// Print only errors on stderr.
     #[arg(short, long, global = true, conflicts_with = "verbose")]
     quiet: bool,
     #[command(subcommand)]
@@ -53,25 +53,25 @@ struct Cli {
 enum Command {
     /// Drive an ego vehicle under the rule-based autopilot through SUMO traffic.
     Run(Box<run::Args>),
-    /// Drive into a town under the autopilot, and take a picture.
+    /// Drive through a town under the autopilot and save a picture.
     Snapshot(Box<snapshot::Args>),
-    /// Collect training data from the autopilot's drives.
+    /// Collect training data while the autopilot drives.
     Dataset(Box<dataset::Args>),
     /// Train a network.
     Train(train::Args),
     /// Measure speed, as a ratio to SUMO alone in the same run.
     Bench(bench::Args),
-    /// Drive the episodes of a suite, or judge a part of the system by the ground truth.
+    /// Drive the episodes of a suite, or score a part of the system against the ground truth.
     Eval(eval::Args),
     /// Show a kept episode again, as a film or in sumo-gui, or simulate it again and compare every bit.
     Replay(replay::Args),
-    /// Make pictures and tables of what was trained and measured.
+    /// Make pictures and tables of trainings and evaluations.
     Report(report::Args),
-    /// Make, edit, check, list and drive scenarios: folders of SUMO files that netedit opens.
+    /// Make, edit, check, list and drive scenarios: folders of SUMO files for netedit.
     Scenario(Box<scenario::Args>),
-    /// Facts about a net; build, import and enrich nets.
+    /// Inspect, build, import and enrich nets.
     Net(Box<net::Args>),
-    /// Check what this machine has for wad-cosim, and say what to do about what is missing.
+    /// Check this machine for everything that wad-cosim needs, and say how to install what is missing.
     Doctor(doctor::Args),
 }
 
@@ -102,7 +102,7 @@ pub fn main() -> ExitCode {
     }
 }
 
-/// The error and its causes in one text; a cause that the text quotes already is not said twice.
+/// The error and its causes in one text; a cause that the text already quotes is not repeated.
 fn message(error: &anyhow::Error) -> String {
     error
         .chain()
@@ -131,7 +131,7 @@ fn start_log(verbose: u8, quiet: bool) {
         .init();
 }
 
-/// What asynchronous work runs on: this thread.
+/// The asynchronous runtime, on this thread.
 pub fn runtime() -> anyhow::Result<tokio::runtime::Runtime> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     runtime.context("cannot start the asynchronous runtime")
@@ -146,7 +146,7 @@ pub fn answer(text: &str, json: bool, value: &impl serde::Serialize) -> anyhow::
     print(&(serde_json::to_string(value)? + "\n"))
 }
 
-/// Write `text` to stdout. A reader that went away (`| head`) is no error.
+/// Write `text` to stdout. A closed pipe (`| head`) is not an error.
 pub fn print(text: &str) -> anyhow::Result<()> {
     let mut out = std::io::stdout().lock();
     match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {

@@ -1,4 +1,4 @@
-//! `wad-cosim net`: facts about a net; build, import and enrich nets.
+//! `wad-cosim net`: inspects, builds, imports and enriches nets.
 
 use super::{Exit, answer};
 use clap::{Subcommand, ValueHint};
@@ -11,14 +11,14 @@ use wad_cosim::traci::process::SumoInstall;
 
 const EXAMPLES: &str = "\
 Examples:
-  wad-cosim net info town5                             what is in it, and what is missing
+  wad-cosim net info town5                             what it has, and what is missing
   wad-cosim net import helsinki.osm --out helsinki     OpenStreetMap with its buildings
-  wad-cosim net import Town04.xodr --out town04        OpenDRIVE, as CARLA's towns are
-  wad-cosim net enrich Town04.net.xml --out new.net.xml signals, sidewalks, crossings where it has none
+  wad-cosim net import Town04.xodr --out town04        OpenDRIVE, e.g. CARLA's towns
+  wad-cosim net enrich Town04.net.xml --out new.net.xml add signals, sidewalks, crossings
   wad-cosim net build my.netccfg --out my              from plain sources
   wad-cosim run helsinki                               and drive";
 
-/// Facts about a net; build, import and enrich nets.
+/// Inspect, build, import and enrich nets.
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -28,13 +28,13 @@ pub struct Args {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// Say what is in a net, what hinders, and what to do about it.
+    /// Print facts about a net, its problems, and the command that fixes each.
     Info(Info),
     /// Build a net from plain sources (.netccfg, or .nod.xml, .edg.xml, ...).
     Build(Make),
     /// Import OpenDRIVE (.xodr), OpenStreetMap (.osm) or a SUMO net.
     Import(Make),
-    /// Add signals, sidewalks and crossings where a net has none; its lanes stay on their lines.
+    /// Add missing signals, sidewalks and crossings to a net; its lanes keep their positions.
     Enrich(Enrich),
 }
 
@@ -49,10 +49,10 @@ struct Info {
 
 #[derive(Debug, clap::Args)]
 struct Make {
-    /// What it is made of.
+    /// The source file: plain XML, .netccfg, OpenDRIVE, OpenStreetMap or a SUMO net.
     #[arg(value_hint = ValueHint::FilePath)]
     source: PathBuf,
-    /// The new folder: NAME.net.xml, NAME.sumocfg and, of OpenStreetMap, NAME.poly.xml.
+    /// The new folder: NAME.net.xml, NAME.sumocfg and, from OpenStreetMap, NAME.poly.xml.
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     out: PathBuf,
     /// Print one JSON object as the last line of stdout; everything else goes to stderr.
@@ -64,16 +64,16 @@ struct Make {
 struct Enrich {
     /// A .net.xml(.gz), a .sumocfg or a bundled town.
     config: String,
-    /// The new net.
+    /// File for the new net.
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     out: PathBuf,
-    /// Signals at junctions of four arms, and at wide ones of three.
+    /// Add signals at junctions of four arms, and at wide ones of three.
     #[arg(long)]
     signals: bool,
-    /// Sidewalks on roads of up to 70 km/h.
+    /// Add sidewalks to roads of up to 70 km/h.
     #[arg(long)]
     sidewalks: bool,
-    /// Crossings where sidewalks meet a junction.
+    /// Add crossings where sidewalks meet a junction.
     #[arg(long)]
     crossings: bool,
     /// Print one JSON object as the last line of stdout; everything else goes to stderr.

@@ -11,7 +11,7 @@ pub struct Bar {
     unit: &'static str,
     total: Cell<u64>,
     began: Instant,
-    /// Where it was when first shown: what an earlier call did does not count for the rate.
+    /// The count at the first display: work of an earlier call does not count for the rate.
     first: Cell<Option<u64>>,
     last: Cell<Option<Instant>>,
 }
@@ -39,7 +39,7 @@ impl Bar {
         }
     }
 
-    /// How many there will be.
+    /// Sets the total.
     pub fn set_total(&self, total: u64) {
         self.total.set(total);
         if let Some(bar) = &self.bar {
@@ -47,7 +47,7 @@ impl Bar {
         }
     }
 
-    /// Prints a line of its own.
+    /// Prints a line above the bar.
     pub fn say(&self, text: &str) {
         match &self.bar {
             Some(bar) => bar.suspend(|| eprintln!("{text}")),
@@ -78,7 +78,7 @@ impl Bar {
         eprintln!("{done}/{} {}, {rate:.1}/s  {message}", self.total.get(), self.unit);
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub fn clear(&self) {
         if let Some(bar) = &self.bar {
             bar.finish_and_clear();

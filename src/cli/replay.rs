@@ -1,4 +1,4 @@
-//! `wad-cosim replay`: a kept episode again, as it was recorded, or simulated anew.
+//! `wad-cosim replay`: plays a kept episode as it was recorded, or simulates it again.
 
 use super::progress::Bar;
 use super::{Exit, agents, print};
@@ -16,18 +16,18 @@ use wad_cosim::replay::Recording;
 
 const EXAMPLES: &str = "\
 Examples:
-  wad-cosim replay runs/nocrash/episodes/NAME                          what happened, in words
+  wad-cosim replay runs/nocrash/episodes/NAME                          print what happened
   wad-cosim replay runs/nocrash --view                                 all of them in the browser, with a timeline
   wad-cosim replay runs/nocrash/episodes/NAME --record film.mp4        a film, from behind
   wad-cosim replay runs/nocrash/episodes/NAME --record film.mp4 --record-view all
   wad-cosim replay runs/nocrash/episodes/NAME --gui                    simulated again in sumo-gui
   wad-cosim replay runs/nocrash/episodes/NAME --verify                 simulated again, every bit compared";
 
-/// Show a kept episode again.
+/// Show a kept episode as a film, in the browser or in sumo-gui, or verify it.
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
-    /// An episode's folder, as `eval` keeps of each failure; with --view a folder above such folders will do.
+    /// An episode's folder (`eval` keeps one of each failure); with --view also a folder that contains some.
     #[arg(value_name = "EPISODE", value_hint = ValueHint::DirPath)]
     episode: PathBuf,
     /// Film the recorded states: a .mp4 file, or a folder with a trailing / for numbered PNG pictures.
@@ -41,13 +41,13 @@ pub struct Args {
     record_codec: Codec,
     #[command(flatten)]
     view: super::view::ViewArgs,
-    /// Only the last N seconds.
+    /// Film only the last N seconds.
     #[arg(long, value_name = "SECONDS")]
     last: Option<f64>,
-    /// Simulate it again and compare every bit of every tick.
+    /// Simulate the episode again and compare every bit of every tick.
     #[arg(long)]
     verify: bool,
-    /// Simulate it again in sumo-gui, in real time.
+    /// Simulate the episode again in sumo-gui, in real time.
     #[arg(long)]
     gui: bool,
     /// Print one JSON object as the last line of stdout; everything else goes to stderr.
@@ -127,7 +127,7 @@ fn film(args: &Args, path: &std::path::Path, recording: &Recording) -> anyhow::R
     let bar = Bar::new(shown as u64, "pictures");
     let first = frames.len() - shown;
     for (index, frame) in frames.iter().enumerate() {
-        // Those before the first picture still move wheels and legs to where they are by then.
+        // Earlier states are applied too: they move wheels and legs to their positions.
         film.follow(&frame.world, &recording.ego_actor(frame));
         if index < first {
             continue;

@@ -10,9 +10,9 @@ use wad_cosim::env::Assets;
 use wad_cosim::eval::kept::Kept;
 use wad_cosim::view::{Listed, Next, Played, Player, street_map};
 
-/// How deep below a folder episodes are looked for: `runs/NAME/episodes/EPISODE`.
+/// Depth of the search for episodes below a folder: `runs/NAME/episodes/EPISODE`.
 const DEPTH: usize = 4;
-/// More are not listed.
+/// Most episodes in the list.
 const MOST: usize = 2000;
 const FILE: &str = "episode.json";
 
@@ -55,7 +55,7 @@ struct Episodes {
 impl Episodes {
     fn find(path: &Path) -> anyhow::Result<Self> {
         let single = path.join(FILE).is_file();
-        // An episode stands among others.
+        // Also list the episodes beside this one.
         let absolute = path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
         let root = if single { absolute.parent().unwrap_or(&absolute) } else { &absolute };
         let mut found = Vec::new();
@@ -92,7 +92,7 @@ fn collect(folder: &Path, depth: usize, found: &mut Vec<PathBuf>) {
     if depth == 0 || found.len() > 2 * MOST {
         return;
     }
-    // A folder that cannot be read holds nothing to show.
+    // An unreadable folder counts as empty.
     for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
         if entry.file_type().is_ok_and(|kind| kind.is_dir()) {
             collect(&entry.path(), depth - 1, found);

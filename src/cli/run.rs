@@ -9,7 +9,7 @@ use anyhow::Context;
 use clap::ValueHint;
 use status::StatusLine;
 use std::io::IsTerminal;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use wad_cosim::assets::{Assets, AssetsError};
@@ -23,17 +23,18 @@ use wad_cosim::record::{Codec, RecordView};
 use wad_cosim::telemetry::FolderError;
 use wad_cosim::traci::process::SumoInstall;
 use wad_cosim::traffic::TrafficSpec;
+use wad_cosim::view::Listener;
 
 const EXAMPLES: &str = "\
 Examples:
   wad-cosim run nets/town5.sumocfg                          the town's own traffic, until Ctrl-C or the config's end
   wad-cosim run town5 --traffic dense --ticks 1200          70 vehicles and 150 pedestrians, 200 s
   wad-cosim run town3 --traffic 40,80 --seed 7 --gui        watch it in sumo-gui
-  wad-cosim run town5 --view                                watch it in the browser, and take the wheel
-  wad-cosim run town5 --agent wad-t                         the trained agent at the wheel
-  wad-cosim run town5 --perception --record see.mp4         film what the ego sees and makes of it
+  wad-cosim run town5 --view                                watch it in the browser, and drive
+  wad-cosim run town5 --agent wad-t                         the trained agent drives
+  wad-cosim run town5 --perception --record see.mp4         film the camera, detections and reconstruction
   wad-cosim run my.sumocfg --route -E12,E7 --json           own net, from edge -E12 to edge E7, machine-readable
-  wad-cosim run my.net.xml --attach 127.0.0.1:8813          join a SUMO that is running already
+  wad-cosim run my.net.xml --attach 127.0.0.1:8813          join a running SUMO
 
 Results go to runs/DATE-TOWN-SEED (or --out): config.json, telemetry.jsonl, summary.json, sumo/sumo.log.
 Exit codes: 0 done; 2 usage or input; 3 SUMO failed; 4 interrupted, results kept; 1 anything else.";
@@ -45,11 +46,11 @@ pub struct Args {
     /// A .sumocfg, a .net.xml(.gz), a scenario's folder, a bundled town (town3, town5) or a shipped scenario.
     #[arg(value_hint = ValueHint::FilePath)]
     config: String,
-    /// Who drives: autopilot, wad-t, wad-s, a file that `train agent` wrote, constant, random, manual (with --view),
-    /// or exec:COMMAND (docs/evaluate.md).
+    /// The driver: autopilot, wad-t, wad-s, a file that `train agent` wrote, constant, random, manual (with
+    /// --view), or exec:COMMAND (docs/evaluate.md).
     #[arg(long, default_value = "autopilot", value_name = "NAME|FILE|exec:CMD", value_hint = ValueHint::FilePath)]
     agent: DriverSpec,
-    /// The encoder that the agent sees through [default: the one that it was trained with], and whose
+    /// The agent's encoder [default: the one that it was trained with], and the encoder whose
     /// reconstruction --perception shows [default: the bundled one].
     #[arg(long, value_name = "NAME", value_hint = ValueHint::AnyPath)]
     encoder: Option<String>,
@@ -59,14 +60,14 @@ pub struct Args {
     /// Stop after this many simulation seconds.
     #[arg(long, value_name = "SECONDS", conflicts_with = "ticks")]
     time: Option<f64>,
-    /// Everything random derives from it [default: the config's seed, or 0].
+    /// Seed of everything random [default: the config's seed, or 0].
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
     /// Background traffic: as-is (the config's own), empty, regular, dense, or VEHICLES,PEDESTRIANS
     /// [default: as-is, or the scenario's].
     #[arg(long, value_name = "T")]
     traffic: Option<TrafficSpec>,
-    /// Drive from one edge (or lane) to another first; later destinations are drawn.
+    /// First route, from one edge (or lane) to another; later destinations are random.
     #[arg(long, value_name = "FROM,TO", allow_hyphen_values = true)]
     route: Option<String>,
     /// Folder for the results.
@@ -75,10 +76,10 @@ pub struct Args {
     /// Length of a tick in milliseconds [default: the config's step-length, or 167].
     #[arg(long, value_name = "MS")]
     tick_ms: Option<f64>,
-    /// Show it in sumo-gui, the ego followed.
+    /// Show the run in sumo-gui; its view follows the ego.
     #[arg(long)]
     gui: bool,
-    /// The weather that agent and recording see, by CARLA's name [default: ClearNoon, or the scenario's].
+    /// Weather of camera and film, by CARLA's name [default: ClearNoon, or the scenario's].
     #[arg(long, value_name = "NAME")]
     weather: Option<Preset>,
     /// Film the run: a .mp4 file, or a folder with a trailing / for numbered PNG pictures.
@@ -90,21 +91,21 @@ pub struct Args {
     /// Codec of a .mp4 film: auto (H.264, else MPEG-4), h264, mp4v, or another four-character code.
     #[arg(long, value_name = "CODEC", default_value = "auto", requires = "record")]
     record_codec: Codec,
-    /// Look through the front camera too: say what is seen, and record the stages (camera, detections,
-    /// transformed image, reconstruction) below the film.
+    /// Run perception on the front camera: print its results, and film its stages (camera, detections,
+    /// transformed image, reconstruction) below the view.
     #[arg(long)]
     perception: bool,
-    #[arg(long, help = format!("Who detects: {}", perception::DETECTORS), default_value = "truth", value_name = "NAME")]
+    #[arg(long, help = format!("The detector: {}", perception::DETECTORS), default_value = "truth", value_name = "NAME")]
     detector: String,
     /// Run no faster than real time.
     #[arg(long)]
     realtime: bool,
     #[command(flatten)]
     view: ViewArgs,
-    /// Use a running SUMO (started with --remote-port) instead of an own one.
+    /// Join a running SUMO (started with --remote-port) instead of starting one.
     #[arg(long, value_name = "HOST:PORT", conflicts_with = "gui")]
     attach: Option<String>,
-    /// Give SUMO up as hung when one tick takes longer than this.
+    /// Fail if SUMO takes longer than this for one tick.
     #[arg(long, value_name = "SECONDS", default_value_t = 60.0)]
     tick_timeout: f64,
     /// Print one JSON object as the last line of stdout; everything else goes to stderr.
@@ -124,46 +125,19 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
 async fn drive(args: Args) -> anyhow::Result<Exit> {
     let config = config::resolve(&args.config)?;
     let assets = town(&args, &config)?;
-    let mut args = args;
-    if let Some(scenario) = assets.scenario() {
-        args.weather = args.weather.or(Some(scenario.weather));
-        args.traffic = Some(match args.traffic.unwrap_or(scenario.traffic) {
-            // What is drawn is there anyway.
-            TrafficSpec::AsIs => TrafficSpec::Empty,
-            traffic => traffic,
-        });
-    }
-    let args = args;
-    let seed = args.seed.unwrap_or(0);
-    let out = args.out.clone().unwrap_or_else(|| default_folder(&config, seed));
+    let args = args.in_scenario(&assets);
+    let out = args.out.clone().unwrap_or_else(|| default_folder(&config, args.seed()));
     let listener = args.view.listen()?;
     if args.agent == DriverSpec::Manual && listener.is_none() {
         return Err(Exit::Input.because(anyhow::anyhow!(
-            "--agent manual needs a person at the live view's wheel: add --view, or name another driver"
+            "--agent manual needs the live view to drive in: add --view, or choose another driver"
         )));
     }
     let pilot = pilot(&args, &assets)?;
-    let weather = args.weather.unwrap_or_default();
-    let options = DriveOptions {
-        bridge: BridgeOptions {
-            seed,
-            tick_ms: args.tick_ms,
-            traffic: args.traffic.unwrap_or_default(),
-            scenario: assets.scenario().is_some(),
-            gui: args.gui,
-            attach: args.attach.clone(),
-            tick_timeout: args.tick_timeout,
-            ..BridgeOptions::new(config, out.join("sumo"))
-        },
-        route: args.route.clone(),
-        out: out.clone(),
-        ego: Default::default(),
-        autopilot: Default::default(),
-        criteria: Default::default(),
-    };
+    let options = args.options(config, &out, assets.scenario().is_some());
     let mut interrupt = Interrupt::listen()?;
     let started = tokio::select! {
-        started = Drive::start_in(&assets, options, pilot, weather) => started,
+        started = Drive::start_in(&assets, options, pilot, args.weather.unwrap_or_default()) => started,
         () = interrupt.wait() => {
             eprintln!("interrupted before the first tick");
             return Ok(Exit::Interrupted);
@@ -171,83 +145,121 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
     };
     let mut drive = started.map_err(with_exit)?;
     let limit = tick_limit(&args, &drive)?;
-    let wanted = Wanted {
-        path: args.record.as_deref(),
-        view: args.record_view,
-        codec: args.record_codec,
-        perception: args.perception,
-        detector: &args.detector,
+    let film = Film::begin(&mut drive, &args.wanted(), decoder(&args))?;
+    let view = listener.map(|listener| open_view(listener, &args, &drive, &out)).transpose()?;
+    let line = StatusLine::new(args.quiet_status(), limit);
+    let mut watched = Watched { drive, film, view, line };
+    let interrupted = match watched.ticks(limit, &args, &mut interrupt).await? {
+        Stop::Over => false,
+        Stop::Interrupted => true,
+        Stop::Failed(error) => return Err(watched.abort(error).await),
     };
-    let mut film = Film::begin(&mut drive, &wanted, decoder(&args))?;
-    let mut view = match listener {
-        Some(listener) => {
-            let about = About {
-                seed,
-                agent: &args.agent.to_string(),
-                encoder: args.encoder.as_deref(),
-                detector: &args.detector,
-                weather,
-                traffic: args.traffic.unwrap_or_default().counts(&drive.bridge().config().town()),
-                out: &out,
-                recording: args.record.as_deref(),
-            };
-            Some(View::open(listener, &args.view, &drive, &about)?)
-        }
-        None => None,
-    };
-    let mut line = StatusLine::new(args.quiet_status(), limit);
-    let (began, tick) = (Instant::now(), drive.bridge().tick());
-    let mut interrupted = false;
-    let mut ticks = 0;
-    while limit.is_none_or(|limit| ticks < limit) {
-        let ticked = tokio::select! {
-            biased;
-            () = interrupt.wait() => { interrupted = true; break; }
-            ticked = next_tick(&mut drive, &mut view, &mut film) => ticked,
-        };
-        match ticked {
-            Ok(status) => {
-                film.add(&mut drive)?;
-                if let Some(view) = &mut view {
-                    view.show(&drive, &status);
-                }
-                line.show(&status, drive.eyes().percept().filter(|_| args.perception));
-            }
-            Err(error) => {
-                line.clear();
-                if let Some(view) = view {
-                    view.close();
-                }
-                // What there is stays readable, with a summary that says how it ended.
-                if let Err(second) = drive.abort().await {
-                    eprintln!("wad-cosim: {second}");
-                }
-                return Err(with_exit(error));
-            }
-        }
-        ticks += 1;
-        if drive.ending().is_some() {
-            break;
-        }
-        if args.realtime && view.is_none() {
-            let due = began + Duration::from_secs_f64(ticks as f64 * tick);
-            tokio::select! {
-                () = interrupt.wait() => { interrupted = true; break; }
-                () = tokio::time::sleep_until(due.into()) => {}
-            }
-        }
-    }
-    line.clear();
-    if let Some(view) = view {
-        view.close();
-    }
-    film.end()?;
-    let summary = drive.finish(interrupted).await.map_err(with_exit)?;
+    let summary = watched.finish(interrupted).await?;
     report(&summary, args.json)?;
     Ok(if interrupted { Exit::Interrupted } else { Exit::Done })
 }
 
-/// A tick when it is due: at once, or, where there are viewers, at their pace and with their control.
+/// Opens the live view of a run with its results in `out`.
+fn open_view(listener: Listener, args: &Args, drive: &Drive, out: &Path) -> anyhow::Result<View> {
+    let about = About {
+        seed: args.seed(),
+        agent: &args.agent.to_string(),
+        encoder: args.encoder.as_deref(),
+        detector: &args.detector,
+        weather: args.weather.unwrap_or_default(),
+        traffic: args.traffic.unwrap_or_default().counts(&drive.bridge().config().town()),
+        out,
+        recording: args.record.as_deref(),
+    };
+    View::open(listener, &args.view, drive, &about)
+}
+
+/// Why the ticks of a run stopped.
+enum Stop {
+    /// The limit, or the scenario's end.
+    Over,
+    Interrupted,
+    Failed(DriveError),
+}
+
+/// A drive with its film, live view and status line.
+struct Watched {
+    drive: Drive,
+    film: Film,
+    view: Option<View>,
+    line: StatusLine,
+}
+
+impl Watched {
+    /// Drives and shows tick by tick.
+    async fn ticks(
+        &mut self,
+        limit: Option<u64>,
+        args: &Args,
+        interrupt: &mut Interrupt,
+    ) -> anyhow::Result<Stop> {
+        let (began, tick) = (Instant::now(), self.drive.bridge().tick());
+        let mut ticks = 0;
+        while limit.is_none_or(|limit| ticks < limit) {
+            let ticked = tokio::select! {
+                biased;
+                () = interrupt.wait() => return Ok(Stop::Interrupted),
+                ticked = next_tick(&mut self.drive, &mut self.view, &mut self.film) => ticked,
+            };
+            match ticked {
+                Ok(status) => self.show(&status, args.perception)?,
+                Err(error) => return Ok(Stop::Failed(error)),
+            }
+            ticks += 1;
+            if self.drive.ending().is_some() {
+                break;
+            }
+            if args.realtime && self.view.is_none() {
+                let due = began + Duration::from_secs_f64(ticks as f64 * tick);
+                tokio::select! {
+                    () = interrupt.wait() => return Ok(Stop::Interrupted),
+                    () = tokio::time::sleep_until(due.into()) => {}
+                }
+            }
+        }
+        Ok(Stop::Over)
+    }
+
+    /// Shows a tick in film, live view and status line.
+    fn show(&mut self, status: &Status, perception: bool) -> anyhow::Result<()> {
+        self.film.add(&mut self.drive)?;
+        if let Some(view) = &mut self.view {
+            view.show(&self.drive, status);
+        }
+        self.line.show(status, self.drive.eyes().percept().filter(|_| perception));
+        Ok(())
+    }
+
+    /// Ends film, view and SUMO, and writes the summary.
+    async fn finish(self, interrupted: bool) -> anyhow::Result<Summary> {
+        let Self { drive, mut film, view, line } = self;
+        line.clear();
+        if let Some(view) = view {
+            view.close();
+        }
+        film.end()?;
+        drive.finish(interrupted).await.map_err(with_exit)
+    }
+
+    /// Ends after `error`: the results so far stay readable, with a summary that says how the run ended.
+    async fn abort(self, error: DriveError) -> anyhow::Error {
+        self.line.clear();
+        if let Some(view) = self.view {
+            view.close();
+        }
+        if let Err(second) = self.drive.abort().await {
+            eprintln!("wad-cosim: {second}");
+        }
+        with_exit(error)
+    }
+}
+
+/// One tick when it is due: at once, or with a live view at the viewers' pace and with their control.
 async fn next_tick(
     drive: &mut Drive,
     view: &mut Option<View>,
@@ -260,10 +272,10 @@ async fn next_tick(
     drive.tick_with(control).await
 }
 
-/// The town; with its scenario, where it is one and no other route is asked for.
-fn town(args: &Args, config: &std::path::Path) -> anyhow::Result<Arc<Assets>> {
+/// The town; with its scenario, if CONFIG is one and no --route replaces its route.
+fn town(args: &Args, config: &Path) -> anyhow::Result<Arc<Assets>> {
     if args.attach.is_none() {
-        // One that is too old is told so, rather than that its list of options reads badly.
+        // Checked first: a SUMO that is too old should not fail with an unreadable list of options.
         let install = SumoInstall::find().map_err(|e| Exit::Sumo.because(e))?;
         install.check_version().map_err(|e| Exit::Sumo.because(e))?;
     }
@@ -271,7 +283,7 @@ fn town(args: &Args, config: &std::path::Path) -> anyhow::Result<Arc<Assets>> {
     Assets::open(config, plays).map_err(|e| with_exit(e.into()))
 }
 
-/// Who drives. What people are shown is what it sees.
+/// The driver. The live view shows the same camera frames that it gets.
 fn pilot(args: &Args, assets: &Assets) -> anyhow::Result<wad_cosim::driver::Pilot> {
     let mut pilot = agents::pilot(assets, &args.agent, args.encoder.as_deref(), &args.detector)?;
     if let Some(decoder) = decoder(args).filter(|_| pilot.driver.looks()) {
@@ -280,20 +292,69 @@ fn pilot(args: &Args, assets: &Assets) -> anyhow::Result<wad_cosim::driver::Pilo
     Ok(pilot)
 }
 
-/// The reconstruction among the stages, where perception is asked for: of the encoder that the agent sees through.
+/// With --perception: the decoder for the reconstruction, of the agent's encoder.
 fn decoder(args: &Args) -> Option<Box<dyn Decoder>> {
     let encoder = || agents::sees_through(args.encoder.as_deref(), Some(&args.agent.to_string()));
     args.perception.then(|| agents::decoder(&encoder())).flatten()
 }
 
 impl Args {
+    /// With the scenario's weather and traffic for those that the command line leaves open.
+    fn in_scenario(mut self, assets: &Assets) -> Self {
+        if let Some(scenario) = assets.scenario() {
+            self.weather = self.weather.or(Some(scenario.weather));
+            self.traffic = Some(match self.traffic.unwrap_or(scenario.traffic) {
+                // The scenario's own road users are there anyway; as-is adds none.
+                TrafficSpec::AsIs => TrafficSpec::Empty,
+                traffic => traffic,
+            });
+        }
+        self
+    }
+
+    fn seed(&self) -> u64 {
+        self.seed.unwrap_or(0)
+    }
+
+    /// The drive's options, with results in `out`.
+    fn options(&self, config: PathBuf, out: &Path, scenario: bool) -> DriveOptions {
+        DriveOptions {
+            bridge: BridgeOptions {
+                seed: self.seed(),
+                tick_ms: self.tick_ms,
+                traffic: self.traffic.unwrap_or_default(),
+                scenario,
+                gui: self.gui,
+                attach: self.attach.clone(),
+                tick_timeout: self.tick_timeout,
+                ..BridgeOptions::new(config, out.join("sumo"))
+            },
+            route: self.route.clone(),
+            out: out.to_path_buf(),
+            ego: Default::default(),
+            autopilot: Default::default(),
+            criteria: Default::default(),
+        }
+    }
+
+    /// The options of film and perception.
+    fn wanted(&self) -> Wanted<'_> {
+        Wanted {
+            path: self.record.as_deref(),
+            view: self.record_view,
+            codec: self.record_codec,
+            perception: self.perception,
+            detector: &self.detector,
+        }
+    }
+
     fn quiet_status(&self) -> bool {
         !std::io::stderr().is_terminal()
     }
 }
 
 /// `runs/20261121-093000-town5-0` under the current folder.
-fn default_folder(config: &std::path::Path, seed: u64) -> PathBuf {
+fn default_folder(config: &Path, seed: u64) -> PathBuf {
     let name = config.file_name().map(|f| f.to_string_lossy().to_string()).unwrap_or_default();
     let town = name.split('.').next().unwrap_or("net").to_string();
     let base = PathBuf::from("runs").join(format!("{}-{town}-{seed}", wad_cosim::clock::timestamp()));
@@ -307,7 +368,7 @@ fn default_folder(config: &std::path::Path, seed: u64) -> PathBuf {
     folder
 }
 
-/// How many ticks to drive: as asked for, else to the config's end, else for ever.
+/// Number of ticks to drive: from the options, else to the config's end, else unlimited.
 fn tick_limit(args: &Args, drive: &Drive) -> anyhow::Result<Option<u64>> {
     if args.ticks.is_some() {
         return Ok(args.ticks);

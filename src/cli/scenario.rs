@@ -14,13 +14,13 @@ use wad_cosim::traci::process::SumoInstall;
 
 const EXAMPLES: &str = "\
 Examples:
-  wad-cosim scenario list                                        what is there to begin from
+  wad-cosim scenario list                                        templates and shipped scenarios
   wad-cosim scenario new my_jam --template accident --town town5 a folder of SUMO files
   wad-cosim scenario edit my_jam                                 draw in netedit
   wad-cosim scenario check my_jam                                every mistake, with its fix
   wad-cosim scenario run my_jam --record jam.mp4                 drive it";
 
-/// Make, edit, check, list and drive scenarios: folders of SUMO files that netedit opens.
+/// Make, edit, check, list and drive scenarios: folders of SUMO files for netedit.
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -32,9 +32,9 @@ pub struct Args {
 enum What {
     /// Make a scenario from a template.
     New(New),
-    /// Open scenarios' files in netedit.
+    /// Open a scenario's files in netedit.
     Edit(Edit),
-    /// Name every mistake, with file, element and fix.
+    /// Print every mistake in a scenario, with file, element and fix.
     Check(Check),
     /// List templates and shipped scenarios.
     List(List),
@@ -44,15 +44,15 @@ enum What {
 
 #[derive(Debug, clap::Args)]
 struct New {
-    /// Its name, or the path of its folder. A plain name goes into scenarios/ where that is here.
+    /// Its name, or the path of its folder. A plain name goes into scenarios/ if that folder is here.
     name: PathBuf,
-    /// What to begin from; see `scenario list`.
+    /// The template; see `scenario list`.
     #[arg(long, value_name = "T", default_value = "straight")]
     template: String,
     /// The net: a bundled town, a .sumocfg or a .net.xml(.gz).
     #[arg(long, value_name = "CONFIG", default_value = "town5")]
     town: String,
-    /// Another number, another place in the town.
+    /// Seed: another number gives another place in the town.
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
 }
@@ -141,14 +141,13 @@ fn load(config: &Path) -> anyhow::Result<SumoConfig> {
     SumoConfig::load(config, &schema).map_err(|e| Exit::Input.because(e))
 }
 
-/// Buildings and the like come along with a net; vehicle types and detectors do not.
+/// Buildings and other polygons belong to a net; vehicle types and detectors do not.
 fn has_polygons(file: &Path) -> bool {
     file.to_string_lossy().contains(".poly.xml")
 }
 
-/// How the scenario names each file, and whether it gets a copy: a bundled town is named where it lies
-/// beside the scenario as in the repository, and copied elsewhere, so that the folder can be given away;
-/// an author's own net is named where it is.
+/// The path of each file in the scenario, and whether to copy it: a bundled town is referred to inside the
+/// repository and copied elsewhere, so that the folder can be passed on; an author's own net is referred to.
 fn place_files(folder: &Path, files: &[PathBuf], bundled: bool) -> Vec<(PathBuf, String, bool)> {
     let place = |file: &PathBuf| {
         let base = file.file_name().unwrap_or_default().to_string_lossy().to_string();
@@ -185,7 +184,7 @@ fn edit(args: &Edit) -> anyhow::Result<Exit> {
     let config = config::resolve(&args.name)?;
     if bundled::is_unpacked(&config) {
         eprintln!(
-            "{} is the shipped copy: what you change here is lost at the next update; `scenario new` makes one of your own",
+            "{} is the shipped copy: the next update overwrites your changes; make your own with `scenario new`",
             config.display()
         );
     }
@@ -209,8 +208,8 @@ fn edit(args: &Edit) -> anyhow::Result<Exit> {
     Ok(Exit::Done)
 }
 
-/// The files of a scenario's town, which others use too. netedit writes them again with everything that it
-/// saves, in other digits: where they mean the same, they get their own bytes back.
+/// The files of a scenario's town, which other scenarios share. netedit rewrites them at each save, with
+/// other digits. If their meaning is unchanged, their old bytes are restored.
 struct Town {
     files: Vec<(PathBuf, Vec<u8>, Shapes)>,
     network: Option<Network>,
@@ -246,7 +245,7 @@ impl Town {
     }
 }
 
-/// Equal but for the order.
+/// Whether both are equal except for the order.
 fn same_shapes(a: &Shapes, b: &Shapes) -> bool {
     let sorted = |shapes: &Shapes| {
         let mut all: Vec<String> = shapes.polygons.iter().map(|p| format!("{p:?}")).collect();

@@ -1,4 +1,4 @@
-//! `wad-cosim snapshot`: one picture out of a town.
+//! `wad-cosim snapshot`: saves a picture of a town.
 
 use super::{Exit, print, run};
 use anyhow::Context;
@@ -22,7 +22,7 @@ Examples:
   wad-cosim snapshot town5 --view chase --size 1280x720 --out chase.png
   wad-cosim snapshot town5 --sheet --out weathers.png";
 
-/// Drive into a town under the autopilot, and take a picture.
+/// Drive through a town under the autopilot and save a picture.
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -32,10 +32,10 @@ pub struct Args {
     /// One of CARLA's 14 weathers, e.g. ClearNoon, WetCloudySunset, MidRainyNoon.
     #[arg(long, default_value = "ClearNoon")]
     weather: Preset,
-    /// Simulation seconds to drive before the picture is taken.
+    /// Simulation seconds to drive before the picture.
     #[arg(long, value_name = "SECONDS", default_value_t = 30.0, value_parser = seconds)]
     time: f64,
-    /// Further pictures: N in all, one every --every seconds, numbered.
+    /// Number of pictures, one every --every seconds; the files are numbered.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     count: u32,
     /// Simulation seconds between the pictures.
@@ -47,30 +47,31 @@ pub struct Args {
     /// Background traffic: as-is, empty, regular, dense, or VEHICLES,PEDESTRIANS.
     #[arg(long, default_value = "dense", value_name = "T")]
     traffic: TrafficSpec,
-    /// Everything random derives from it.
+    /// Seed of everything random.
     #[arg(long, default_value_t = 0, value_name = "N")]
     seed: u64,
-    /// Drive from one edge (or lane) to another first.
+    /// First route, from one edge (or lane) to another.
     #[arg(long, value_name = "FROM,TO", allow_hyphen_values = true)]
     route: Option<String>,
-    /// For --stage latent and all: a .safetensors file, a folder of `train encoder`, or a bundled encoder.
+    /// The encoder for --stage latent and all: a .safetensors file, a folder of `train encoder`, or a bundled
+    /// encoder.
     #[arg(long, value_name = "NAME", default_value = "default")]
     encoder: String,
     /// WIDTHxHEIGHT in pixels [default: 512x512; 1280x720 for chase, 720x720 for bird].
     #[arg(long, value_name = "WxH", value_parser = size)]
     size: Option<(usize, usize)>,
-    /// From where.
+    /// The camera's place.
     #[arg(long, value_enum, default_value_t = Place::Front)]
     view: Place,
-    /// What to show in place of the plain picture.
+    /// Ground truth to show in place of the plain picture.
     #[arg(long, value_enum)]
     overlay: Option<Overlay>,
-    /// What perception makes of the front camera's picture, in place of the plain picture.
+    /// A stage of perception on the front camera's picture, in place of the plain picture.
     #[arg(long, value_enum, conflicts_with_all = ["overlay", "view"])]
     stage: Option<Stage>,
-    #[arg(long, help = format!("Who detects: {}", perception::DETECTORS), default_value = "truth", value_name = "NAME", requires = "stage")]
+    #[arg(long, help = format!("The detector: {}", perception::DETECTORS), default_value = "truth", value_name = "NAME", requires = "stage")]
     detector: String,
-    /// All 14 weathers in one picture, each in --size.
+    /// All 14 weathers in one picture, each of --size.
     #[arg(long, conflicts_with_all = ["weather", "overlay", "stage"])]
     sheet: bool,
 }
@@ -87,39 +88,39 @@ enum Place {
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum Overlay {
-    /// Bright near, dark far.
+    /// Depth: bright near, dark far.
     Depth,
-    /// CARLA's colours of what things are.
+    /// Semantic classes in CARLA's colours.
     Semantic,
-    /// A colour for each object.
+    /// Instances: a colour for each object.
     Instance,
-    /// The picture with boxes of what is seen.
+    /// The picture with the true boxes of visible objects.
     Boxes,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
 enum Stage {
-    /// Boxes of what is detected.
+    /// Boxes of the detections.
     Detect,
     /// The ego lane's boundaries; a red border where the light at the intersection is red.
     Lanes,
     /// The transformed image, 128x128.
     Transformed,
-    /// What the latent holds of the transformed image, 128x128.
+    /// The transformed image's reconstruction from the latent, 128x128.
     Latent,
     /// Camera, detections, transformed image and reconstruction side by side.
     All,
 }
 
 pub fn size(text: &str) -> Result<(usize, usize), String> {
-    let wrong = || format!("`{text}` is not WIDTHxHEIGHT, e.g. 512x512");
+    let wrong = || format!("expected WIDTHxHEIGHT, e.g. 512x512, found `{text}`");
     let (width, height) = text.split_once('x').ok_or_else(wrong)?;
     Ok((width.trim().parse().map_err(|_| wrong())?, height.trim().parse().map_err(|_| wrong())?))
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
     let seconds = text.parse().ok().filter(|s: &f64| s.is_finite() && *s >= 0.0);
-    seconds.ok_or_else(|| format!("`{text}` is no time: expected seconds, 0 or more"))
+    seconds.ok_or_else(|| format!("expected seconds, 0 or more, found `{text}`"))
 }
 
 /// Runs the command.
@@ -140,14 +141,14 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
             )));
         }
     }
-    // Known before anything is simulated.
+    // Checked before anything is simulated.
     check_place(&numbered(&args, 0))?;
     let stage = args.stage.map(|stage| stage_parts(&args, stage)).transpose()?;
     let runtime = crate::cli::runtime()?;
     runtime.block_on(take(args, camera, stage))
 }
 
-/// What a stage's picture takes beside the camera.
+/// Everything but the camera that a stage's picture needs.
 struct StageParts {
     stage: Stage,
     detector: Box<dyn Detector>,
@@ -160,7 +161,7 @@ fn stage_parts(args: &Args, stage: Stage) -> anyhow::Result<StageParts> {
     Ok(StageParts { stage, detector, decoder: decoder(args, stage)? })
 }
 
-/// The stages that show a reconstruction need an encoder; the strip of all does without if it must.
+/// `latent` needs an encoder; `all` works without one.
 #[cfg(feature = "learn")]
 fn decoder(args: &Args, stage: Stage) -> anyhow::Result<Option<Box<dyn Decoder>>> {
     if !matches!(stage, Stage::Latent | Stage::All) {
@@ -185,7 +186,7 @@ fn decoder(_: &Args, stage: Stage) -> anyhow::Result<Option<Box<dyn Decoder>>> {
     Ok(None)
 }
 
-/// Where picture `number` goes.
+/// The file of picture `number`.
 fn numbered(args: &Args, number: u32) -> PathBuf {
     if args.count == 1 {
         return args.out.clone();
@@ -229,7 +230,7 @@ async fn take(args: Args, mut camera: Camera, stage: Option<StageParts>) -> anyh
         while drive.bridge().time() < until {
             drive.tick().await.map_err(run::with_exit)?;
             town.follow(drive.ego().world(), None);
-            // The vehicle in front and the lanes are followed over the last ticks.
+            // Perception tracks the vehicle in front and the lanes over several ticks.
             if stage.is_some() && drive.bridge().time() > until - 2.0 {
                 drive.look().map_err(run::with_exit)?;
             }
@@ -254,7 +255,7 @@ async fn take(args: Args, mut camera: Camera, stage: Option<StageParts>) -> anyh
 
 fn stage_picture(eyes: &Eyes, stage: Stage) -> anyhow::Result<Picture> {
     let (Some(frame), Some(perception)) = (eyes.frame(), eyes.perception()) else {
-        anyhow::bail!("nothing was seen");
+        anyhow::bail!("the camera gave no picture");
     };
     let percept = perception.percept();
     Ok(match stage {

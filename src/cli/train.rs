@@ -37,14 +37,14 @@ enum Command {
     Agent(Box<agent::Args>),
 }
 
-/// The exit code that belongs to the error of an encoder's or a detector's training.
+/// The exit code of an error in training an encoder or a detector.
 #[cfg(feature = "learn")]
 fn with_exit(error: TrainError) -> anyhow::Error {
     let exit = if error.is_input() { Exit::Input } else { Exit::Other };
     exit.because(error)
 }
 
-/// Shows how far a training is, in the `words` of its network; each epoch's end on a line of its own.
+/// Shows a training's progress, in the `words` of its network; each epoch's end on its own line.
 #[cfg(feature = "learn")]
 fn show<V>(bar: &Bar, progress: Progress<V>, words: impl Fn(&Progress<V>) -> String) {
     bar.set_total(progress.steps);

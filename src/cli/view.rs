@@ -20,40 +20,40 @@ use wad_cosim::view::{
 /// The live view's options.
 #[derive(clap::Args, Debug)]
 pub struct ViewArgs {
-    /// Open a page that shows the run in the browser, and lets people drive; it then runs at real time
+    /// Open a page that shows the run in the browser and lets viewers drive; the run goes at real time
     /// [default address: 127.0.0.1:8765].
     #[arg(long, value_name = "ADDR", num_args = 0..=1, default_missing_value = DEFAULT_ADDRESS)]
     pub view: Option<ViewAddress>,
-    /// A secret that viewers must know; asked for where the page can be reached from other machines.
+    /// A secret that viewers must know; required if other machines can reach the page.
     #[arg(long, value_name = "TOKEN", requires = "view")]
     view_token: Option<Token>,
-    /// The live view's pace, times real time; 0: as fast as it goes. The page can change it.
+    /// The run's speed in the live view, times real time; 0: as fast as possible. The page can change it.
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, requires = "view")]
     pub view_speed: f64,
 }
 
 impl ViewArgs {
-    /// What a measurement has.
+    /// The view of a benchmark.
     pub fn at_real_time() -> Self {
         Self { view: None, view_token: None, view_speed: 1.0 }
     }
 
-    /// Takes the port, before anything else is done. None where no view is asked for.
+    /// Binds the port before anything else. None without --view.
     pub fn listen(&self) -> anyhow::Result<Option<Listener>> {
         let Some(address) = self.view else { return Ok(None) };
         if !(self.view_speed == 0.0 || (0.05..=50.0).contains(&self.view_speed)) {
-            return Err(Exit::Input.because(anyhow::anyhow!("--view-speed is 0, or from 0.05 to 50")));
+            return Err(Exit::Input.because(anyhow::anyhow!("--view-speed: expected 0, or 0.05 to 50")));
         }
         listen(address, self.view_token.clone()).map(Some)
     }
 }
 
-/// Listens on an address; where that is the default one and in use, on the next that is free.
+/// Listens on an address; if that is the default one and in use, on the next free port.
 pub fn listen(address: ViewAddress, token: Option<Token>) -> anyhow::Result<Listener> {
     let is_default = DEFAULT_ADDRESS.parse() == Ok(address);
     let listener = match Listener::bind(address, token.clone()) {
         Err(ViewError::Busy { address, free: Some(free) }) if is_default => {
-            eprintln!("{address} is in use already, perhaps by another run; taking {free}");
+            eprintln!("{address} is in use, perhaps by another run; using {free}");
             Listener::bind(ViewAddress(free), token)
         }
         other => other,
@@ -63,7 +63,7 @@ pub fn listen(address: ViewAddress, token: Option<Token>) -> anyhow::Result<List
     Ok(listener)
 }
 
-/// What the run says of itself.
+/// Facts about the run that the page shows.
 pub struct About<'a> {
     pub seed: u64,
     pub agent: &'a str,
@@ -79,7 +79,7 @@ pub struct About<'a> {
 pub struct View {
     run: RunView,
     out: PathBuf,
-    /// Films that the page has asked for.
+    /// Number of films that viewers have begun.
     films: usize,
 }
 
@@ -114,7 +114,7 @@ impl View {
         Ok(Self { run, out: about.out.to_path_buf(), films: 0 })
     }
 
-    /// Waits until a tick is due; with the control of the person who drives.
+    /// Waits until a tick is due; returns the control of a viewer who drives.
     pub async fn next(&mut self, drive: &mut Drive, film: &mut Film) -> Result<Option<Control>, DriveError> {
         loop {
             match self.run.next(drive).await? {
@@ -140,7 +140,7 @@ impl View {
         Ok(Some(path))
     }
 
-    /// The cores for all but the simulation.
+    /// The cores for everything except the simulation.
     pub fn cores(&self) -> Option<Cores> {
         self.run.cores()
     }
@@ -164,7 +164,7 @@ pub fn artist(
 ) -> anyhow::Result<Artist> {
     let detector =
         perception::detector(detector, perception::MIN_SCORE).map_err(|e| Exit::Input.because(e))?;
-    // Without OpenCV there are no stages, but everything else.
+    // Without OpenCV everything works but the stages.
     let mut eyes = match Eyes::new(assets.town(), CameraConfig::default(), detector) {
         Ok(eyes) => eyes,
         Err(error) => {

@@ -27,7 +27,9 @@ struct Told {
 /// What viewers got.
 #[derive(Clone, Debug)]
 pub struct Got {
+    /// Frames received.
     pub frames: u64,
+    /// Bytes received.
     pub bytes: u64,
     /// From the end of a tick to having its message (ms), each frame.
     pub late_ms: Vec<f64>,

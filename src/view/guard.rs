@@ -1,7 +1,7 @@
-//! Who may talk to the server, and how much.
+//! Access to the server: allowed hosts, tokens, message limits.
 //!
 //! Any page in the user's browser can send requests to a loopback port. So the `Host` must be this
-//! machine's (a name that somebody else made point here is not), and where the browser names an `Origin`,
+//! machine's (a foreign name that points here is refused), and where the browser names an `Origin`,
 //! it must be that host. Beyond loopback a token is asked for.
 
 use std::fmt;

@@ -16,7 +16,7 @@ use tokio::sync::{mpsc, watch};
 
 /// A driver whose browser is silent for so long has gone: it answers pings even while its page is busy.
 pub const GRIP: Duration = Duration::from_millis(800);
-/// A page that says nothing of its driver's hands for so long: the pedals are let go, and later the wheel.
+/// Time without controls from the page: after the first the pedals are released, after the second the wheel.
 const BUSY: Duration = Duration::from_millis(800);
 const HUNG: Duration = Duration::from_secs(3);
 /// Ticks whose course a page that comes later gets to know.
@@ -73,7 +73,7 @@ pub struct Hub {
 struct Grip {
     viewer: u64,
     wanted: Wanted,
-    /// When its browser was last heard of, and when its page told of its hands.
+    /// Times of the browser's last message and of the page's last controls.
     seen: Instant,
     told: Instant,
 }
@@ -147,7 +147,7 @@ impl Hub {
         number
     }
 
-    /// Viewers are told anew what is shown.
+    /// Sends every viewer again what is shown.
     pub fn greet_again(&self) {
         self.greeting.send_modify(|n| *n += 1);
     }
@@ -173,7 +173,7 @@ impl Hub {
         self.stages.load(Ordering::Relaxed) > 0
     }
 
-    /// The route's line for the page, under a number that tells it from the one before.
+    /// The route's line for the page, under a number that changes with the route.
     pub fn set_route(&self, id: u64, json: String) {
         *lock(&self.route) = (id, json);
     }
@@ -214,7 +214,7 @@ impl Hub {
         lock(&self.map).clone()
     }
 
-    /// Puts a viewer's hands on the wheel. False where somebody else has it.
+    /// Gives the wheel to a viewer. False if another viewer has it.
     pub fn take_wheel(&self, viewer: u64) -> bool {
         let mut grip = lock(&self.grip);
         if grip.is_some_and(|grip| grip.viewer != viewer) {

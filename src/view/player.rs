@@ -25,19 +25,25 @@ use tokio::sync::mpsc;
 pub struct Listed {
     /// What a page asks for to see it.
     pub id: String,
+    /// Agent, town and task.
     pub name: String,
+    /// How the episode ended.
     pub outcome: String,
-    /// A line that tells it from others.
+    /// A line that identifies it in the list.
     pub about: String,
 }
 
 /// What is played.
 pub struct Played {
+    /// The recorded states.
     pub recording: Recording,
+    /// The episode in the list.
     pub listed: Listed,
+    /// The town's network.
     pub network: Arc<Network>,
     /// Its route, where it can still be made: for perception and speed limits.
     pub route: Option<Route>,
+    /// The ego's physics.
     pub ego: EgoParams,
     /// Who drove.
     pub driver: String,
@@ -45,6 +51,7 @@ pub struct Played {
     pub ending: String,
     /// Buildings and the like for the map.
     pub map: String,
+    /// Draws the town.
     pub artist: Artist,
 }
 
@@ -88,7 +95,7 @@ struct Seen {
     leader: Option<LeaderRecord>,
 }
 
-/// Goes through an episode with the autopilot's eyes.
+/// Runs the autopilot over an episode's recorded states.
 fn course(recording: &Recording, network: &Network, route: &Route, ego: &EgoParams) -> Vec<Seen> {
     let mut autopilot = Autopilot::new(AutopilotParams::default(), EgoModel::from(ego));
     let mut score = Score::default();
@@ -216,7 +223,7 @@ impl Player {
         let hub = Arc::clone(&self.hub);
         let thread = std::thread::Builder::new().name("view artist".to_string());
         self.drawing = Some(thread.spawn(move || artist.work(&hub, number)).map_err(ViewError::Thread)?);
-        // Pages that show another episode come again and are told of this one.
+        // Pages that show another episode reload and get this one.
         self.hub.greet_again();
         self.show();
         Ok(())

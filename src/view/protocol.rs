@@ -2,7 +2,8 @@
 //! messages (JSON with a `type`), and a binary one per tick:
 //!
 //! ```text
-//! u32 length of the JSON (little endian) | JSON: State, Around, Sees, images: [[name, bytes], ...] | the JPEGs
+//! u32 length of the JSON (little endian) | JSON: State, Around, Sees, images: [[name, bytes], ...] | the
+//! JPEGs
 //! ```
 
 use crate::camera::Preset;
@@ -27,53 +28,74 @@ const FASTEST: f64 = 50.0;
 pub enum Request {
     /// Where the wheel and the pedals are to go, while this viewer drives; sent at least twice a second.
     Drive {
+        /// Steering, -1 to 1, left positive.
         steer: f64,
+        /// Throttle, 0 to 1.
         throttle: f64,
+        /// Brake, 0 to 1.
         brake: f64,
+        /// From a gamepad or touch, not from keys.
         #[serde(default)]
         analog: bool,
     },
     /// Who drives: `autopilot`, `manual` (this viewer) or an agent's name.
     Driver {
+        /// The driver's name.
         name: String,
     },
+    /// Pause or go on.
     Pause {
+        /// True: pause.
         on: bool,
     },
     /// One tick, then pause.
     Step {},
     /// Times real time; 0: as fast as it goes.
     Speed {
+        /// The factor.
         factor: f64,
     },
+    /// Move the ego to another place.
     Respawn {},
+    /// Draw another destination.
     NewRoute {},
+    /// Change the weather.
     Weather {
+        /// The weather.
         name: Preset,
     },
+    /// Change the background traffic.
     Traffic {
+        /// Number of vehicles.
         vehicles: usize,
+        /// Number of pedestrians.
         pedestrians: usize,
     },
     /// Begin or end a film in the run's folder.
     Record {
+        /// True: begin.
         on: bool,
     },
     /// Which pictures this viewer looks at beside the front camera.
     Look {
+        /// The view from behind.
         chase: bool,
+        /// Perception's stages.
         stages: bool,
     },
     /// This tick has been drawn.
     Shown {
+        /// The number of the frame.
         seq: u64,
     },
     /// A replay: to this tick.
     Seek {
+        /// The tick.
         tick: usize,
     },
     /// A replay: another episode.
     Open {
+        /// The episode's id.
         episode: String,
     },
     /// Something changed for the page: show the present state again.
@@ -109,7 +131,7 @@ impl Request {
     }
 }
 
-/// An event with the time (s) at which it happened and a number that tells it from others.
+/// An event with its time (s) and a number of its own.
 #[derive(Clone, Debug, Serialize)]
 pub struct Noted {
     pub n: u64,
@@ -160,7 +182,7 @@ pub struct State {
     pub driver: String,
     /// The viewer who drives.
     pub holder: Option<u64>,
-    /// An agent that is being made ready.
+    /// An agent that is loading.
     pub loading: Option<String>,
     pub weather: String,
     /// Background traffic that is kept alive; None: the config's own.
@@ -188,7 +210,7 @@ pub struct State {
     pub over: Option<String>,
 }
 
-/// Who is round the ego: `[key, kind, x, y, heading, length, width, speed, lights]`, lights 1 brake,
+/// Road users round the ego: `[key, kind, x, y, heading, length, width, speed, lights]`, lights 1 brake,
 /// 2 left, 4 right; and the states of the traffic lights in sight.
 pub fn around(world: &WorldState) -> Value {
     let place = |v: f64| (v * 100.0).round() / 100.0;

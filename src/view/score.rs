@@ -1,4 +1,4 @@
-//! The paper's reward for whoever drives: terms of each tick, and their sums.
+//! The paper's reward for any driver: terms of each tick, and their sums.
 
 use crate::criteria::{EgoOnRoute, Event};
 use crate::network::{Network, Route};

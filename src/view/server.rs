@@ -23,19 +23,38 @@ use tokio::sync::watch;
 /// Why there is no live view.
 #[derive(Debug, thiserror::Error)]
 pub enum ViewError {
+    /// The port is in use.
     #[error("{address} is in use already, perhaps by another run; {}", free_port(*.free))]
-    Busy { address: SocketAddr, free: Option<SocketAddr> },
+    Busy {
+        /// The address.
+        address: SocketAddr,
+        /// A free port near by.
+        free: Option<SocketAddr>,
+    },
+    /// The address cannot be listened on.
     #[error("cannot listen on {address}: {source}")]
-    Listen { address: SocketAddr, source: std::io::Error },
+    Listen {
+        /// The address.
+        address: SocketAddr,
+        /// The cause.
+        source: std::io::Error,
+    },
+    /// The address is open to other machines, and there is no token.
     #[error(
         "{address} can be reached from other machines: give a secret that viewers must know with --view-token, or stay \
          on 127.0.0.1"
     )]
-    Open { address: SocketAddr },
+    Open {
+        /// The address.
+        address: SocketAddr,
+    },
+    /// The view's thread cannot be started.
     #[error("the view's thread cannot be started: {0}")]
     Thread(std::io::Error),
+    /// The camera cannot be made.
     #[error(transparent)]
     Camera(#[from] crate::camera::CameraError),
+    /// Perception cannot be made.
     #[error(transparent)]
     Perception(#[from] crate::perception::PerceptionError),
 }
@@ -58,7 +77,7 @@ impl FromStr for ViewAddress {
         let named = text.strip_prefix("localhost:").and_then(local);
         (text.parse().ok().or(named).or_else(|| local(text))).map(Self).ok_or_else(|| {
             format!(
-                "`{text}` is no address: expected HOST:PORT with an IP address or localhost, e.g. 127.0.0.1:8765, or a \
+                "`{text}` is not an address: expected HOST:PORT with an IP address or localhost, e.g. 127.0.0.1:8765, or a \
                  port (CONFIG goes before --view)"
             )
         })
@@ -74,8 +93,8 @@ pub struct Listener {
 }
 
 impl Listener {
-    /// Listens on `address`. Where that is the default one and in use, a free port near by does; the user
-    /// is told.
+    /// Listens on `address`. If that is the default one and in use, it takes a free port near by and
+    /// tells the user.
     ///
     /// # Errors
     /// The port is in use, or the address is open to other machines and there is no token.
@@ -244,7 +263,7 @@ const MOST_VIEWERS: usize = 64;
 const IN_FLIGHT: u64 = 2;
 /// A viewer that takes nothing for so long has gone.
 const STUCK: Duration = Duration::from_secs(10);
-/// Messages that cannot be read, after which a viewer is sent away.
+/// Malformed messages after which a viewer is disconnected.
 const MOST_WRONG: u32 = 20;
 
 /// One viewer, from its first message to its last.
@@ -307,7 +326,7 @@ async fn serve_viewer(socket: &mut WebSocket, hub: &Arc<Hub>, viewer: &mut Viewe
                     Err(why) => {
                         wrong += 1;
                         if wrong > MOST_WRONG {
-                            return "too many messages that nobody understands";
+                            return "too many malformed messages";
                         }
                         if !refuse(socket, &why).await {
                             return "";

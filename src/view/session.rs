@@ -30,31 +30,35 @@ pub type MakeDriver = Arc<dyn Fn(&str) -> Result<Pilot, String> + Send + Sync>;
 /// The autopilot's and the person's names among the drivers.
 const AUTOPILOT: &str = "autopilot";
 const MANUAL: &str = "manual";
-/// A person this far off the route (m) goes another way: the route is to follow. Tried so many ticks apart.
+/// A viewer's ego this far off the route (m) gets a new route. Tried every so many ticks.
 const ASTRAY: f64 = 6.0;
 const ASTRAY_TICKS: u64 = 12;
 /// The autopilot finds back to its route from this far (m).
 const NEAR_ROUTE: f64 = 2.0;
-/// Notes that the page is told again with every tick, so that none is lost with a tick left out.
+/// Notes that are sent with every tick, so that none is lost when a tick is left out.
 const NOTES: usize = 40;
 /// A tick that is late by more than this is not caught up with.
 const SLACK: Duration = Duration::from_millis(250);
 
 /// What a run with viewers begins with.
 pub struct RunSetting {
+    /// The run's seed.
     pub seed: u64,
     /// Who drives: `autopilot`, or an agent's name.
     pub driver: String,
+    /// The weather at the start.
     pub weather: Preset,
     /// Times real time; 0: as fast as it goes.
     pub speed_factor: f64,
     /// Names of the agents to pick from.
     pub agents: Vec<String>,
+    /// Makes drivers that viewers choose; None: none can be chosen.
     pub make_driver: Option<MakeDriver>,
     /// Background traffic that is kept alive; None: the config's own.
     pub traffic: Option<Counts>,
     /// The film that runs already.
     pub recording: Option<String>,
+    /// The run's folder, as shown to viewers.
     pub folder: String,
 }
 
@@ -63,7 +67,7 @@ pub struct RunSetting {
 pub enum Ready {
     /// The tick is due; with the control of the person who drives.
     Tick(Option<Control>),
-    /// A film is to begin or to end; [`RunView::filming`] tells what came of it.
+    /// Begin or end a film; [`RunView::filming`] gets the result.
     Film(bool),
 }
 
@@ -81,7 +85,7 @@ pub struct RunView {
     notes: VecDeque<Noted>,
     noted: u64,
     route: Option<Arc<Route>>,
-    /// The person's wheel, while he drives.
+    /// The viewer's controls, while a viewer drives.
     wheel: Option<Wheel>,
     astray_until: u64,
     loading: Option<Loading>,
@@ -199,7 +203,7 @@ impl RunView {
                 request = self.requests.recv() => request,
                 () = tokio::time::sleep_until(due.into()), if runs => None,
                 Some(loaded) = loaded => {
-                    self.loaded(loaded.unwrap_or_else(|_| Err("it could not be made ready".to_string())), drive);
+                    self.loaded(loaded.unwrap_or_else(|_| Err("it could not be loaded".to_string())), drive);
                     None
                 }
             };
@@ -314,7 +318,7 @@ impl RunView {
         });
     }
 
-    /// The route, told to the viewers where it is another one.
+    /// Sends the route to the viewers if it has changed.
     fn follow_route(&mut self, ego: &Ego) -> Arc<Route> {
         let now = ego.route();
         let same = |old: &Arc<Route>| {
@@ -367,7 +371,7 @@ impl RunView {
                 drive.grant(Wish::Respawn).await?;
                 self.score.reset();
                 self.hub.forget_history();
-                self.say("put down elsewhere; the sums begin anew".to_string());
+                self.say("moved to another place; the sums start again".to_string());
             }
             Request::NewRoute {} => {
                 let text = if drive.grant(Wish::NewRoute).await? {
@@ -399,7 +403,7 @@ impl RunView {
             }
             Request::Driver { name } => self.load(name, drive).await?,
             Request::Refresh => {}
-            Request::Seek { .. } | Request::Open { .. } => self.say("this is no replay".to_string()),
+            Request::Seek { .. } | Request::Open { .. } => self.say("not a replay".to_string()),
             Request::Drive { .. } | Request::Look { .. } | Request::Shown { .. } => return Ok(()),
         }
         self.show_ego(drive);
@@ -438,7 +442,7 @@ impl RunView {
     async fn find_back(&mut self, drive: &mut Drive) -> Result<(), DriveError> {
         let far = |drive: &Drive| drive.ego().on_route().d.abs() > NEAR_ROUTE;
         if far(drive) && !drive.grant(Wish::FindBack).await? && !drive.grant(Wish::NewRoute).await? {
-            self.say("no road is near: put down elsewhere".to_string());
+            self.say("no road is near: moved to another place".to_string());
             drive.grant(Wish::Respawn).await?;
         }
         Ok(())
@@ -458,7 +462,7 @@ impl RunView {
             return Ok(());
         }
         if !self.setting.agents.contains(&name) {
-            self.say(format!("nobody here is called {name}"));
+            self.say(format!("there is no driver {name}"));
             return Ok(());
         }
         if self.parked.as_ref().is_some_and(|(parked, _)| *parked == name) {
@@ -485,7 +489,7 @@ impl RunView {
                 self.state.loading = Some(name.clone());
                 self.loading = Some((name, receiver));
             }
-            Err(error) => self.say(format!("{name} cannot be made ready: {error}")),
+            Err(error) => self.say(format!("cannot load {name}: {error}")),
         }
         Ok(())
     }
@@ -520,7 +524,7 @@ impl RunView {
         self.state.driver = name;
     }
 
-    /// What came of [`Ready::Film`]: the film under way, or why there is none.
+    /// The result of [`Ready::Film`]: the film that is running, or why there is none.
     pub fn filming(&mut self, film: Result<Option<&Path>, String>, drive: &Drive) {
         match film {
             Ok(film) => {

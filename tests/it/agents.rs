@@ -111,7 +111,7 @@ fn wad_t_trains_stops_on_ctrl_c_goes_on_and_drives() {
     let mut command = wad(&["run", "town3", "--ticks", "5", "--agent"]);
     let output = command.arg(&broken).arg("--out").arg(dir.path().join("three")).output().unwrap();
     assert_eq!(output.status.code(), Some(2));
-    assert!(stderr(&output).contains("is no trained agent"), "{}", stderr(&output));
+    assert!(stderr(&output).contains("is not a trained agent"), "{}", stderr(&output));
 }
 
 /// A SUMO that `parent` started.
@@ -141,7 +141,8 @@ fn a_sumo_that_dies_costs_an_episode_and_a_killed_training_goes_on() {
         command.stdout(Stdio::null()).stderr(std::fs::File::create(&errors).unwrap()).spawn().unwrap();
     let pid = child.id();
     wait_until(&mut child, "a SUMO", || sumo_of(pid).is_some());
-    // It may still be starting: then it is started again, and nothing is lost. The first may have ended by then.
+    // It may still be starting: then it is started again, and nothing is lost. The first may have ended by
+    // then.
     std::thread::sleep(Duration::from_secs(3));
     wait_until(&mut child, "a SUMO to kill", || sumo_of(pid).is_some_and(kill));
     wait_until(&mut child, "word of the loss", || {

@@ -87,11 +87,11 @@ fn a_recorded_run_becomes_data() {
     let output = wad(&[&["dataset", "collect"], &args[..]].concat(), &again);
     let error = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(2), "{error}");
-    assert!(error.contains("goes another way") && error.contains("tick"), "{error}");
+    assert!(error.contains("does not repeat") && error.contains("tick"), "{error}");
     let output = wad(&["dataset", "collect", "--from", &data.to_string_lossy()], &again);
     let error = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(2));
-    assert!(error.contains("no recorded run") && error.contains("config.json"), "{error}");
+    assert!(error.contains("not a recorded run") && error.contains("config.json"), "{error}");
 }
 
 #[cfg(target_os = "linux")]

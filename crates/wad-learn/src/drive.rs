@@ -30,14 +30,18 @@ use wad_sim::telemetry::{
 use wad_sim::traffic::{Counts, TrafficSpec};
 use wad_vehicle::{Control, EgoParams};
 
-/// What a run is made of; saved as its `config.json`.
+/// A run's options; saved as its `config.json`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct DriveOptions {
+    /// SUMO, town, traffic and ticks.
     pub bridge: BridgeOptions,
     /// `FROM,TO` of the first route; None: drawn from the seed.
     pub route: Option<String>,
+    /// The ego's physics.
     pub ego: EgoParams,
+    /// The autopilot's constants.
     pub autopilot: AutopilotParams,
+    /// Thresholds of the events.
     pub criteria: CriteriaParams,
     /// The run's folder.
     pub out: PathBuf,
@@ -56,7 +60,7 @@ impl DriveOptions {
         }
     }
 
-    /// A drive that is only looked at or measured: everything it writes goes into `scratch`.
+    /// Options of a drive without results: all its files go into the folder `scratch`.
     pub fn passing(config: PathBuf, seed: u64, traffic: TrafficSpec, scratch: &Path) -> Self {
         let bridge = BridgeOptions { seed, traffic, ..BridgeOptions::new(config, scratch.join("sumo")) };
         Self::new(bridge, scratch.join("run"))
@@ -66,18 +70,25 @@ impl DriveOptions {
 /// Why a run could not start or go on.
 #[derive(Debug, thiserror::Error)]
 pub enum DriveError {
+    /// SUMO or the bridge fail.
     #[error(transparent)]
     Bridge(#[from] BridgeError),
+    /// There is no route.
     #[error(transparent)]
     Destination(#[from] DestinationError),
+    /// The run folder cannot be made.
     #[error(transparent)]
     Folder(#[from] FolderError),
+    /// Telemetry or summary cannot be written.
     #[error(transparent)]
     Write(#[from] WriteError),
+    /// The town cannot be read.
     #[error(transparent)]
     Assets(#[from] AssetsError),
+    /// The agent fails.
     #[error(transparent)]
     Agent(#[from] AgentError),
+    /// Camera or perception fail.
     #[error(transparent)]
     Eyes(#[from] EyesError),
 }
@@ -91,30 +102,32 @@ impl From<ItineraryError> for DriveError {
     }
 }
 
-/// What `config.json` holds.
+/// The contents of `config.json`.
 #[derive(Serialize)]
 struct RunConfig<'a> {
     #[serde(flatten)]
     options: &'a DriveOptions,
-    /// Who drives, where it is not the autopilot.
+    /// The driver; None for the autopilot.
     #[serde(skip_serializing_if = "Option::is_none")]
     driver: Option<&'a PilotRecord>,
 }
 
-/// What the status line shows.
+/// The facts of the status line.
 #[derive(Clone, Debug)]
 pub struct Status {
+    /// The tick's telemetry.
     pub record: TickRecord,
+    /// Ticks per second of wall time, lately.
     pub ticks_per_second: f64,
 }
 
-/// A drive under way: a session of one ego that goes from destination to destination.
+/// A running drive: a session of one ego that goes from destination to destination.
 pub struct Drive {
     session: Session,
     pilot: Pilot,
-    /// For people to see through, where the pilot does not look.
+    /// Camera and perception for the live view, if the driver has none.
     spare: Eyes,
-    /// The eyes have seen the world as it is now.
+    /// Whether the eyes have processed the current tick.
     looked: bool,
     itinerary: Itinerary,
     folder: RunFolder,
@@ -122,28 +135,30 @@ pub struct Drive {
     scenario: Option<Arc<Scenario>>,
     weather: Preset,
     totals: Totals,
-    /// Wall time that pilots took, their looks included (s).
+    /// Wall time of the drivers, including camera and perception (s).
     piloting: f64,
     began: Instant,
-    /// Asked for since the last tick.
+    /// Requests since the last tick.
     wishes: Vec<Wish>,
-    /// Who took the wheel from the run's own driver.
+    /// The viewer or agent that replaced the run's own driver.
     guest: Option<String>,
-    /// Ticks that the scenario may take, and how it ended.
+    /// The scenario's time limit (ticks), and how it ended.
     limit: Option<u64>,
     ending: Option<Ending>,
 }
 
-/// Where the wall time of the ticks so far went (s).
+/// Wall time of the ticks so far, by part (s).
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Timings {
-    /// Pose in, SUMO's step, the new world decoded.
+    /// Bridge: sending poses, SUMO's step, decoding the new world.
     pub bridge: f64,
-    /// Of that: from sending the message to having the whole answer.
+    /// SUMO's part of it: from sending the message to the complete answer.
     pub sumo: f64,
-    /// CPU time of that on our side.
+    /// Our CPU time in it.
     pub bridge_cpu: f64,
+    /// The ego's physics.
     pub physics: f64,
+    /// The driver, including camera, perception and encoder.
     pub agent: f64,
 }
 
@@ -159,8 +174,8 @@ impl Drive {
         Self::start_in(&assets, options, Pilot::autopilot(), Preset::default()).await
     }
 
-    /// The same in a town that has been read, with `pilot` at the wheel, who sees `weather`. The autopilot
-    /// then only says what held the ego. The town's scenario is played, where it has one.
+    /// The same in a loaded town, driven by `pilot` in `weather`. The autopilot
+    /// then only reports what held the ego. The town's scenario is played, if it has one.
     ///
     /// # Errors
     /// As [`Drive::start`].
@@ -219,7 +234,7 @@ impl Drive {
         self.session.bridge()
     }
 
-    /// The same, for what is to be asked of SUMO beside the drive.
+    /// The same, for requests to SUMO beside the drive.
     pub fn bridge_mut(&mut self) -> &mut Bridge {
         self.session.bridge_mut()
     }
@@ -234,17 +249,17 @@ impl Drive {
         self.session.ego(EGO)
     }
 
-    /// Times that the ego was put down elsewhere.
+    /// Times that the ego was moved to another place.
     pub fn respawns(&self) -> u64 {
         self.totals.respawns
     }
 
-    /// How the scenario ended, where it is one and has.
+    /// How the scenario ended; None without a scenario or before its end.
     pub fn ending(&self) -> Option<&Ending> {
         self.ending.as_ref()
     }
 
-    /// Where the wall time went.
+    /// Wall time by part.
     pub fn timings(&self) -> Timings {
         let times = self.session.timings();
         Timings {
@@ -264,8 +279,8 @@ impl Drive {
         Ok(self.bridge_mut().save_state(file).await?)
     }
 
-    /// What the pilot sees; where it does not look, what the eyes of [`Drive::watch_with`] see. Looks once a tick,
-    /// however often it is asked.
+    /// The driver's eyes after this tick; if it has none, the eyes of [`Drive::watch_with`]. Renders once a
+    /// tick, however often it is called.
     ///
     /// # Errors
     /// A stage of perception fails.
@@ -280,17 +295,18 @@ impl Drive {
         Ok(eyes)
     }
 
-    /// What was seen last.
+    /// The eyes as of their last frame.
     pub fn eyes(&self) -> &Eyes {
         if self.pilot.driver.looks() { &self.pilot.eyes } else { &self.spare }
     }
 
-    /// Frame and percept of what the pilot saw last; None where it does not look.
+    /// The driver's last frame and percept; None if it is blind.
     pub fn last_look(&self) -> Option<Look> {
         if self.pilot.driver.looks() { self.pilot.eyes.last_look() } else { None }
     }
 
-    /// Gives people eyes to see through while the driver does not look (autopilot, person, constant, random).
+    /// Sets camera and perception for the live view while a blind driver drives (autopilot, manual, constant,
+    /// random).
     pub fn watch_with(&mut self, mut eyes: Eyes) {
         eyes.reset(self.weather, self.options.bridge.seed);
         self.spare = eyes;
@@ -304,13 +320,13 @@ impl Drive {
         self.tick_with(None).await
     }
 
-    /// The same with a control that is given, in place of the pilot's: a person's, or a recorded one.
+    /// The same with a given control in place of the driver's: a viewer's, or a recorded one.
     ///
     /// # Errors
     /// As [`Drive::tick`].
     pub async fn tick_with(&mut self, given: Option<Control>) -> Result<Status, DriveError> {
         let tick = self.session.bridge().tick();
-        // What held the ego is told of every tick, whoever drives.
+        // Every tick records what held the ego, for any driver.
         let decision = self.session.plan(EGO);
         let act = match given {
             // A control read back from text may differ in its last digit from the one that was driven.
@@ -399,7 +415,7 @@ impl Drive {
         }
     }
 
-    /// A new destination on arrival; a new start where the ego is blocked or has nowhere to go.
+    /// Draws a new destination on arrival, and a new start if the ego is blocked or no way leads on.
     async fn go_on(&mut self, events: &[Event]) -> Result<(), DriveError> {
         let arrived = events.contains(&Event::Arrival);
         let goes_on = if arrived {
@@ -419,8 +435,8 @@ impl Drive {
         Ok(())
     }
 
-    /// Does what a person asks for before the next tick, which records it. False where it cannot be done;
-    /// everything stays as it is then.
+    /// Grants a viewer's request before the next tick, which records it. False if it is impossible; nothing
+    /// changes then.
     ///
     /// # Errors
     /// SUMO fails, or the net has nowhere to start.
@@ -446,14 +462,15 @@ impl Drive {
         Ok(granted)
     }
 
-    /// Sets out from where the ego is, to `to` or to a place that is drawn; false where no way leads there.
+    /// Routes the ego from its position to `to` or to a random place; false if no way leads there.
     fn leave_for(&mut self, to: Option<LanePosition>) -> bool {
         self.looked = false;
         self.itinerary.leave_for(&mut self.session, EGO, to)
     }
 
     /// Puts another driver at the wheel from the next tick on, and returns the one before. `guest` is what
-    /// telemetry calls it, None where it is the run's own driver. It begins anew, in the weather of now.
+    /// its name in telemetry, None for the run's own driver. It starts without memory, in the current
+    /// weather.
     pub fn hand_over(&mut self, mut pilot: Pilot, guest: Option<String>) -> Pilot {
         self.guest = guest;
         pilot.reset(self.weather, self.options.bridge.seed);
@@ -461,12 +478,12 @@ impl Drive {
         std::mem::replace(&mut self.pilot, pilot)
     }
 
-    /// Who drives now.
+    /// The current driver.
     pub fn driver(&self) -> &Driver {
         &self.pilot.driver
     }
 
-    /// The weather that is seen from the next tick on.
+    /// Changes the camera's weather from the next tick on.
     pub fn set_weather(&mut self, weather: Preset) {
         self.weather = weather;
         self.pilot.eyes.set_weather(weather);
@@ -474,7 +491,7 @@ impl Drive {
         self.looked = false;
     }
 
-    /// The weather now.
+    /// The camera's weather.
     pub fn weather(&self) -> Preset {
         self.weather
     }
@@ -521,7 +538,7 @@ impl Drive {
         }
     }
 
-    /// After an error: keeps what was written, with a summary that says `error`, and lets SUMO go.
+    /// After an error: writes a summary with the end `error`, and ends SUMO.
     ///
     /// # Errors
     /// The summary cannot be written.

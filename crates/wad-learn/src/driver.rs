@@ -1,4 +1,4 @@
-//! Who drives: one list of drivers for `run`, `eval`, scenarios and the live view.
+//! Drivers: one list for `run`, `eval`, scenarios and the live view.
 
 use crate::agent::{Agent, AgentError, Seen};
 use rand::RngExt;
@@ -15,8 +15,8 @@ use wad_sim::assets::Assets;
 use wad_sim::session::Act;
 use wad_vehicle::Control;
 
-/// A driver by name: `autopilot`, `manual`, `random`, `constant`, `constant:THROTTLE,STEER,BRAKE`, `exec:COMMAND`, or
-/// an agent's name or file.
+/// A driver by name: `autopilot`, `manual`, `random`, `constant`, `constant:THROTTLE,STEER,BRAKE`,
+/// `exec:COMMAND`, or an agent's name or file.
 #[derive(Clone, Debug, PartialEq)]
 pub enum DriverSpec {
     /// The rule-based expert, which sees the whole world.
@@ -27,43 +27,55 @@ pub enum DriverSpec {
     Random,
     /// The same control for ever.
     Constant(Control),
-    /// Another process, started by this shell command ([`crate::agent::external`]).
+    /// An external process, started by this shell command ([`crate::agent::external`]).
     Exec(String),
     /// A learned agent by name or file.
     Agent(String),
 }
 
-/// Why there is no such driver.
+/// Why a driver cannot be made.
 #[derive(Debug, thiserror::Error)]
 pub enum DriverError {
-    #[error(
-        "`{found}` is no constant control: expected constant:THROTTLE,STEER,BRAKE, e.g. constant:0.5,0,0"
-    )]
-    Constant { found: String },
+    /// The control of `constant:...` is invalid.
+    #[error("expected constant:THROTTLE,STEER,BRAKE, e.g. constant:0.5,0,0, found `{found}`")]
+    Constant {
+        /// The text.
+        found: String,
+    },
+    /// No driver has this name.
     #[error(
         "no agent is called `{found}`: expected autopilot, random or constant; this build cannot open trained ones"
     )]
-    Unknown { found: String },
-    /// A trained agent or its encoder that cannot be opened.
+    Unknown {
+        /// The name.
+        found: String,
+    },
+    /// A trained agent or its encoder cannot be opened.
     #[cfg(feature = "learn")]
     #[error(transparent)]
     Policy(#[from] crate::agent::policy::PolicyError),
+    /// An encoder cannot be opened.
     #[cfg(feature = "learn")]
     #[error(transparent)]
     Encoder(#[from] wad_see::latent::LatentError),
+    /// An agent cannot be started.
     #[error(transparent)]
     Agent(#[from] AgentError),
+    /// Camera or perception cannot be made.
     #[error(transparent)]
     Eyes(#[from] EyesError),
+    /// `manual` outside the live view.
     #[error("`manual` drives only in the live view: expected another driver here, or `run --view`")]
     Manual,
 }
 
-/// An agent with the encoder that it sees through.
+/// An agent and its encoder.
 pub struct Made {
+    /// The agent.
     pub agent: Box<dyn Agent>,
+    /// The encoder that makes its latents.
     pub encoder: Box<dyn Encoder>,
-    /// Stands for the weights of both.
+    /// Identifies the weights of both.
     pub id: String,
 }
 
@@ -126,17 +138,17 @@ impl<'de> Deserialize<'de> for DriverSpec {
 }
 
 impl DriverSpec {
-    /// Whether it looks at observations.
+    /// Whether it needs observations.
     pub fn looks(&self) -> bool {
         matches!(self, Self::Agent(_) | Self::Exec(_))
     }
 }
 
-/// A driver at work.
+/// A running driver.
 pub enum Driver {
     /// The rule-based expert, which sees the whole world.
     Autopilot,
-    /// A person: what the wheel and the pedals are at.
+    /// A person in the live view, with their current control.
     Manual(Control),
     /// Every pedal anywhere, every tick.
     Random(Box<ChaCha8Rng>),
@@ -150,7 +162,7 @@ pub enum Driver {
 const PARKED: Control = Control { throttle: 0.0, steer: 0.0, brake: 1.0 };
 
 impl Driver {
-    /// The driver of a specification that names no agent; None where it names one.
+    /// The driver of a specification without an agent; None if it names one.
     pub fn blind(spec: &DriverSpec) -> Option<Self> {
         match spec {
             DriverSpec::Autopilot => Some(Self::Autopilot),
@@ -175,12 +187,12 @@ impl Driver {
         matches!(self, Self::Autopilot)
     }
 
-    /// Whether it must be shown what the ego sees.
+    /// Whether it needs camera and perception.
     pub fn looks(&self) -> bool {
         matches!(self, Self::Agent(_))
     }
 
-    /// What to do in the next tick, from what `eyes` saw last.
+    /// The control for the next tick, from the last frame of `eyes`.
     ///
     /// # Errors
     /// The agent fails.
@@ -201,29 +213,34 @@ impl Driver {
     }
 }
 
-/// A driver with the eyes that it drives by.
+/// A driver with its eyes.
 pub struct Pilot {
+    /// The driver.
     pub driver: Driver,
+    /// Camera and perception, if the driver needs them.
     pub eyes: Eyes,
-    /// For the run's configuration.
+    /// Its entry in the run's `config.json`.
     pub record: PilotRecord,
 }
 
-/// What a run's `config.json` says of who drives.
+/// The driver in a run's `config.json`.
 #[derive(Clone, Debug, Serialize)]
 pub struct PilotRecord {
-    /// As [`DriverSpec`] is written.
+    /// The [`DriverSpec`] as text.
     pub agent: String,
+    /// Hash of the encoder's weights, of drivers that use one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub encoder_hash: Option<String>,
+    /// The detector's name, of drivers that use one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub detector: Option<String>,
+    /// The camera's weather, of drivers that use one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub weather: Option<Preset>,
 }
 
 impl Pilot {
-    /// A driver that does not look; None where the specification names an agent.
+    /// A blind driver; None if the specification names an agent.
     pub fn blind(spec: &DriverSpec) -> Option<Self> {
         let driver = Driver::blind(spec)?;
         let record =
@@ -244,7 +261,7 @@ impl Pilot {
         Self { driver: Driver::Manual(PARKED), record, ..Self::autopilot() }
     }
 
-    /// `agent` behind `encoder` in the town of `assets`, with the detector of that name.
+    /// `agent` with `encoder` in the town of `assets`, with the detector of that name.
     ///
     /// # Errors
     /// The camera or the detector cannot be made.
@@ -265,7 +282,7 @@ impl Pilot {
         Ok(Self { driver: Driver::Agent(agent), eyes, record })
     }
 
-    /// Begins a drive in a weather: forgets everything. `seed` is the run's.
+    /// Begins a drive in a weather: clears its memory. `seed` is the run's.
     pub fn reset(&mut self, weather: Preset, seed: u64) {
         self.eyes.reset(weather, seed);
         self.driver.reset(seed);

@@ -2,16 +2,16 @@
 //!
 //! | module | what it is |
 //! |---|---|
-//! | [`env`](mod@env) | session, eyes, reward and termination as `reset` and `step` |
+//! | [`env`](mod@env) | the environment: session, eyes, reward and termination as `reset` and `step` |
 //! | [`reward`] | the paper's six reward terms |
-//! | [`agent`] | agents that learn to drive (TD3, SAC), and agents of other programs |
-//! | [`driver`] | who drives, by name |
+//! | [`agent`] | agents that learn to drive (TD3, SAC), and external agents |
+//! | [`driver`] | drivers by name |
 //! | [`drive`] | `run`: from destination to destination, with telemetry |
-//! | [`dataset`] | frames of the autopilot's drives, collected and read back |
+//! | [`dataset`] | datasets of camera frames from the autopilot's drives |
 //! | `train` | training of encoder, detector and agents |
 //! | [`eval`] | suites of episodes, driven in parallel |
-//! | [`encoder_score`] | how good an encoder is |
-//! | [`tour`] | a drive from view to view |
+//! | [`encoder_score`] | scores of an encoder |
+//! | [`tour`] | a drive through a town for pictures |
 
 pub mod agent;
 pub mod dataset;

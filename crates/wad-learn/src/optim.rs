@@ -1,9 +1,9 @@
-//! Adam (Kingma and Ba 2015) with a state that can be saved: on one flat tensor ([`Adam`]), and with decoupled
-//! weight decay (Loshchilov and Hutter 2019) over the variables of a store ([`AdamW`]).
+//! Adam (Kingma and Ba 2015) with a state that can be saved: on one flat tensor ([`Adam`]), and with
+//! decoupled weight decay (Loshchilov and Hutter 2019) over the variables of a store ([`AdamW`]).
 //!
-//! tch's own optimisers keep their moments to themselves, so that a run could not go on where it
-//! stopped. Where all of a network's parameters lie in one tensor, a step is eight operations however many
-//! layers there are: what counts on a GPU, where each costs its launch.
+//! tch's own optimisers do not expose their moments, so a run could not be resumed where it
+//! stopped. If all of a network's parameters lie in one tensor, a step is eight operations however many
+//! layers there are, which saves kernel launches on a GPU.
 
 use std::collections::BTreeMap;
 use tch::{Kind, TchError, Tensor, nn::VarStore, no_grad};
@@ -20,9 +20,11 @@ fn shortfalls(t: i64) -> (f64, f64) {
 /// Adam for one flat tensor of parameters.
 #[derive(Debug)]
 pub struct Adam {
+    /// The learning rate.
     pub learning_rate: f64,
-    /// Running means of the gradient and of its square.
+    /// Running mean of the gradient.
     pub m: Tensor,
+    /// Running mean of the gradient's square.
     pub v: Tensor,
     /// Steps taken.
     pub t: i64,
@@ -42,7 +44,7 @@ impl Adam {
     /// Moves `parameters` against `gradient`; both are flat and of one length.
     ///
     /// # Panics
-    /// torch fails, as with tch's own plain methods; [`Self::f_step`] says so instead.
+    /// torch fails, as in tch's plain methods; [`Self::f_step`] returns an error instead.
     pub fn step(&mut self, parameters: &mut Tensor, gradient: &Tensor) {
         if let Err(error) = self.f_step(parameters, gradient) {
             panic!("Adam: {error}");
@@ -94,8 +96,8 @@ impl AdamW {
         Ok(Self { parts, steps: 0, weight_decay })
     }
 
-    /// One step down the gradients of `loss`. Gradients longer than `most` in all are shortened to it;
-    /// where they are no numbers, the step is not taken and false comes back.
+    /// One step down the gradients of `loss`. A gradient with a norm above `most` is scaled down to it;
+    /// if it is not finite, no step is taken and false is returned.
     ///
     /// # Errors
     /// torch fails.
@@ -124,7 +126,7 @@ impl AdamW {
                 if !grad.defined() {
                     continue;
                 }
-                // In place where it can be: large networks otherwise spend their time on getting memory.
+                // In place where possible: large networks otherwise spend their time allocating memory.
                 let _ = grad.f_mul_scalar_(factor)?;
                 let _ = m.f_lerp_(&grad, 1.0 - BETA1)?;
                 let _ = v.f_lerp_(&grad.f_square_()?, 1.0 - BETA2)?;
@@ -153,10 +155,10 @@ impl AdamW {
         self.steps
     }
 
-    /// Takes moments from a checkpoint; `find` gives each in the shape asked for.
+    /// Restores moments from a checkpoint; `find` returns each in the given shape.
     ///
     /// # Errors
-    /// What `find` says, or torch fails.
+    /// `find`'s error, or torch fails.
     pub fn restore<E: From<TchError>>(
         &mut self,
         steps: i32,

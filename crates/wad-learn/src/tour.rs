@@ -1,4 +1,4 @@
-//! A drive through a town for pictures: from view to view that differ, for scoring and for training.
+//! A drive through a town that takes differing pictures, for scoring and for training.
 
 use crate::drive::{Drive, DriveError, DriveOptions};
 use sumo_network::geometry::Pose;
@@ -13,7 +13,7 @@ pub struct Tour {
 
 /// Seconds before the first view, in which the traffic spreads out.
 const WARM_UP: f64 = 20.0;
-/// A view is new after this many metres, or after this many seconds where the ego waits.
+/// A view is new after this many metres, or after this many seconds at standstill.
 const METRES: f64 = 8.0;
 const SECONDS: f64 = 6.0;
 
@@ -57,12 +57,12 @@ impl Tour {
         }
     }
 
-    /// What a camera looks at.
+    /// The town, for a camera.
     pub fn town(&self) -> &Town {
         &self.town
     }
 
-    /// Lets SUMO go.
+    /// Ends SUMO.
     ///
     /// # Errors
     /// The drive's summary cannot be written.

@@ -1,4 +1,4 @@
-//! The linked libraries, each proven by a small piece of real work.
+//! The linked libraries, each tested with a small computation.
 
 use super::Finding;
 
@@ -25,7 +25,7 @@ pub fn libtorch() -> Finding {
         .as_deref()
         .and_then(|lib| std::fs::read_to_string(lib.parent()?.parent()?.join("build-version")).ok())
         .map_or_else(|| "of unknown version".to_owned(), |version| version.trim().to_owned());
-    let place = place.map_or_else(|| "a place unknown".to_owned(), |lib| lib.display().to_string());
+    let place = place.map_or_else(|| "an unknown place".to_owned(), |lib| lib.display().to_string());
     match gradient_of_square(3.0) {
         Ok(6.0) => Finding::ok("libtorch", format!("{version}, works, {place}")),
         Ok(gradient) => Finding::missing(

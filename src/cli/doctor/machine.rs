@@ -4,7 +4,7 @@ use super::Finding;
 use std::process::{Command, Stdio};
 use wad_cosim::bundled;
 
-/// Whether libtorch can use a GPU, and whether there is one that it does not see.
+/// Whether libtorch can use a GPU, or misses one that is there.
 pub fn gpu() -> Finding {
     let card = nvidia_card();
     let name = card.as_deref().unwrap_or("a GPU");
@@ -49,7 +49,7 @@ pub fn cores() -> Finding {
     }
 }
 
-/// What a run with dense traffic and its SUMO need at most, with room (MiB).
+/// Memory that a run with dense traffic and its SUMO need at most, with a margin (MiB).
 const ENOUGH_MEMORY: u64 = 1024;
 
 pub fn memory() -> Finding {
@@ -68,7 +68,7 @@ pub fn memory() -> Finding {
     }
 }
 
-/// The folder for what is fetched and unpacked, tried by writing to it.
+/// The cache folder, tested by writing to it.
 pub fn cache() -> Finding {
     let folder = bundled::cache_dir();
     let found = folder.display().to_string();

@@ -1,4 +1,4 @@
-//! `doctor`: what this machine has for wad-cosim, and what to do about what is missing.
+//! `doctor`: checks the machine, and says how to install what is missing.
 
 mod libraries;
 mod machine;
@@ -22,7 +22,7 @@ struct Finding {
     status: Status,
     /// One line: what there is, with version and place.
     found: String,
-    /// What to do about it, where there is something to do.
+    /// How to fix it, if there is something to fix.
     #[serde(skip_serializing_if = "Option::is_none")]
     advice: Option<String>,
 }
@@ -31,7 +31,7 @@ struct Finding {
 #[serde(rename_all = "snake_case")]
 enum Status {
     Ok,
-    /// Not there or not built in, and the rest works without it.
+    /// Missing or not built in; the rest works without it.
     Optional,
     /// Needed, and missing or broken.
     Missing,
@@ -58,12 +58,12 @@ impl Finding {
 #[derive(Serialize)]
 struct Report {
     version: &'static str,
-    /// Whether everything needed is there.
+    /// Whether nothing needed is missing.
     ok: bool,
     checks: Vec<Finding>,
 }
 
-/// Check, print, and answer [`Exit::Done`] where everything needed is there.
+/// Check and print; [`Exit::Done`] if nothing needed is missing.
 pub fn run(args: Args) -> anyhow::Result<Exit> {
     let checks = vec![
         sumo::sumo(),

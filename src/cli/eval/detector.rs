@@ -28,16 +28,16 @@ Examples:
   wad-cosim eval detector --detector onnx --frames 500 --weather ClearNoon --json
   wad-cosim eval detector --detector onnx --frames 28 --pictures boxes/";
 
-/// How well a detector finds what the camera shows.
+/// Score a detector: recall, false alarms, average precision.
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
-    #[arg(long, value_name = "NAME", help = format!("Which: {DETECTORS}"))]
+    #[arg(long, value_name = "NAME", help = format!("The detector: {DETECTORS}"))]
     detector: String,
-    /// Where: a .sumocfg, a .net.xml(.gz), a folder with one .sumocfg, or a bundled town.
+    /// The town: a .sumocfg, a .net.xml(.gz), a folder with one .sumocfg, or a bundled town.
     #[arg(long, default_value = "town5", value_name = "CONFIG", value_hint = ValueHint::FilePath)]
     town: String,
-    /// How many frames.
+    /// Number of frames.
     #[arg(long, value_name = "N", default_value_t = 200)]
     frames: usize,
     /// The weathers, frame by frame in turn [default: all 14].
@@ -46,13 +46,13 @@ pub struct Args {
     /// Background traffic: as-is, empty, regular, dense, or VEHICLES,PEDESTRIANS.
     #[arg(long, default_value = "dense", value_name = "T")]
     traffic: TrafficSpec,
-    /// Everything random derives from it.
+    /// Seed of everything random.
     #[arg(long, default_value_t = 0, value_name = "N")]
     seed: u64,
-    /// Lowest score that average precision looks at.
+    /// Lowest score that counts for average precision.
     #[arg(long, value_name = "SCORE", default_value_t = 0.05)]
     min_score: f32,
-    /// Write the frames here as PNG: truth in white, hits green, false alarms red.
+    /// Write the frames to this folder as PNG: truth in white, hits green, false alarms red.
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     pictures: Option<PathBuf>,
     /// Print one JSON object as the last line of stdout; everything else goes to stderr.
@@ -74,7 +74,7 @@ struct Report {
     realism_by_weather: Vec<(Preset, Realism)>,
     precision: Vec<Precision>,
     precision_by_weather: Vec<(Preset, Vec<Precision>)>,
-    /// In the weathers that detectors are trained in, and in the others.
+    /// In the weathers that detectors are trained in, and in all others.
     precision_training_weathers: Vec<Precision>,
     precision_unseen_weathers: Vec<Precision>,
 }
@@ -111,7 +111,7 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
     Ok(if interrupted { Exit::Interrupted } else { Exit::Done })
 }
 
-/// The frames, and whether someone stopped it.
+/// The frames, and whether the user interrupted.
 async fn look(
     args: &Args,
     config: PathBuf,
@@ -168,7 +168,7 @@ fn progress(length: u64) -> Option<ProgressBar> {
     })
 }
 
-/// The frame with boxes: judged truths white, others grey, believed detections green or red.
+/// The frame with boxes: counted truths white, others grey, counted detections green or red.
 fn picture(frame: &wad_cosim::camera::Frame, view: &View, found: &[Detection]) -> Picture {
     use wad_cosim::perception::metrics::{Fate, fates};
     let mut picture = Picture::rgb(frame);
@@ -212,7 +212,7 @@ fn text(report: &Report) -> String {
     let goals: Vec<String> = goals.chain([format!("< {FALSE_ALARM_GOAL:.0}")]).collect();
     let _ = writeln!(out, "| goal | {} |\n", goals.join(" | "));
 
-    out += "Of what is there, found as any class of its group, by class:";
+    out += "By class, counted as found if detected as any class of its group:";
     for (n, (class, score)) in report.realism.classes.iter().enumerate() {
         let recall = score.hits as f64 / score.truths.max(1) as f64;
         let comma = if n == 0 { "" } else { "," };

@@ -15,7 +15,7 @@ Examples:
   wad-cosim eval encoder --data data/town5 --probe-data data/town3
   wad-cosim eval encoder --encoder runs/encoder --data data/town5 --probe-data data/town3 --json";
 
-/// How much of the transformed image the latent holds.
+/// Score an encoder: how much of the transformed image its latent holds.
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -28,13 +28,13 @@ pub struct Args {
     /// Frames to fit the linear probes on: a dataset of town3.
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     probe_data: PathBuf,
-    /// How many frames to measure on, evenly over the dataset.
+    /// Number of frames to measure on, evenly over the dataset.
     #[arg(long, value_name = "N", default_value_t = 2000)]
     frames: usize,
-    /// How many frames to fit the probes on.
+    /// Number of frames to fit the probes on.
     #[arg(long, value_name = "N", default_value_t = 20_000)]
     probe_frames: usize,
-    /// Use datasets that were not collected to their end.
+    /// Accept unfinished datasets.
     #[arg(long)]
     partial: bool,
     /// Threads of libtorch.
@@ -45,7 +45,7 @@ pub struct Args {
     json: bool,
 }
 
-/// The exit code that belongs to an error of judging.
+/// The exit code of a scoring error.
 pub fn with_exit(error: JudgeError) -> anyhow::Error {
     match error {
         JudgeError::Dataset(error) => data::with_exit(error),
@@ -61,7 +61,7 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
     let fitted = Dataset::open(&args.probe_data, args.partial).map_err(data::with_exit)?;
     fitted.require_training().map_err(data::with_exit)?;
     if measured.manifest.role == Role::Training {
-        eprintln!("note: {} is of the training town, so these frames are not unseen", args.data.display());
+        eprintln!("note: {} is of the training town: these frames may be trained on", args.data.display());
     }
     let total = args.frames.min(measured.frames()) + args.probe_frames.min(fitted.frames());
     let bar = Bar::new(total as u64, "frames");
@@ -96,7 +96,7 @@ fn text(j: &Judgement) -> String {
     let weathers: Vec<String> = j.psnr_by_weather.iter().map(|(w, db)| format!("{w} {db:.1}")).collect();
     format!(
         "encoder {} on {} frames of {}\n  PSNR {:.2} dB, SSIM {:.3}, blue IoU {:.3}; {:.2} ms CPU an image\n  PSNR by weather: {}\n\
-         painted objects still there (blue IoU 0.5):\n{}{}{}\
+         painted objects kept (blue IoU 0.5):\n{}{}{}\
          linear probes, fitted on {} frames of {}:\n{}{}{}{}{}{}{}{}{}\
          the same from the picture itself, by cells of paint:\n{}{}{}{}",
         j.encoder,

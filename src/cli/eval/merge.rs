@@ -1,4 +1,4 @@
-//! `eval merge`: the results of several shards as one.
+//! `eval merge`: joins the results of several shards.
 
 use super::suites::{Summary, plan, report, with_exit};
 use crate::cli::Exit;
@@ -9,10 +9,10 @@ use wad_cosim::eval::{self, EpisodeRecord, Manifest, Results, Store, StoreError}
 /// Options of `eval merge`.
 #[derive(clap::Args, Debug)]
 pub struct Args {
-    /// Folders of the same evaluation, each driven with another --shard.
+    /// Folders of one evaluation, each driven with its own --shard.
     #[arg(required = true, value_hint = ValueHint::DirPath)]
     runs: Vec<PathBuf>,
-    /// Folder for all of them together.
+    /// Folder for the joined results.
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     out: PathBuf,
     /// Print one JSON object as the last line of stdout; everything else goes to stderr.
@@ -27,7 +27,7 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
     let mut first: Option<Manifest> = None;
     for path in &args.runs {
         let results = Results::open(path).map_err(store_error)?;
-        // What one shard misses may be in another: that is no remark here.
+        // An episode that one shard lacks may be in another, so this is not reported.
         results.unread().iter().for_each(|remark| eprintln!("{remark}"));
         let manifest = first.get_or_insert_with(|| Manifest { shard: None, ..results.manifest.clone() });
         let differences = manifest.differences(&results.manifest, false);
@@ -40,7 +40,7 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
     let (suite, selection) = (&manifest.suite, &manifest.selection);
     let (plan, _) = plan(suite, selection)?;
     let found: Vec<_> = runs.iter().map(|run| eval::in_order(&plan, &run.episodes)).collect();
-    // Of an episode that two runs have, the last run's counts.
+    // If two runs have the same episode, the last run's counts.
     let last = |index: usize| {
         let mut latest = runs.iter().zip(&found).rev();
         latest.find_map(|(run, found)| Some((run.path.as_path(), found[index]?)))

@@ -1,4 +1,4 @@
-//! `wad-cosim eval`: one file per thing that is judged.
+//! `wad-cosim eval`: one file per subject.
 
 mod detector;
 #[cfg(feature = "learn")]
@@ -11,7 +11,7 @@ mod suites;
 use super::{Exit, runtime};
 use clap::{Parser, Subcommand};
 
-/// Drive the episodes of a suite, or judge a part of the system by the ground truth.
+/// Drive the episodes of a suite, or score a part of the system against the ground truth.
 #[derive(clap::Args, Debug)]
 pub struct Args {
     #[command(subcommand)]
@@ -20,35 +20,35 @@ pub struct Args {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// The paper's five tasks in both conditions: how many episodes end well (table 1).
+    /// The paper's five tasks in both conditions: success rates (table 1).
     Tasks(Box<suites::Args>),
     /// The composite task: 70 vehicles, 100 pedestrians, random routes (figure 8).
     Composite(Box<suites::Args>),
-    /// CARLA's benchmark: straight, one turn, navigation, navigation among others (table 2).
+    /// CARLA's CoRL2017 benchmark: straight, one turn, navigation, navigation in traffic (table 2).
     Corl2017(Box<suites::Args>),
     /// NoCrash: empty, regular and dense traffic; a collision ends an episode (table 3).
     Nocrash(Box<suites::Args>),
     /// 4000 ticks in traffic: distance, time alive, speed, infractions per kilometre (table 4).
     Infractions(Box<suites::Args>),
-    /// Results of several shards as one.
+    /// Join the results of several shards.
     Merge(merge::Args),
-    /// Fixed routes for a net of your own, as suites need them.
+    /// Make the fixed routes that suites need, for your own net.
     Routes(routes::Args),
-    /// How well a detector finds what the camera shows.
+    /// Score a detector: recall, false alarms, average precision.
     Detector(detector::Args),
-    /// Lane boundaries: precision, recall and lateral error against the painted ones, by weather.
+    /// Score lane detection: precision, recall and lateral error, by weather.
     Lanes(sight::Args),
-    /// The vehicle in front: gap and closing speed against the true ones, by distance.
+    /// Score the estimate of the vehicle in front: gap and closing speed, by distance.
     Lead(sight::Args),
-    /// How much of the transformed image the latent holds.
+    /// Score an encoder: how much of the transformed image its latent holds.
     #[cfg(feature = "learn")]
     Encoder(encoder::Args),
-    /// A scenario (docs/scenarios.md), or a suite of your own: a JSON file. With the options of the others.
+    /// A scenario (docs/scenarios.md) or your own suite (a JSON file), with the options of the other suites.
     #[command(external_subcommand)]
     File(Vec<String>),
 }
 
-/// The options of a suite that is a file.
+/// The options of a suite from a file.
 #[derive(Parser)]
 #[command(name = "wad-cosim eval SUITE.json")]
 struct OfFile {
@@ -73,7 +73,7 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
         What::Encoder(args) => encoder::run(&args),
         What::File(words) => {
             let suite = words.first().cloned().unwrap_or_default();
-            // A suite that is none is the greater mistake than its options.
+            // A wrong suite is reported before wrong options.
             wad_cosim::eval::Suite::find(&suite).map_err(|e| Exit::Input.because(e))?;
             let args = OfFile::try_parse_from(&words).unwrap_or_else(|error| error.exit());
             suites::run(&suite, args.args)

@@ -1,4 +1,4 @@
-//! `eval routes`: fixed routes for a net, each one that the autopilot finishes in the empty town.
+//! `eval routes`: fixed routes for a net; the autopilot finishes each in the empty town.
 
 use super::suites::with_exit;
 use crate::cli::progress::Bar;
@@ -25,10 +25,10 @@ pub struct Args {
     count: usize,
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
-    /// Sets at a time; each takes a core.
+    /// Sets in parallel; each takes a core.
     #[arg(long, value_name = "N", default_value_t = 1)]
     jobs: usize,
-    /// File to write [default: NAME.routes.json beside the net, where `eval` finds it].
+    /// File to write [default: NAME.routes.json beside the net; `eval` finds it there].
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     out: Option<PathBuf>,
     /// Print one JSON object as the last line of stdout; everything else goes to stderr.
@@ -56,7 +56,7 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
             scope.spawn(move || {
                 loop {
                     let Ok(Some(kind)) = next.lock().map(|mut kinds| kinds.next()) else { break };
-                    // Nobody listens any more where another set has failed.
+                    // The receiver is gone if another set has failed.
                     let found = routes::find(assets, kind, args.count, args.seed, |_, _| {
                         let _ = sender.send(News::Tried);
                     });

@@ -1,4 +1,4 @@
-//! `wad-cosim eval lanes` and `eval lead`: the autopilot drives, perception looks on.
+//! `wad-cosim eval lanes` and `eval lead`: scores perception while the autopilot drives.
 
 use crate::cli::{Exit, print, run};
 use anyhow::Context;
@@ -18,14 +18,14 @@ Examples:
   wad-cosim eval lanes town3 --ticks 2000 --weather ClearNoon,HardRainNoon --json
   wad-cosim eval lead --detector truth:faulty";
 
-/// Options of both.
+/// Options of both commands.
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
-    /// Config or bundled town.
+    /// A .sumocfg, a .net.xml(.gz) or a bundled town.
     #[arg(default_value = "town5")]
     config: String,
-    /// Ticks to drive; ticks in which the ego stands do not count.
+    /// Ticks to drive; ticks at standstill do not count.
     #[arg(long, value_name = "N", default_value_t = 1200)]
     ticks: u64,
     /// Weathers, separated by commas.
@@ -39,13 +39,13 @@ pub struct Args {
     /// Background traffic: empty, regular, dense, or VEHICLES,PEDESTRIANS.
     #[arg(long, default_value = "regular", value_name = "T")]
     traffic: TrafficSpec,
-    /// Who detects: truth (the renderer's boxes) or truth:faulty (with a real detector's faults).
+    /// The detector: truth (the renderer's boxes) or truth:faulty (with a real detector's faults).
     #[arg(long, default_value = "truth", value_name = "NAME")]
     detector: String,
     /// WIDTHxHEIGHT of the camera's picture in pixels.
     #[arg(long, value_name = "WxH", default_value = "512x512", value_parser = crate::cli::snapshot::size)]
     size: (usize, usize),
-    /// Everything random derives from it.
+    /// Seed of everything random.
     #[arg(long, default_value_t = 0, value_name = "N")]
     seed: u64,
     /// Print one JSON object as the last line of stdout; everything else goes to stderr.
@@ -53,7 +53,7 @@ pub struct Args {
     json: bool,
 }
 
-/// Drives, and hands the eyes of each weather to `score` after every tick.
+/// Drives, and passes each weather's percept to `score` after every tick.
 async fn drive(
     args: &Args,
     weathers: &[Preset],
@@ -111,7 +111,7 @@ fn progress(ticks: u64) -> Option<ProgressBar> {
     Some(bar.with_style(style))
 }
 
-/// Below this (m/s) the ego stands, and the next frame is like the last.
+/// Below this speed (m/s) the ego counts as standing: its next frame is like the last.
 const STANDS: f64 = 0.3;
 
 /// `eval lanes`.

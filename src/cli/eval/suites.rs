@@ -1,4 +1,4 @@
-//! `eval SUITE`: drive the episodes of a suite, and say how they ended.
+//! `eval SUITE`: drives the episodes of a suite and reports how they ended.
 
 use crate::cli::agents;
 use crate::cli::progress::Bar;
@@ -23,10 +23,10 @@ use wad_cosim::traffic::TrafficSpec;
 
 const EXAMPLES: &str = "\
 Examples:
-  wad-cosim eval nocrash --agent wad-t --jobs 2 --out runs/nocrash     450 episodes, in both towns
+  wad-cosim eval nocrash --agent wad-t --jobs 2 --out runs/nocrash     450 episodes in both towns
   wad-cosim eval nocrash --condition new --traffic dense --episodes 5  a part of it, under the autopilot
   wad-cosim eval nocrash --out runs/nocrash --agent wad-t --resume     goes on where it stopped
-  wad-cosim eval nocrash --agent 'exec:python3 scripts/example_agent.py'  a model of your own
+  wad-cosim eval nocrash --agent 'exec:python3 scripts/example_agent.py'  your own model
   wad-cosim eval nocrash --shard 1/2 --out a  (elsewhere: --shard 2/2 --out b), then eval merge a b --out all
   wad-cosim report runs/nocrash                                        tables, figures, maps
 
@@ -36,7 +36,8 @@ Exit codes: 0 done; 2 usage or input; 3 SUMO failed; 4 interrupted, results kept
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
-    /// Who drives: wad-t, wad-s, a trained agent's file, autopilot, random, constant[:THROTTLE,STEER,BRAKE], exec:COMMAND. May be given several times.
+    /// The driver: wad-t, wad-s, a trained agent's file, autopilot, random, constant[:THROTTLE,STEER,BRAKE],
+    /// exec:COMMAND. May be given several times.
     #[arg(long = "agent", value_name = "NAME", default_value = "autopilot")]
     agents: Vec<DriverSpec>,
     /// Only this condition of the suite, e.g. training or new; may be given several times.
@@ -48,10 +49,10 @@ pub struct Args {
     /// Only this town, or a net of your own (CONFIG); may be given several times.
     #[arg(long = "town", value_name = "CONFIG", value_hint = ValueHint::FilePath)]
     towns: Vec<String>,
-    /// In this weather instead of the suite's; may be given several times.
+    /// Weather instead of the suite's; may be given several times.
     #[arg(long = "weather", value_name = "NAME")]
     weathers: Vec<Preset>,
-    /// Only the suite's tasks with this traffic, or, where it has none, other traffic than the tasks'
+    /// Only the suite's tasks with this traffic, or, if there are none, this traffic instead of the tasks'
     /// own: empty, regular, dense or V,P; may be given several times.
     #[arg(long, value_name = "SPEC")]
     traffic: Vec<TrafficSpec>,
@@ -61,27 +62,27 @@ pub struct Args {
     /// The evaluation's seed; may be given several times.
     #[arg(long = "seed", value_name = "N")]
     seeds: Vec<u64>,
-    /// Route file for a town that brings none (eval routes makes one).
+    /// Route file for a town without one (make it with `eval routes`).
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     routes: Option<PathBuf>,
-    #[arg(long, help = format!("Who detects: {}", wad_cosim::perception::DETECTORS), default_value = "truth", value_name = "NAME")]
+    #[arg(long, help = format!("The detector: {}", wad_cosim::perception::DETECTORS), default_value = "truth", value_name = "NAME")]
     detector: String,
-    /// Environments at a time; each takes a core.
+    /// Environments in parallel; each takes a core.
     #[arg(long, value_name = "N", default_value_t = 1)]
     jobs: usize,
-    /// Drive the K-th of N parts of the suite only; `eval merge` puts them together.
+    /// Drive only the K-th of N parts of the suite; `eval merge` joins them.
     #[arg(long, value_name = "K/N")]
     shard: Option<Shard>,
-    /// Folder for the results: config.json, episodes.jsonl, summary.json, and failures in episodes/.
+    /// Folder for the results: config.json, episodes.jsonl, summary.json, and recordings in episodes/.
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     out: Option<PathBuf>,
-    /// Go on with the results in --out.
+    /// Continue the evaluation in --out.
     #[arg(long, requires = "out")]
     resume: bool,
-    /// Which episodes are kept for `replay`: none, failures or all.
+    /// Episodes to keep for `replay`: none, failures or all.
     #[arg(long, value_name = "WHICH", default_value = "failures")]
     keep: Keep,
-    /// Longest time that an external agent may take for an answer.
+    /// Time limit for each answer of an external agent.
     #[arg(long, value_name = "SECONDS", default_value_t = 10.0)]
     agent_timeout: f64,
     /// Print one JSON object as the last line of stdout; everything else goes to stderr.
@@ -90,7 +91,7 @@ pub struct Args {
 }
 
 impl Args {
-    /// Every value once, with a word about those that were given again.
+    /// Every value once, with a warning about repeated ones.
     fn each_once(mut self) -> Self {
         once("--agent", &mut self.agents, DriverSpec::to_string);
         once("--condition", &mut self.conditions, String::clone);
@@ -103,7 +104,7 @@ impl Args {
     }
 }
 
-/// Takes repeated values of `flag` out: each of their episodes would be the same one again.
+/// Removes repeated values of `flag`, because their episodes would be the same ones again.
 fn once<T: PartialEq>(flag: &str, given: &mut Vec<T>, name: impl Fn(&T) -> String) {
     let mut left: Vec<T> = Vec::new();
     for value in given.drain(..) {
@@ -119,7 +120,7 @@ fn once<T: PartialEq>(flag: &str, given: &mut Vec<T>, name: impl Fn(&T) -> Strin
     *given = left;
 }
 
-/// `summary.json`: nothing in it depends on when, where or in which order the episodes were driven.
+/// `summary.json`: independent of when, where and in which order the episodes were driven.
 #[derive(Serialize)]
 pub struct Summary {
     pub suite: String,
@@ -188,7 +189,7 @@ fn traffic_key(episode: &EpisodeRecord) -> String {
 /// Towns by name.
 type Towns = BTreeMap<String, Arc<Assets>>;
 
-/// The episodes that are selected, and the towns that they are driven in.
+/// The selected episodes, and their towns.
 pub fn plan(suite: &Suite, selection: &Selection) -> anyhow::Result<(Vec<Case>, Towns)> {
     let mut towns = Towns::new();
     for town in selection.towns(suite).map_err(|e| Exit::Input.because(e))? {
@@ -234,7 +235,7 @@ pub fn run(suite: &str, args: Args) -> anyhow::Result<Exit> {
         Some((store, episodes)) => (Some(store), episodes),
         None => (None, Vec::new()),
     };
-    // Those in which SUMO died say nothing of the agent, and are tried again.
+    // Episodes in which SUMO died do not count for the agent, and are driven again.
     episodes.retain(|episode| episode.fault != Some(Fault::Simulator));
     let left: Vec<_> = (mine.iter().zip(eval::in_order(&mine, &episodes)))
         .filter(|(_, done)| done.is_none())
@@ -294,7 +295,7 @@ pub fn run(suite: &str, args: Args) -> anyhow::Result<Exit> {
     Ok(if interrupted { Exit::Interrupted } else { Exit::Done })
 }
 
-/// Prints the table, and `json` as the last line where it is wanted.
+/// Prints the table, and with --json `json` as the last line.
 pub fn report(summary: &Summary, json: Option<String>) -> anyhow::Result<()> {
     let text = table(summary);
     match json {
@@ -306,7 +307,7 @@ pub fn report(summary: &Summary, json: Option<String>) -> anyhow::Result<()> {
     }
 }
 
-/// `--traffic` names the tasks that have it, or other traffic for all tasks.
+/// `--traffic` selects the tasks with that traffic; if there are none, it changes the traffic of all tasks.
 fn selection(suite: &Suite, args: &Args) -> Selection {
     let has = |traffic: TrafficSpec| {
         suite.tasks.iter().filter(move |t| t.traffic.unwrap_or(t.kind.traffic()) == traffic)
@@ -346,7 +347,7 @@ fn seconds(given: f64) -> anyhow::Result<Duration> {
     })
 }
 
-/// The error with the exit code that belongs to it.
+/// The error with its exit code.
 pub fn with_exit(error: EvalError) -> anyhow::Error {
     let exit = match &error {
         EvalError::Env(env) if env.is_input() => Exit::Input,
@@ -383,7 +384,7 @@ fn failure(record: &EpisodeRecord) -> String {
     )
 }
 
-/// The totals for people.
+/// The totals as text.
 fn table(summary: &Summary) -> String {
     let mut text = format!(
         "{:10} {:9} {:7} {:18} {:>9}  {:>14}  {:>5}  {:>6}  ends\n",

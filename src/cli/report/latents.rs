@@ -10,13 +10,13 @@ use wad_cosim::encoder_score::judge::{JudgeError, pairs};
 use wad_cosim::latent::TchEncoder;
 use wad_cosim::perception::{TRANSFORMED_SIZE, TransformedImage};
 
-/// Transformed images above, their reconstructions below.
+/// Draw transformed images above their reconstructions (the paper's figure 5).
 #[derive(clap::Args, Debug)]
 pub struct Args {
     /// A .safetensors file, a folder of `train encoder`, or a bundled encoder.
     #[arg(long, value_name = "NAME", default_value = "default")]
     encoder: String,
-    /// A dataset to take frames from, evenly.
+    /// The dataset; its frames are taken evenly.
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     data: PathBuf,
     /// Pairs in a row, and rows of pairs.
@@ -27,7 +27,7 @@ pub struct Args {
     /// PNG file to write.
     #[arg(long, value_name = "FILE", default_value = "latents.png", value_hint = ValueHint::FilePath)]
     out: PathBuf,
-    /// Use a dataset that was not collected to its end.
+    /// Accept an unfinished dataset.
     #[arg(long)]
     partial: bool,
 }

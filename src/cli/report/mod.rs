@@ -1,4 +1,4 @@
-//! `wad-cosim report`: pictures and tables of what was made; one file each.
+//! `wad-cosim report`: pictures and tables; one file each.
 
 #[cfg(feature = "learn")]
 mod latents;
@@ -15,7 +15,7 @@ Examples:
   wad-cosim report runs/nocrash runs/corl --out report        several suites on one page
   wad-cosim report runs/* --out report --markdown docs/results.md";
 
-/// Make the report of evaluations, or pictures and tables of what was trained.
+/// Make a report of evaluations, or pictures of an encoder or of the reward.
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES, args_conflicts_with_subcommands = true)]
 pub struct Args {
@@ -27,7 +27,7 @@ pub struct Args {
     /// Folder for the report [default: `report` in the first run's folder].
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     out: Option<PathBuf>,
-    /// Write the Markdown tables here too.
+    /// Also write the Markdown tables to this file.
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     markdown: Option<PathBuf>,
     /// Pictures of failures per suite.
@@ -40,10 +40,10 @@ pub struct Args {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// Transformed images above, their reconstructions below (the paper's figure 5).
+    /// Draw transformed images above their reconstructions (the paper's figure 5).
     #[cfg(feature = "learn")]
     Latents(latents::Args),
-    /// The reward's terms over what they depend on (docs/reward.md).
+    /// Plot the reward's six terms (docs/reward.md).
     Reward(reward::Args),
 }
 

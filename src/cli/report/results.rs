@@ -1,8 +1,10 @@
-//! `wad-cosim report RUN...`: what evaluations found.
+//! `wad-cosim report RUN...`: the results of evaluations.
 
-use crate::cli::{Exit, print};
+use crate::cli::{Exit, agents, print};
 use anyhow::Context;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
+use wad_cosim::driver::DriverSpec;
 use wad_cosim::eval::Results;
 use wad_cosim::eval::report::{self, Page, Report, Table};
 
@@ -68,12 +70,14 @@ fn write(path: &Path, text: &str) -> anyhow::Result<()> {
         .with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// The tables as a page of their own, with where they come from.
+/// The tables as a Markdown page, with the runs that they come from.
 fn page_of_markdown(report: &Report, tables: &[Vec<Table>]) -> String {
     let mut text = String::from(
-        "# Results\n\nMade by `wad-cosim report`; [evaluate.md](evaluate.md) tells how to measure them again. Success \
-         rates carry their standard deviation over weathers and seeds and Wilson's 95 % interval.\n\n",
+        "# Results\n\n`wad-cosim report` wrote the tables of this page; [evaluate.md](evaluate.md) says how to measure them \
+         again. Each success rate has its standard deviation over weathers and seeds and Wilson's 95 % interval.\n\n",
     );
+    text += &detectors(report);
+    text += &makings(report);
     for (section, tables) in report.sections.iter().zip(tables) {
         text += &format!("## {}\n\n", section.suite.title);
         for (path, manifest) in &section.runs {
@@ -92,4 +96,70 @@ fn page_of_markdown(report: &Report, tables: &[Vec<Table>]) -> String {
         text += &report::markdown(tables);
     }
     text
+}
+
+/// The shipped WAD-T, and how it drove with the shipped detector, which the runs with `truth` do not tell.
+const WITH_CENTERNET: (&str, &str) = (
+    "weights 6adb70d2",
+    " Behind the shipped CenterNet, which sees the picture, WAD-T finished 16 of 20 composites where it finished 20 of \
+     the same 20 behind `truth` ([agents.md](agents.md#behind-a-detector-that-sees-the-picture)).",
+);
+
+/// The paragraph that names the detectors of the runs.
+fn detectors(report: &Report) -> String {
+    let manifests = || report.sections.iter().flat_map(|section| &section.runs).map(|(_, manifest)| manifest);
+    let names: BTreeSet<&str> = manifests().map(|manifest| manifest.options.detector.as_str()).collect();
+    let named = |name: &&str| match *name {
+        "truth" => "`--detector truth`, the renderer's own boxes".to_string(),
+        other => format!("`--detector {other}`"),
+    };
+    let text = match names.first() {
+        None => return String::new(),
+        Some(name) if names.len() == 1 => {
+            format!("every figure of ours on this page was driven with {}.", named(name))
+        }
+        Some(_) => {
+            let all: Vec<String> = names.iter().map(named).collect();
+            format!("the runs of this page were driven with {}; each run names its own.", all.join("; "))
+        }
+    };
+    let is_shipped = |id: &String| id.starts_with(WITH_CENTERNET.0);
+    let shipped =
+        names.len() == 1 && names.contains("truth") && manifests().any(|m| m.agents.values().any(is_shipped));
+    format!("**Detector:** {text}{}\n\n", if shipped { WITH_CENTERNET.1 } else { "" })
+}
+
+/// The paragraph on how the agents of the runs were made, as far as their files say; and which are blind.
+fn makings(report: &Report) -> String {
+    let ids: BTreeMap<&String, &String> =
+        report.sections.iter().flat_map(|s| &s.runs).flat_map(|(_, manifest)| &manifest.agents).collect();
+    let mut agents: Vec<String> = Vec::new();
+    for agent in report.sections.iter().flat_map(|section| section.agents()) {
+        if !agents.contains(&agent) {
+            agents.push(agent);
+        }
+    }
+    let (mut demonstrated, mut alone, mut blind) = (Vec::new(), Vec::new(), Vec::new());
+    for agent in &agents {
+        let name = format!("`{}`", report::short(agent));
+        match ids.get(agent).and_then(|id| agents::is_demonstrated(agent, id)) {
+            Some(true) => demonstrated.push(name),
+            Some(false) => alone.push(name),
+            None if agent == "autopilot" => blind.push("the autopilot".to_string()),
+            None if agent.parse::<DriverSpec>().is_ok_and(|spec| !spec.looks()) => blind.push(name),
+            None => {}
+        }
+    }
+    let sentence = |names: &[String], one: &str, more: &str| match names {
+        [] => String::new(),
+        [name] => format!(" {name} {one}"),
+        [first @ .., last] => format!(" {} and {last} {more}", first.join(", ")),
+    };
+    let with = "made with demonstrations: imitation of the autopilot plus reinforcement \
+                ([agents.md](agents.md#the-shipped-agents)).";
+    let text = sentence(&demonstrated, &format!("was {with}"), &format!("were {with}"))
+        + &sentence(&alone, "was made by reinforcement alone.", "were made by reinforcement alone.")
+        + &sentence(&blind, "is blind: it ignores the camera.", "are blind: they ignore the camera.")
+            .replacen(" the autopilot", " The autopilot", 1);
+    if text.is_empty() { text } else { format!("**Agents:**{text}\n\n") }
 }

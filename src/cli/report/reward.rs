@@ -8,7 +8,7 @@ use wad_cosim::eval::report::{Chart, Line};
 use wad_cosim::observation::LeadState;
 use wad_cosim::reward::{self, Facts, Light, RewardParams};
 
-/// The reward's six terms over what they depend on, as SVG.
+/// Plot the reward's six terms as SVG.
 #[derive(clap::Args, Debug)]
 pub struct Args {
     /// Folder for the pictures.
@@ -42,7 +42,7 @@ fn charts(p: &RewardParams) -> Vec<(&'static str, Chart)> {
     let one = |name: &str, range: (f64, f64), points: usize, f: &dyn Fn(f64) -> f64| {
         vec![Line::of(name, range, points, f)]
     };
-    let stood = "seconds stood for no reason (training: 30 s are too many)";
+    let stood = "seconds stood without a reason (training ends after 30 s)";
     let timeout = one("timeout", (0.0, 40.0), 401, &|t| reward::timeout(p, (t - 30.0).abs() < 0.05));
     let collision = one("collision", (0.0, 15_000.0), 301, &|i| reward::collision(p, Some(i)));
     let lane = one("lane", (0.0, 2.5), 251, &|d| reward::lane(p, d, false));
@@ -67,7 +67,7 @@ fn charts(p: &RewardParams) -> Vec<(&'static str, Chart)> {
     ]
 }
 
-/// Speeds that are shown (m/s).
+/// Speeds of the plots (m/s).
 const SPEEDS: (f64, f64) = (0.0, 18.0);
 
 fn before_red(distance: f64, speed: f64) -> Facts {

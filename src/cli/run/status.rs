@@ -1,4 +1,4 @@
-//! The status line of `run`: what the drive and the eye say, a tick at a time.
+//! The status line of `run`: drive and detections, tick by tick.
 
 use indicatif::{ProgressBar, ProgressStyle};
 use std::time::{Duration, Instant};

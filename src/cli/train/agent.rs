@@ -34,33 +34,33 @@ DIR/train.jsonl, DIR/validation.jsonl and for TensorBoard; checkpoints hold the 
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
-    /// What learns: td3 (WAD-T) or sac (WAD-S).
+    /// The algorithm: td3 (WAD-T) or sac (WAD-S).
     #[arg(long, value_enum, required_unless_present = "resume")]
     algo: Option<Algo>,
     /// Folder for actors, checkpoints and figures.
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     out: PathBuf,
-    /// Go on with the training in --out, as it was configured; only --steps, --max-minutes, --collectors,
+    /// Continue the training in --out with its configuration; only --steps, --max-minutes, --collectors,
     /// --record and --device are taken from the command line.
     #[arg(long)]
     resume: bool,
     /// The tasks in order [default: the bundled curriculum].
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     curriculum: Option<PathBuf>,
-    /// Environment steps of the agent in all.
+    /// Environment steps of the agent, in total.
     #[arg(long, value_name = "N", default_value_t = 400_000)]
     steps: u64,
-    /// End after this wall time, with a checkpoint.
+    /// Stop after this wall time, with a checkpoint.
     #[arg(long, value_name = "MINUTES")]
     max_minutes: Option<f64>,
-    /// Environments that drive at once, each with its own SUMO [default: the machine's cores, less two
-    /// where there are many].
+    /// Environments in parallel, each with its own SUMO [default: the number of cores, minus two on large
+    /// machines].
     #[arg(long, value_name = "N")]
     collectors: Option<usize>,
-    /// Where to learn; driving is always on the processor.
+    /// Device of the updates; driving always uses the CPU.
     #[arg(long, value_enum, default_value_t = Device::Cpu)]
     device: Device,
-    /// Everything random derives from it.
+    /// Seed of everything random.
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
     /// The encoder: a file, a folder, a bundled one's name, or `pooled` (coarse averages, untrained)
@@ -82,17 +82,17 @@ pub struct Args {
     /// Environment steps before the first update.
     #[arg(long, value_name = "N", default_value_t = 5_000)]
     learning_starts: u64,
-    /// Environment steps that the autopilot drives first, into the replay buffer ("with demonstrations").
+    /// Environment steps of demonstrations: the autopilot drives first and fills the replay buffer.
     #[arg(long, value_name = "N", default_value_t = 0)]
     demonstrations: u64,
-    /// Steps of behaviour cloning on the demonstrations, the actor alone, before anything else.
+    /// Steps of behaviour cloning on the demonstrations before all other updates; trains only the actor.
     #[arg(long, value_name = "N", default_value_t = 0)]
     clone: u64,
-    /// Begin with this trained agent's actor (wad-t, wad-s or a file) instead of a new one; the scale of its
-    /// inputs comes with it.
+    /// Start with this trained agent's actor (wad-t, wad-s or a file) instead of a new one; the scale of its
+    /// inputs is kept.
     #[arg(long, value_name = "NAME|FILE", conflicts_with = "resume")]
     init: Option<String>,
-    /// Adam's step where --clone begins; it falls in a straight line to a tenth.
+    /// Adam's initial learning rate for --clone; it falls linearly to a tenth.
     #[arg(long, value_name = "X", default_value_t = 1e-3)]
     clone_rate: f64,
     /// Updates on the demonstrations before the agent drives.
@@ -101,60 +101,60 @@ pub struct Args {
     /// Keep every episode with its images in DIR, for --recorded.
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     record: Option<PathBuf>,
-    /// Begin with the episodes in DIR, as this encoder sees them; can be given several times.
+    /// Fill the replay buffer with the episodes in DIR first, encoded with this encoder; may be given several
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     recorded: Vec<PathBuf>,
-    /// Weight of imitating what the autopilot would do (beyond the paper); 0: never.
+    /// Weight of imitating the autopilot's action (beyond the paper); 0: no imitation.
     #[arg(long, value_name = "W", default_value_t = 0.0)]
     bc_weight: f64,
     /// Updates over which imitation fades.
     #[arg(long, value_name = "N", default_value_t = 200_000)]
     bc_updates: u64,
-    /// Share of imitation's weight that stays.
+    /// Share of imitation's weight that remains after the fade.
     #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
     bc_floor: f64,
-    /// Imitate only where the critic prefers what the autopilot would do.
+    /// Imitate only where the critic prefers the autopilot's action.
     #[arg(long)]
     bc_filter: bool,
-    /// td3: what critics end in: the paper's sigmoid, or linear.
+    /// td3: the critics' last layer: the paper's sigmoid, or linear.
     #[arg(long, value_enum, default_value_t = Critic::Sigmoid)]
     critic: Critic,
-    /// td3: the returns that the sigmoid's 0 and 1 stand for.
+    /// td3: the returns at the sigmoid's 0 and 1.
     #[arg(long, value_name = "LOW,HIGH", default_value = "-60,100", allow_hyphen_values = true, value_parser = bounds)]
     critic_range: (f64, f64),
-    /// td3: Adam's step for the critics; the paper's is 3e-3.
+    /// td3: Adam's learning rate for the critics; the paper's is 3e-3.
     #[arg(long, value_name = "X", default_value_t = 3e-3)]
     critic_learning_rate: f64,
-    /// Adam's step for the actor (sac: for all networks).
+    /// Adam's learning rate for the actor (sac: for all networks).
     #[arg(long, value_name = "X", default_value_t = 3e-4)]
     learning_rate: f64,
     /// Discount per tick of a sixth of a second.
     #[arg(long, value_name = "X", default_value_t = 0.99)]
     gamma: f64,
-    /// Rewards summed before the critic's word is taken.
+    /// Rewards summed before the critic's estimate is used (n-step return).
     #[arg(long, value_name = "N", default_value_t = 1)]
     n_step: usize,
-    /// sac: the temperature, in scaled reward per nat; where --autotune begins.
+    /// sac: the temperature, in scaled reward per nat; with --autotune its initial value.
     #[arg(long, value_name = "X", default_value_t = 0.1)]
     alpha: f64,
-    /// sac: let the temperature keep the entropy where it belongs.
+    /// sac: adjust the temperature to keep the entropy at its target.
     #[arg(long)]
     autotune: bool,
-    /// Noise on the actions driven in training: a factor on its standard deviations.
+    /// Exploration noise: a factor on its standard deviations.
     #[arg(long, value_name = "X", default_value_t = 1.0)]
     noise: f64,
-    /// What the networks see (ablation).
+    /// The networks' inputs (ablation).
     #[arg(long, value_enum, default_value_t = InputChoice::Both)]
     inputs: InputChoice,
-    /// Standard deviation that the latent's numbers are scaled to.
+    /// Standard deviation to which the latent is scaled.
     #[arg(long, value_name = "X", default_value_t = 1.0)]
     latent_gain: f64,
-    /// Share of the images that are shown as on other days: other light, tints, haze, wet roads, rain;
-    /// never in validation.
+    /// Share of the images changed to other days: other light, tints, haze, wet roads, rain; never in
+    /// validation.
     #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
     other_days: f64,
-    /// Add to each latent that is learned from up to this share of the difference between two others, so that
-    /// less rests on how a day looks.
+    /// Add to each latent up to this share of the difference between two others of the batch, so that the
+    /// agent relies less on the look of a day.
     #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
     latent_mixing: f64,
     /// Environment steps between validations; 0: never.
@@ -220,7 +220,7 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
     Ok(if trained.interrupted { Exit::Interrupted } else { Exit::Done })
 }
 
-/// All cores of a small machine; on a large one the learner and the system keep two.
+/// All cores of a small machine; on a large one, two are left to the learner and the system.
 pub fn default_collectors() -> usize {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     if cores > 4 { cores - 2 } else { cores }
@@ -238,7 +238,7 @@ pub fn maker(name: &str, town: &str) -> anyhow::Result<Maker> {
     })
 }
 
-/// The curriculum that travels with the binary.
+/// The bundled curriculum.
 const CURRICULUM: &str = include_str!("../../../scenarios/curriculum.json");
 
 /// The curriculum of a file, or the bundled one.
@@ -315,7 +315,7 @@ fn config(args: &Args) -> anyhow::Result<TrainConfig> {
     Ok(config)
 }
 
-/// The configuration of the training that is gone on with.
+/// The configuration of the training that --resume continues.
 fn saved_config(args: &Args) -> anyhow::Result<TrainConfig> {
     let path = args.out.join("config.json");
     let text = std::fs::read_to_string(&path).map_err(|source| {
@@ -342,8 +342,8 @@ fn saved_config(args: &Args) -> anyhow::Result<TrainConfig> {
     let found = find_encoder(&config.encoder).map_err(|e| Exit::Input.because(e))?.hash().to_string();
     if found != config.encoder_hash {
         return Err(Exit::Input.because(anyhow!(
-            "the training in `{}` sees through the encoder {} (`{}`), which is {found} now; put that one back, or \
-             train anew",
+            "the training in `{}` uses the encoder {} (`{}`), which is {found} now; restore that encoder, or \
+             start a new training",
             args.out.display(),
             config.encoder_hash,
             config.encoder
@@ -373,7 +373,7 @@ fn show(bar: &Bar, p: &Progress<'_>) {
     bar.show(p.steps, &message);
 }
 
-/// The exit code that belongs to a training's error.
+/// The exit code of a training's error.
 pub fn with_exit(error: TrainError) -> anyhow::Error {
     let exit = match &error {
         TrainError::Env(env) if env.is_input() => Exit::Input,
@@ -412,9 +412,9 @@ fn report(t: &Trained, json: bool) -> anyhow::Result<()> {
         t.updates_per_s,
         t.stage + 1,
         t.stage_task,
-        if t.curriculum_done { ", the curriculum is passed" } else { "" },
+        if t.curriculum_done { ", the curriculum is complete" } else { "" },
         t.out.display(),
-        if t.interrupted { "interrupted; --resume goes on from here\n" } else { "" },
+        if t.interrupted { "interrupted; --resume continues from here\n" } else { "" },
     );
     answer(&text, json, t)
 }

@@ -29,68 +29,67 @@ The best network by validation is DIR/detector.safetensors; losses are in DIR/me
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
-    /// What finds the features.
+    /// The feature extractor.
     #[arg(long, value_enum, default_value_t = Backbone::Light)]
     backbone: Backbone,
-    /// The dataset's folder (`wad-cosim dataset collect --camera`); several are shown together.
+    /// The dataset's folder (`wad-cosim dataset collect --camera`); if given several times, all are mixed.
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath, required_unless_present = "collect")]
     data: Vec<PathBuf>,
-    /// Collect so many frames of town3 first, to --data or to data in --out.
+    /// Collect this many frames of town3 first, into --data, or into data in --out.
     #[arg(long, value_name = "N")]
     collect: Option<usize>,
     /// Folder for weights, checkpoint and losses.
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     out: PathBuf,
-    /// Begin with these weights instead of new ones: centernet (those that travel with the program) or
-    /// centernet:FILE.
+    /// Start with these weights instead of new ones: centernet (the bundled ones) or centernet:FILE.
     #[arg(long, value_name = "NAME", conflicts_with = "resume")]
     init: Option<String>,
-    /// Walks through the data.
+    /// Epochs over the training frames.
     #[arg(long, value_name = "N", default_value_t = 12)]
     epochs: u64,
-    /// Pictures to a step.
+    /// Pictures per step.
     #[arg(long, value_name = "N", default_value_t = 16)]
     batch: usize,
-    /// Most steps to an epoch; validation comes after each.
+    /// Most steps per epoch; validation follows each epoch.
     #[arg(long, value_name = "N", default_value_t = 400)]
     epoch_steps: usize,
-    /// Width and height of the windows that most steps show; 0: whole pictures only.
+    /// Width and height of the crops that most steps use; 0: whole pictures only.
     #[arg(long, value_name = "WxH", default_value = "320x320", value_parser = window)]
     window: (usize, usize),
-    /// Compute in bfloat16 (twice as fast where the processor has it, a crawl where not).
+    /// Compute in bfloat16: twice as fast on processors that have it, very slow on others.
     #[arg(long)]
     bfloat16: bool,
-    /// Where to compute.
+    /// Device to train on.
     #[arg(long, value_enum, default_value_t = Device::Cpu)]
     device: Device,
-    /// AdamW's learning rate at its highest.
+    /// AdamW's highest learning rate.
     #[arg(long, value_name = "X", default_value_t = 1.5e-3)]
     learning_rate: f64,
     /// AdamW's weight decay.
     #[arg(long, value_name = "X", default_value_t = 1e-3)]
     weight_decay: f64,
-    /// Leave weather, light and colours of the training pictures as they are.
+    /// Do not augment weather, light and colours of the training pictures.
     #[arg(long)]
     no_augment: bool,
-    /// Everything random derives from it.
+    /// Seed of everything random.
     #[arg(long, default_value_t = 0, value_name = "N")]
     seed: u64,
-    /// Threads of libtorch on the processor.
+    /// Threads of libtorch on the CPU.
     #[arg(long, value_name = "N", default_value_t = 1)]
     threads: i32,
-    /// Threads that read pictures.
+    /// Threads that load pictures.
     #[arg(long, value_name = "N", default_value_t = 1)]
     workers: usize,
-    /// Most frames that validation looks at.
+    /// Most frames used for validation.
     #[arg(long, value_name = "N", default_value_t = 300)]
     validation_frames: usize,
-    /// Go on with the training in --out.
+    /// Continue the training in --out.
     #[arg(long)]
     resume: bool,
-    /// Use a dataset that was not collected to its end.
+    /// Accept an unfinished dataset.
     #[arg(long)]
     partial: bool,
-    /// End after this wall time.
+    /// Stop after this wall time.
     #[arg(long, value_name = "MINUTES")]
     max_minutes: Option<f64>,
     /// Print the result as one JSON line on stdout.
@@ -113,9 +112,9 @@ fn window(text: &str) -> Result<(usize, usize), String> {
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum Backbone {
-    /// Real time on one core.
+    /// MobileNet-like network; real time on one core.
     Light,
-    /// The paper's.
+    /// The paper's network.
     #[value(name = "resnet50_v2")]
     Resnet50V2,
 }
@@ -196,7 +195,7 @@ fn collected(
     Ok(!collected.interrupted)
 }
 
-/// What to say on the way.
+/// The progress line.
 fn words(p: &Progress) -> String {
     let loss = p.loss;
     match p.validation {
@@ -220,6 +219,6 @@ fn report(t: &Trained) -> String {
         t.best.map50,
         t.best.map50_small,
         t.validation_frames,
-        if t.interrupted { "interrupted; --resume goes on from the last epoch\n" } else { "" },
+        if t.interrupted { "interrupted; --resume continues from the last epoch\n" } else { "" },
     )
 }

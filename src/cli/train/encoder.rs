@@ -28,65 +28,65 @@ pub struct Args {
     /// Folder for weights, checkpoint and losses.
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     out: PathBuf,
-    /// Walks through the data.
+    /// Epochs over the training images.
     #[arg(long, value_name = "N", default_value_t = 50)]
     epochs: u64,
-    /// Images to a step.
+    /// Images per step.
     #[arg(long, value_name = "N", default_value_t = 128)]
     batch: usize,
-    /// Most steps to an epoch; validation comes after each.
+    /// Most steps per epoch; validation follows each epoch.
     #[arg(long, value_name = "N", default_value_t = 600)]
     epoch_steps: usize,
-    /// Where to compute.
+    /// Device to train on.
     #[arg(long, value_enum, default_value_t = Device::Cpu)]
     device: Device,
     /// Adam's learning rate; the paper's is 1e-4.
     #[arg(long, value_name = "X", default_value_t = 1e-4)]
     learning_rate: f64,
-    /// Over this last share of the training the learning rate falls to 0.
+    /// Last share of the training, over which the learning rate falls to 0.
     #[arg(long, value_name = "SHARE", default_value_t = 0.3)]
     decay: f64,
     /// L2 regularization.
     #[arg(long, value_name = "X", default_value_t = 1e-5)]
     weight_decay: f64,
-    /// Share of channels left out after the second and the fifth layer.
+    /// Share of channels dropped after the second and the fifth layer.
     #[arg(long, value_name = "SHARE", default_value_t = 0.1)]
     dropout: f64,
-    /// Weight of a variational encoder's divergence; 0: not variational.
+    /// Weight of a variational encoder's KL divergence; 0: not variational.
     #[arg(long, value_name = "B", default_value_t = 0.0)]
     beta: f64,
-    /// How much more painted pixels (blue, green, red) count.
+    /// Extra weight of painted pixels (blue, green, red) in the loss.
     #[arg(long, value_name = "W", default_value_t = 4.0)]
     paint_weight: f64,
-    /// How much more of that small painted objects count.
+    /// Extra weight of small painted objects, on top of --paint-weight.
     #[arg(long, value_name = "W", default_value_t = 4.0)]
     small_weight: f64,
-    /// Teach the latent what the linear probes ask (vehicle and pedestrian in the lane, red light, gap, lane
-    /// boundaries), with this weight beside the picture's error; 0: not.
+    /// Train the latent on the probes' labels too (vehicle and pedestrian in the lane, red light, gap, lane
+    /// boundaries), with this weight beside the picture's error; 0: off.
     #[arg(long, value_name = "W", default_value_t = 0.03)]
     label_weight: f64,
     /// Compute convolutions in bfloat16: twice as fast on processors that have it.
     #[arg(long)]
     bfloat16: bool,
-    /// Leave the light of the training images as it is.
+    /// Do not augment the light of the training images.
     #[arg(long)]
     no_augment: bool,
-    /// Everything random derives from it.
+    /// Seed of everything random.
     #[arg(long, default_value_t = 0, value_name = "N")]
     seed: u64,
-    /// Threads of libtorch on the processor.
+    /// Threads of libtorch on the CPU.
     #[arg(long, value_name = "N", default_value_t = 1)]
     threads: i32,
-    /// Images kept in memory (GB); more take turns [default: 6 on the processor, 40 on a GPU].
+    /// Memory for images (GB); if there are more, they take turns [default: 6 on the CPU, 40 on a GPU].
     #[arg(long, value_name = "GB")]
     resident_gb: Option<f64>,
-    /// Go on with the training in --out.
+    /// Continue the training in --out.
     #[arg(long)]
     resume: bool,
-    /// Use a dataset that was not collected to its end.
+    /// Accept an unfinished dataset.
     #[arg(long)]
     partial: bool,
-    /// End after this wall time.
+    /// Stop after this wall time.
     #[arg(long, value_name = "MINUTES")]
     max_minutes: Option<f64>,
     /// Print the result as one JSON line on stdout.
@@ -101,7 +101,7 @@ pub enum Device {
 }
 
 impl Device {
-    /// As libtorch has it.
+    /// libtorch's device.
     ///
     /// # Errors
     /// This machine or this libtorch has no GPU.
@@ -177,7 +177,7 @@ fn options(args: &Args) -> anyhow::Result<TrainOptions> {
     })
 }
 
-/// What to say on the way.
+/// The progress line.
 fn words(p: &Progress) -> String {
     match p.validation {
         Some(v) => {
@@ -202,6 +202,6 @@ fn report(t: &Trained) -> String {
         t.best.psnr,
         t.best.painted_iou,
         t.validation_images,
-        if t.interrupted { "interrupted; --resume goes on from the last epoch\n" } else { "" },
+        if t.interrupted { "interrupted; --resume continues from the last epoch\n" } else { "" },
     )
 }

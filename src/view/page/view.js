@@ -229,7 +229,7 @@ function paint() {
   document.body.classList.toggle("driving", mine);
   mine ? hands.start() : hands.driving && hands.stop();
   $("pads").hidden = !(mine && matchMedia("(pointer: coarse)").matches);
-  banner(s.over ? s.over : s.loading ? `${s.loading.toUpperCase()} gets ready` : s.paused ? (hello.mode === "replay" ? "" : "paused") : mine ? "you drive: arrow keys, M gives back" : s.holder !== null ? `viewer ${s.holder} drives` : "");
+  banner(s.over ? s.over : s.loading ? `loading ${s.loading.toUpperCase()}` : s.paused ? (hello.mode === "replay" ? "" : "paused") : mine ? "you drive: arrow keys, M gives back" : s.holder !== null ? `viewer ${s.holder} drives` : "");
   $("record").setAttribute("aria-pressed", s.recording !== null);
   put("record", s.recording !== null ? "■ Stop" : "● Record");
   dial($("dial"), s.ego.speed, s.limit);
@@ -293,7 +293,7 @@ const EVENTS = {
   red_light: (e) => ["bad", `ran the red light ${e.traffic_light} at ${(e.speed * 3.6).toFixed(0)} km/h`],
   outside_lane: (e) => ["warn", `left its lane by ${e.offset.toFixed(1)} m`],
   sidewalk: () => ["warn", "a wheel left the road"],
-  vehicle_blocked: () => ["warn", "stood too long for no reason"],
+  vehicle_blocked: () => ["warn", "blocked: stood too long without a reason"],
   arrival: () => ["good", "arrived"],
 };
 // A replay that is dragged back has fewer of them.

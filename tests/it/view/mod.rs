@@ -299,7 +299,9 @@ fn a_person_drives_goes_and_the_drive_can_be_driven_again() {
     // Wishes are part of the drive.
     other.send(json!({ "do": "respawn" }));
     other.send(json!({ "do": "traffic", "vehicles": 12, "pedestrians": 4 }));
-    let state = other.until("put down elsewhere", |state| state["notes"].to_string().contains("put down"));
+    let state = other.until("moved to another place", |state| {
+        state["notes"].to_string().contains("moved to another place")
+    });
     let tick = state["tick"].as_u64().unwrap();
     other.send(json!({ "do": "new_route" }));
     other.until("a few ticks on", |state| state["tick"].as_u64().unwrap() > tick + 12);
@@ -395,7 +397,7 @@ fn the_page_in_a_browser() {
 
     // Keys drive the ego for ten simulated seconds, from a place where nobody stands in its way.
     browser.ask(&page, "document.getElementById('respawn').click()");
-    browser.wait(&page, "document.getElementById('events').textContent.includes('put down')");
+    browser.wait(&page, "document.getElementById('events').textContent.includes('moved to another place')");
     browser.key(&page, "m", "KeyM", true);
     browser.key(&page, "m", "KeyM", false);
     browser.wait(&page, "wad.state.holder === wad.hello.you");

@@ -1,25 +1,26 @@
-//! The three numbers of an action, and the [`Control`] they mean.
+//! Actions: three numbers, and the [`Control`] that they stand for.
 
 use wad_vehicle::Control;
 
 /// Numbers in an action: steering, acceleration, braking (paper, figure 6).
 pub const ACTION_SIZE: usize = 3;
 
-/// Steering -1 to 1 (left positive), throttle 0 to 1, brake 0 to 1: what networks put out, critics
-/// judge and the replay buffer holds.
+/// Steering -1 to 1 (left positive), throttle 0 to 1, brake 0 to 1: the networks' output, the critics'
+/// input and the replay buffer's contents.
 pub type Action = [f32; ACTION_SIZE];
 
 /// Smallest and largest value of each number of an action.
 pub const LOW: Action = [-1.0, 0.0, 0.0];
+/// Largest value of each number of an action.
 pub const HIGH: Action = [1.0, 1.0, 1.0];
 
 /// Free travel of the brake pedal.
 ///
-/// A sigmoid never puts out 0, and the ego's brake, pressed ever so little, cuts the throttle: an agent
-/// without free travel could never drive off. Below this the foot is off the brake.
+/// A sigmoid never gives 0, and the ego's brake cuts the throttle at the slightest pressure: an agent
+/// without free travel could never drive off. Below this value the brake is off.
 pub const BRAKE_FREE_TRAVEL: f32 = 0.1;
 
-/// The control that `action` means; numbers out of range are cut to it, and what is not a number is 0.
+/// The control of `action`; numbers out of range are clamped, and NaN counts as 0.
 pub fn to_control(action: Action) -> Control {
     let within = |i: usize| {
         let value = if action[i].is_nan() { 0.0 } else { action[i] };
@@ -29,15 +30,15 @@ pub fn to_control(action: Action) -> Control {
     Control { steer: within(0), throttle: within(1), brake: ((within(2) - free) / (1.0 - free)).max(0.0) }
 }
 
-/// The action that means `control`: the way back, for demonstrations.
+/// The action of `control`: the inverse of [`control`], for demonstrations.
 pub fn from_control(control: Control) -> Action {
     let brake = control.brake.clamp(0.0, 1.0) as f32;
     let brake = if brake > 0.0 { BRAKE_FREE_TRAVEL + (1.0 - BRAKE_FREE_TRAVEL) * brake } else { 0.0 };
     [control.steer.clamp(-1.0, 1.0) as f32, control.throttle.clamp(0.0, 1.0) as f32, brake]
 }
 
-/// What is shown of an expert's `action` at `speed` (m/s): at rest its wheels may point anywhere, so its
-/// steering counts from a walking pace on, and below it the less the slower.
+/// The part of an expert's `action` at `speed` (m/s) that is imitated: at rest the wheels may point anywhere,
+/// so steering counts fully from walking pace on, and less below it.
 pub fn shown(action: Action, speed: f64) -> Action {
     let [steer, throttle, brake] = action;
     [steer * (0.5 * speed).clamp(0.0, 1.0) as f32, throttle, brake]

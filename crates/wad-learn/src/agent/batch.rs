@@ -1,4 +1,4 @@
-//! What an update takes and gives: transitions on the device with scaled observations, and sums of figures.
+//! An update's input and output: transitions on the device with scaled observations, and metrics.
 
 use super::networks::Dims;
 use super::replay_buffer::Sampled;
@@ -12,6 +12,7 @@ use tch::{Device, Kind, Tensor, no_grad};
 pub struct Batch {
     /// [B, latent + raw]
     pub observation: Tensor,
+    /// The observation after the transition's last reward, [B, latent + raw].
     pub next_observation: Tensor,
     /// [B, A]
     pub action: Tensor,
@@ -19,10 +20,11 @@ pub struct Batch {
     pub reward: Tensor,
     /// gamma^n, or 0 where the episode terminated, [B].
     pub discount: Tensor,
-    /// 1 where an expert's action is known, [B], and that action, [B, A].
+    /// 1 where an expert's action is known, else 0, [B].
     pub is_shown: Tensor,
+    /// The expert's action, [B, A]; its values do not matter where `is_shown` is 0.
     pub shown: Tensor,
-    /// Standard normal, [B, A]: all the chance that an update takes.
+    /// Standard normal noise, [B, A]: the update's only randomness.
     pub noise: Tensor,
 }
 
@@ -37,12 +39,14 @@ pub struct Batches {
 }
 
 impl Batches {
-    /// Takes what the replay buffer sampled to `device`, and scales the observations.
+    /// Moves a sample of the replay buffer to `device`, and scales the observations.
     ///
     /// # Panics
     /// `sampled` is not of `dims`.
     pub fn upload(sampled: &Sampled, dims: Dims, scale: &Scale, device: Device) -> Self {
         let (k, b) = (sampled.batches as i64, sampled.size as i64);
+        // SAFETY: `f16` is two bytes without padding and any byte is valid as `u8`, so the slice covers
+        // exactly the memory of `latents`, which outlives it.
         let bytes = unsafe {
             std::slice::from_raw_parts(sampled.latents.as_ptr().cast::<u8>(), 2 * sampled.latents.len())
         };
@@ -54,8 +58,9 @@ impl Batches {
         Self { observations, rest, actions: dims.actions }
     }
 
-    /// Adds to each latent, now and next alike, a share of the difference between two others of its batch, drawn
-    /// with `rng` evenly from 0 to `most` per transition: what is learned then rests less on how a day looks.
+    /// Adds to each latent, now and next, a share of the difference between two others of its batch, drawn
+    /// with `rng` uniformly from 0 to `most` per transition, so that the agent relies less on the look of a
+    /// day.
     pub fn mix_latents(&self, dims: Dims, most: f64, rng: &mut impl Rng) {
         no_grad(|| {
             let mut latents = self.observations.narrow(3, 0, dims.latent);
@@ -86,34 +91,39 @@ impl Batches {
     }
 }
 
-/// Which inputs an agent sees; what it does not see is 0. For ablations.
+/// The inputs of an agent; all others are 0. For ablations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Inputs {
+    /// Latent and raw vector.
     #[default]
     Both,
+    /// The latent only.
     Latent,
+    /// The raw vector only.
     Raw,
 }
 
-/// What makes of an observation about -1 to 1: x' = (x - offset) factor. Measured once, on the first
+/// Scales an observation to about -1 to 1: x' = (x - offset) factor. Measured once, on the first
 /// experience, and part of the actor from then on.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct InputScale {
+    /// Subtracted from each number of an observation.
     pub offset: Vec<f32>,
+    /// Multiplied with each number afterwards.
     pub factor: Vec<f32>,
 }
 
 impl InputScale {
-    /// Leaves observations as they are.
+    /// The identity.
     pub fn identity(dims: Dims) -> Self {
         let n = dims.observation() as usize;
         Self { offset: vec![0.0; n], factor: vec![1.0; n] }
     }
 
     /// From means and standard deviations of the latent; the raw vector is scaled by definition. Numbers
-    /// that hardly vary are not blown up: the smallest deviation taken is a tenth of the mean one. `gain` is the deviation
-    /// that the latent is given.
+    /// that hardly vary are not amplified: the smallest deviation used is a tenth of the mean one. `gain` is
+    /// the deviation of the scaled latent.
     pub fn measured(mean: &[f32], deviation: &[f32], dims: Dims, inputs: Inputs, gain: f64) -> Self {
         let (latent, n) = (dims.latent as usize, dims.observation() as usize);
         let floor = 0.1 * deviation[..latent].iter().sum::<f32>() / (latent as f32).max(1.0);
@@ -153,7 +163,7 @@ impl Scale {
     }
 }
 
-/// Sums of figures, kept on the device until someone reads them.
+/// Sums of metrics, kept on the device until they are read.
 #[derive(Debug, Default)]
 pub struct Metrics {
     sums: BTreeMap<&'static str, (Tensor, u32)>,

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use sumo_network::seeds::normal;
 use wad_see::observation::{LEAD_NEARNESS, LIGHT_NEARNESS, RawState, nearness};
 
-/// How actions are disturbed while experience is collected.
+/// Noise on the actions during training.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ExplorationParams {
@@ -19,17 +19,18 @@ pub struct ExplorationParams {
     pub exploration_noise: [f64; ACTION_SIZE],
     /// rho of the noise: 0 white, towards 1 slower. 0.8 lasts about five ticks, 0.8 s.
     pub correlation: f64,
-    /// Each episode draws its own share of the noise, uniform from 0 to 1; this part of the episodes
-    /// is driven without any.
+    /// Each episode draws its own share of the noise, uniformly from 0 to 1; this share of the episodes
+    /// is driven without noise.
     pub quiet_episodes: f64,
-    /// Chance, by tick, that a demonstrating foot slips onto the throttle for about a second while it comes
-    /// close to a stop line or a vehicle (standing there: less often). Else nobody is ever shown how to
-    /// stop in time there.
+    /// Chance per tick that the demonstrating autopilot's throttle slips for about a second close to a stop
+    /// line or a vehicle (less often while it stands there). Without slips, demonstrations never show how
+    /// to stop there in time.
     #[serde(default)]
     pub lapses: f64,
-    /// Actions before learning starts: means of steering, throttle and brake, and standard deviations.
-    /// The foot is off the brake most of the time, and now and then on it for a second.
+    /// Actions before learning starts: means of steering, throttle and brake.
+    /// The brake is off most of the time, and now and then on for a second.
     pub start_mean: [f64; ACTION_SIZE],
+    /// Standard deviations of the actions before learning starts.
     pub start_deviation: [f64; ACTION_SIZE],
 }
 
@@ -48,7 +49,8 @@ impl Default for ExplorationParams {
 
 /// From this distance on lapses happen (m).
 const NEAR: f64 = 6.0;
-/// Behind a vehicle lapses happen from here on, this much less often: who follows is near all the time.
+/// Behind a vehicle lapses happen from this distance on (m), and this much less often: a follower is always
+/// near.
 const NEAR_VEHICLE: f64 = 15.0;
 const FOLLOWING: f64 = 0.3;
 
@@ -60,7 +62,7 @@ pub struct Exploration {
     share: f64,
     /// Standard normal, correlated over time.
     state: [f64; ACTION_SIZE],
-    /// Ticks that the foot is on the throttle yet, and how far down.
+    /// Remaining ticks of a lapse, and its throttle.
     lapse: (u32, f32),
 }
 
@@ -71,7 +73,7 @@ impl Exploration {
         Self { params, share, state: std::array::from_fn(|_| normal(rng)), lapse: (0, 0.0) }
     }
 
-    /// Moves the noise on by a tick; standard normal numbers, for actors that draw from them.
+    /// Advances the noise by a tick; returns standard normal numbers, for actors that sample with them.
     pub fn advance(&mut self, rng: &mut impl Rng) -> [f32; ACTION_SIZE] {
         let rho = self.params.correlation;
         for n in &mut self.state {
@@ -88,8 +90,8 @@ impl Exploration {
         })
     }
 
-    /// A demonstrator's `action` with this tick's noise, and with lapses where `raw` (the observation's) says
-    /// that it has to stop.
+    /// A demonstrator's `action` with this tick's noise, and with lapses where `raw` (of the observation)
+    /// says that it has to stop.
     pub fn slip(&mut self, action: Action, raw: &[f32], rng: &mut impl Rng) -> Action {
         let [steer, throttle, brake] = self.disturb(action);
         if self.lapse.0 > 0 {

@@ -1,4 +1,4 @@
-//! Another process as an agent, over a pipe: a model in any language is judged without linking anything.
+//! An external process as an agent, over a pipe: a model in any language can be evaluated without linking.
 //!
 //! Lines of JSON, one object each (docs/evaluate.md):
 //!
@@ -8,8 +8,8 @@
 //!    `tick` 0 begins an episode. `raw` and `state` are [`RawState`]'s numbers, scaled and in units.
 //! 3. It answers each with `{"throttle": 0..1, "steer": -1..1, "brake": 0..1}` within the time limit.
 //!
-//! At the end its standard input is closed, and it is killed. One that dies, hangs or answers nonsense
-//! costs the episode; a new one is started for the next.
+//! At the end its standard input is closed, and it is killed. If it dies, hangs or gives an invalid
+//! answer, the episode fails, and a new process is started for the next one.
 
 use super::{Agent, AgentError, Seen};
 use serde::{Deserialize, Serialize};
@@ -24,12 +24,12 @@ use wad_camera::Picture;
 use wad_see::observation::{Observation, RawState};
 use wad_vehicle::Control;
 
-/// How long an external agent may take.
+/// Time limits of an external agent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
-    /// From its start to its first line. Default 60 s: importing a deep-learning library takes time.
+    /// From the start to the first line. Default 60 s: importing a deep-learning library takes time.
     pub start: Duration,
-    /// For an answer. Default 10 s.
+    /// For each answer. Default 10 s.
     pub answer: Duration,
 }
 
@@ -39,7 +39,7 @@ impl Default for Limits {
     }
 }
 
-/// An agent behind a pipe.
+/// An agent in another process.
 pub struct ExternalAgent {
     name: String,
     command: String,
@@ -50,9 +50,9 @@ pub struct ExternalAgent {
     seed: u64,
 }
 
-/// Lines of its standard error that an error quotes.
+/// Lines of its standard error that an error message quotes.
 const TAIL: usize = 3;
-/// A line longer than this is no answer (bytes).
+/// Longest answer (bytes).
 const LONGEST_LINE: u64 = 1 << 16;
 
 #[derive(Default, Deserialize)]
@@ -82,7 +82,7 @@ struct Answer {
 }
 
 impl ExternalAgent {
-    /// The agent that the shell command `command` starts. It is started with the first episode.
+    /// The agent of the shell command `command`. The process starts with the first episode.
     pub fn new(command: &str, limits: Limits) -> Self {
         Self {
             name: format!("exec:{command}"),
@@ -102,7 +102,7 @@ impl ExternalAgent {
         };
         if let Ok(line) = process.lines.try_recv() {
             return Err(match line {
-                Some(line) => format!("it spoke unasked: {}", shortened(&line)),
+                Some(line) => format!("it wrote a line without a request: {}", shortened(&line)),
                 None => process.died(),
             });
         }
@@ -124,7 +124,7 @@ impl ExternalAgent {
         };
         let mut line = serde_json::to_vec(&question).map_err(|e| e.to_string())?;
         line.push(b'\n');
-        // The writer goes only when the pipe is broken; the reader then says why.
+        // The writer ends only if the pipe is broken; the reader then reports why.
         let _ = process.questions.send(line);
         self.tick += 1;
         let answer = process.line(self.limits.answer)?;
@@ -181,7 +181,7 @@ impl ExternalAgent {
     }
 }
 
-/// The process, with a thread for each of its pipes, so that one that neither reads nor writes blocks nobody.
+/// The process, with a thread for each of its pipes, so that a hung process does not block us.
 struct Process {
     child: Child,
     wants_image: bool,
@@ -198,7 +198,7 @@ impl Process {
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
-            // A group of its own: what it starts ends with it, and Ctrl-C is ours.
+            // A process group of its own: its children end with it, and Ctrl-C comes to us only.
             .process_group(0)
             .spawn()
             .map_err(|e| format!("it cannot be started: {e}"))?;
@@ -258,13 +258,13 @@ impl Process {
         }
     }
 
-    /// What became of it, once its output has ended.
+    /// How the process ended, once its output has ended.
     fn died(&mut self) -> String {
         let until = Instant::now() + Duration::from_millis(500);
         loop {
             match self.child.try_wait() {
                 Ok(Some(status)) => {
-                    // What it said last may still be on its way.
+                    // Its last lines may not have been read yet.
                     std::thread::sleep(Duration::from_millis(50));
                     return format!("it died ({status}){}", self.said());
                 }
@@ -288,7 +288,7 @@ impl Drop for Process {
             // its number is still ours until then.
             unsafe { libc::kill(-pid, libc::SIGKILL) };
         }
-        // It is gone already, or will be.
+        // An error means that it has ended already.
         let _ = self.child.wait();
     }
 }

@@ -1,24 +1,25 @@
-//! Imitation beside reinforcement: beyond the paper, and off unless it is asked for.
+//! Imitation beside reinforcement: beyond the paper, off by default.
 //!
-//! The actor's loss gets a second term that pulls its action towards the one that the autopilot would have
-//! chosen in the same place (TD3+BC, Fujimoto and Gu 2021). The place need not be the autopilot's own:
-//! where the agent or noise drives, the autopilot is asked all the same (DAgger, Ross et al. 2011), so
-//! that ways back to the lane's middle are shown too.
+//! The actor's loss gets a second term that pulls its action towards the autopilot's action in the same
+//! situation (TD3+BC, Fujimoto and Gu 2021). The situation need not be the autopilot's own:
+//! while the agent or noise drives, the autopilot is queried too (DAgger, Ross et al. 2011), so
+//! that the data includes ways back to the lane's middle.
 
 use super::batch::Batch;
 use serde::{Deserialize, Serialize};
 use tch::{Kind, Tensor, no_grad};
 
-/// How much is imitated.
+/// The weight of imitation.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Imitation {
-    /// Weight beside a critic whose mean size counts as 1. 0: nothing is imitated.
+    /// Weight relative to the critic, whose mean size counts as 1. 0: no imitation.
     pub weight: f64,
-    /// Updates over which the weight falls in a straight line, and the share of it that stays.
+    /// Updates over which the weight falls linearly.
     pub updates: u64,
+    /// Share of the weight that remains after `updates` updates.
     pub floor: f64,
-    /// Imitate only where the critic prefers what was shown (Nair et al. 2018).
+    /// Imitate only where the critic prefers the expert's action (Nair et al. 2018).
     pub filter: bool,
 }
 
@@ -28,13 +29,14 @@ impl Default for Imitation {
     }
 }
 
-/// An error in steering counts as this many of the same share of a pedal's travel: at 10 m/s a hundredth
-/// of full lock is felt, and a tenth of a pedal is not.
+/// Weight of a steering error against the same share of a pedal's travel: at 10 m/s a hundredth
+/// of full lock matters, and a tenth of a pedal does not.
 pub const STEERING: f64 = 50.0;
 
-/// Where the autopilot brakes harder than it does at rest, the place counts this many times: it is one in
-/// seventy, and it is there that a collision is avoided.
+/// A sample in which the autopilot brakes harder than this (0..1) has more weight: it is one in
+/// seventy, and avoids a collision.
 pub const HARD_BRAKE: f64 = 0.45;
+/// Weight of those samples in the loss.
 pub const HARD_BRAKING: f64 = 5.0;
 
 impl Imitation {
@@ -45,8 +47,8 @@ impl Imitation {
     }
 
     /// -mean(value), with `value` [B] in units of the critic's mean size `size` [B], and `weight` times the
-    /// mean square distance of `action` [B, A] from what was shown, each number in units of `half` its
-    /// range. `shown_value` [B] is the critic's word on what was shown, for the filter.
+    /// mean square distance of `action` [B, A] from the shown action, each number in units of `half` its
+    /// range. `shown_value` [B] is the critic's value of the shown action, for the filter.
     pub fn loss(
         &self,
         weight: f64,
@@ -69,13 +71,13 @@ impl Imitation {
     }
 }
 
-/// Behaviour cloning's loss: the mean square distance of `action` [B, A] from what was shown, where
-/// something was, each number in units of `half` its range.
+/// Behaviour cloning's loss: the mean square distance of `action` [B, A] from the shown action, over samples
+/// that have one, each number in units of `half` its range.
 pub fn cloning_loss(batch: &Batch, action: &Tensor, half: &Tensor) -> Tensor {
     apart(batch, action, half, &batch.is_shown)
 }
 
-/// The mean over the rows of `mask` [B] that are 1, those of hard braking weighted.
+/// The mean over the rows of `mask` [B] that are 1, with more weight on hard braking.
 fn apart(batch: &Batch, action: &Tensor, half: &Tensor, mask: &Tensor) -> Tensor {
     let apart = ((action - &batch.shown) / half).square();
     let steering = apart.select(1, 0) * (STEERING - 1.0);

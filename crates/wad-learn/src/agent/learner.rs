@@ -1,4 +1,4 @@
-//! TD3 or SAC behind one face: batches in, an actor out, and a state that can be saved.
+//! TD3 or SAC behind one interface: batches in, an actor out, and a state that can be saved.
 
 use super::action::{ACTION_SIZE, Action};
 use super::batch::{Batch, InputScale, Metrics, Scale};
@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use tch::{Device, Tensor, no_grad};
 
-/// What learns, with its constants.
+/// The algorithm with its constants.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "algo", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Algorithm {
@@ -29,7 +29,7 @@ impl Algorithm {
         }
     }
 
-    /// What the paper calls the agent: `wad-t`, `wad-s`.
+    /// The agent's name in the paper: `wad-t`, `wad-s`.
     pub fn agent_name(&self) -> &'static str {
         match self {
             Self::Td3(_) => "wad-t",
@@ -44,15 +44,20 @@ impl Algorithm {
     "tensor `{name}`: expected {expected} numbers, found {found}; the file belongs to networks of another form"
 )]
 pub struct Misfit {
+    /// The tensor's name.
     pub name: String,
+    /// Numbers in this program's tensor.
     pub expected: i64,
+    /// What the saved state has.
     pub found: String,
 }
 
 /// TD3 or SAC.
 #[derive(Debug)]
 pub enum Learner {
+    /// WAD-T.
     Td3(Box<Td3>),
+    /// WAD-S.
     Sac(Box<Sac>),
 }
 
@@ -78,7 +83,7 @@ impl Learner {
         }
     }
 
-    /// One update. Every so often `metrics` hears of it.
+    /// One update. Every so often it adds to `metrics`.
     pub fn update(&mut self, batch: &Batch, metrics: &mut Metrics) {
         // Measured updates must meet those of the actor.
         let metrics = (self.updates() % MEASURE_EVERY == MEASURE_EVERY - 1).then_some(metrics);
@@ -88,7 +93,7 @@ impl Learner {
         }
     }
 
-    /// One step of behaviour cloning: the actor alone imitates; this counts as no update.
+    /// One step of behaviour cloning: trains only the actor; it does not count as an update.
     pub fn clone_expert(&mut self, batch: &Batch, learning_rate: f64) {
         match self {
             Self::Td3(td3) => td3.clone_expert(batch, learning_rate),
@@ -103,10 +108,10 @@ impl Learner {
         }
     }
 
-    /// Begins with an actor's parameters; whatever follows it follows from there.
+    /// Sets the actor's parameters, and those of its target network.
     ///
     /// # Errors
-    /// They are of another number.
+    /// The number of parameters differs.
     pub fn set_actor(&mut self, values: &[f32]) -> Result<(), Misfit> {
         match self {
             Self::Td3(td3) => {
@@ -122,7 +127,7 @@ impl Learner {
         self.actor_params().values()
     }
 
-    /// Every tensor of the state by name, flat, on its device; counters apart.
+    /// Every tensor of the state by name, flat, on its device; without counters.
     pub fn tensors(&mut self) -> Vec<(&'static str, &mut Tensor)> {
         match self {
             Self::Td3(td3) => vec![
@@ -168,7 +173,7 @@ impl Learner {
         }
     }
 
-    /// Goes on from a saved state.
+    /// Restores a saved state.
     ///
     /// # Errors
     /// A tensor or counter is missing, or has another size.
@@ -220,7 +225,7 @@ fn fill(params: &mut Params, values: &[f32]) -> Result<(), Misfit> {
     Ok(())
 }
 
-/// An actor on the CPU, for one thread: what collectors and trained agents act with.
+/// An actor on the CPU, for one thread, for collectors and trained agents.
 #[derive(Debug)]
 pub struct Actor {
     net: Net,
@@ -235,7 +240,7 @@ enum Net {
 }
 
 impl Actor {
-    /// An actor of the form that `algorithm` has, its parameters still to be [`Actor::set`].
+    /// An actor of `algorithm`'s form; set its parameters with [`Actor::set`].
     pub fn new(algorithm: &Algorithm, dims: Dims, scale: &InputScale) -> Self {
         wad_see::torch::one_thread();
         let mut rng = sumo_network::seeds::rng(0, "networks");
@@ -246,10 +251,10 @@ impl Actor {
         Self { net, scale: scale.tensors(Device::Cpu), dims }
     }
 
-    /// Takes over parameters.
+    /// Sets the parameters.
     ///
     /// # Errors
-    /// They are of another number.
+    /// The number of parameters differs.
     pub fn set(&mut self, values: &[f32]) -> Result<(), Misfit> {
         match &mut self.net {
             Net::T(actor) => fill(&mut actor.params, values),
@@ -257,12 +262,12 @@ impl Actor {
         }
     }
 
-    /// Takes over another scale of the inputs.
+    /// Sets the scale of the inputs.
     pub fn set_scale(&mut self, scale: &InputScale) {
         self.scale = scale.tensors(Device::Cpu);
     }
 
-    /// The action for `observation` (latent, then raw), without chance.
+    /// The deterministic action for `observation` (latent, then raw).
     ///
     /// # Panics
     /// The observation has another size than the network's.
@@ -270,7 +275,7 @@ impl Actor {
         self.run(observation, None)
     }
 
-    /// WAD-S draws its action with standard normal `noise`; WAD-T has no chance in it.
+    /// The action in training: WAD-S samples it with standard normal `noise`; WAD-T ignores `noise`.
     ///
     /// # Panics
     /// The observation has another size than the network's.
@@ -296,7 +301,7 @@ impl Actor {
         })
     }
 
-    /// Whether exploration comes from the policy's own chance (WAD-S) rather than from added noise.
+    /// Whether exploration comes from the stochastic policy (WAD-S) rather than from added noise.
     pub fn is_stochastic(&self) -> bool {
         matches!(self.net, Net::S(_))
     }

@@ -1,9 +1,9 @@
-//! Drive: agents that turn observations into controls (paper, section "Watch and Drive Agents").
+//! Agents: they turn observations into controls (paper, section "Watch and Drive Agents").
 //!
 //! | module | what it is |
 //! |---|---|
-//! | [`action`] | the three numbers of an action, and the [`Control`] they mean |
-//! | [`exploration`] | noise that explores a road at six decisions a second |
+//! | [`action`] | the three numbers of an action, and their [`Control`] |
+//! | [`exploration`] | noise for exploration at six decisions a second |
 //! | [`networks`] | WAD-T's and WAD-S' actors and critics |
 //! | [`td3`], [`sac`] | one learning step each, in the papers' order |
 //! | [`imitation`] | an expert's actions as a second teacher, beyond the paper |
@@ -39,16 +39,22 @@ use wad_camera::Frame;
 use wad_see::observation::{Observation, RawState};
 use wad_vehicle::Control;
 
-/// Why an agent has no answer.
+/// Why an agent gave no control.
 #[derive(Debug, thiserror::Error)]
 pub enum AgentError {
+    /// The agent failed.
     #[error("agent {name}: {why}")]
-    Failed { name: String, why: String },
+    Failed {
+        /// The agent's name.
+        name: String,
+        /// The cause.
+        why: String,
+    },
 }
 
 /// A learned (or external) driver.
 pub trait Agent: Send {
-    /// What it is called in tables and options, e.g. `wad-t`.
+    /// Its name in tables and options, e.g. `wad-t`.
     fn name(&self) -> &str;
 
     /// Begins an episode.
@@ -59,10 +65,10 @@ pub trait Agent: Send {
     /// The control for the next tick, without exploration.
     ///
     /// # Errors
-    /// The network or the process behind it fails.
+    /// The network or the external process fails.
     fn act(&mut self, observation: &Observation) -> Result<Control, AgentError>;
 
-    /// The same for an agent that wants more than the paper's observation. A trained one does not.
+    /// The same with more than the paper's observation, for external agents. Trained agents ignore the rest.
     ///
     /// # Errors
     /// As [`Agent::act`].
@@ -71,12 +77,13 @@ pub trait Agent: Send {
     }
 }
 
-/// An observation, and what it was made from.
+/// An observation, and its sources.
 #[derive(Clone, Copy, Debug)]
 pub struct Seen<'a> {
+    /// The paper's observation: latent and raw vector.
     pub observation: &'a Observation,
     /// The raw states by name, in units.
     pub raw: &'a RawState,
-    /// The front camera's picture; None where nothing is looked at.
+    /// The front camera's picture; None if the camera is off.
     pub frame: Option<&'a Frame>,
 }

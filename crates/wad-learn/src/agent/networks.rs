@@ -9,7 +9,7 @@
 //! WAD-S value   observation 215 - 256 - 128 - 64 - 1
 //! ```
 //!
-//! Everything between is ReLU. The paper does not tell the sizes of WAD-T's critics.
+//! All layers between are ReLU. The paper does not give the sizes of WAD-T's critics.
 //!
 //! Shapes: B is the batch. All of a network's parameters lie in one flat tensor ([`Params`]); a pair of
 //! critics is one network whose weights have a leading dimension of two.
@@ -18,12 +18,15 @@ use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 use tch::{Device, Kind, Tensor, no_grad};
 
-/// Sizes of what goes in and out.
+/// Sizes of inputs and outputs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Dims {
+    /// Numbers in the latent.
     pub latent: i64,
+    /// Numbers in the raw vector.
     pub raw: i64,
+    /// Numbers in an action.
     pub actions: i64,
 }
 
@@ -94,7 +97,7 @@ impl Params {
         self.flat.size()[0]
     }
 
-    /// Takes over other values of the same length.
+    /// Copies other values of the same length.
     pub fn set(&mut self, flat: &Tensor) {
         no_grad(|| self.flat.copy_(flat));
     }
@@ -130,13 +133,13 @@ impl Params {
         self.leaves[2 * layer + 1].baddbmm(x, &self.leaves[2 * layer], 1.0, 1.0)
     }
 
-    /// The same for the first of the pair alone: x [B, in] -> [B, out].
+    /// The same for the first of the pair only: x [B, in] -> [B, out].
     fn linear_first(&self, layer: usize, x: &Tensor) -> Tensor {
         self.leaves[2 * layer + 1].select(0, 0).addmm(x, &self.leaves[2 * layer].select(0, 0))
     }
 }
 
-/// Draws a network's first parameters, uniform in +-1 / sqrt(inputs) as torch does.
+/// Draws a network's initial parameters, uniform in +-1 / sqrt(inputs) as torch does.
 struct Draw<'a, R> {
     rng: &'a mut R,
     values: Vec<f32>,
@@ -159,7 +162,7 @@ impl<'a, R: Rng> Draw<'a, R> {
         }
     }
 
-    /// The last layer of an actor: small weights, and biases that say where it begins.
+    /// The last layer of an actor: small weights, and biases that set the initial action.
     fn last_layer(&mut self, inputs: i64, biases: &[f32]) {
         self.uniform(inputs as usize * biases.len(), LAST_LAYER);
         self.values.extend(biases);
@@ -185,18 +188,18 @@ impl<'a, R: Rng> Draw<'a, R> {
     }
 }
 
-/// Bound of the weights of an actor's last layer: it begins with the action that its biases say.
+/// Bound of the initial weights of an actor's last layer: small, so that its biases set the initial action.
 const LAST_LAYER: f32 = 3e-3;
 
-/// Where a driving actor begins, before the squashing: straight on, throttle sigmoid(-0.6) = 0.35, brake
-/// sigmoid(-3) = 0.05, less than the pedal's free travel. Halves stay halves: a new agent creeps forward.
+/// A driving actor's initial action, before the squashing: straight on, throttle sigmoid(-0.6) = 0.35, brake
+/// sigmoid(-3) = 0.05, less than the pedal's free travel: a new agent creeps forward.
 const START: [f32; 3] = [0.0, -0.6, -3.0];
 
 fn start(actions: i64) -> Vec<f32> {
     (0..actions as usize).map(|i| START.get(i).copied().unwrap_or(0.0)).collect()
 }
 
-/// Squashes the numbers before an actor's end, x [.., A]: the first with tanh to -1..1, the others with a
+/// Squashes an actor's last layer, x [.., A]: the first number with tanh to -1..1, the others with a
 /// sigmoid to 0..1. sigmoid(x) = (1 + tanh(x / 2)) / 2, so that one tanh does for all.
 #[derive(Debug)]
 struct Squash {
@@ -226,6 +229,7 @@ impl Squash {
 /// WAD-T's actor.
 #[derive(Debug)]
 pub struct ActorT {
+    /// All weights and biases.
     pub params: Params,
     dims: Dims,
     squash: Squash,
@@ -264,13 +268,18 @@ impl ActorT {
     }
 }
 
-/// What a critic's last number means.
+/// The meaning of a critic's output.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum CriticEnd {
     /// The paper's sigmoid: 0 is a return of `low`, 1 of `high` (in scaled rewards). Returns outside are
-    /// cut, which also bounds what overestimation can do.
-    Sigmoid { low: f64, high: f64 },
+    /// clamped, which also bounds overestimation.
+    Sigmoid {
+        /// The return at the sigmoid's 0 (scaled rewards).
+        low: f64,
+        /// The return at the sigmoid's 1 (scaled rewards).
+        high: f64,
+    },
     /// The return itself.
     Linear,
 }
@@ -278,6 +287,7 @@ pub enum CriticEnd {
 /// Two critics of one form: Q1 and Q2.
 #[derive(Debug)]
 pub struct Critics {
+    /// All weights and biases of both critics; leading dimension 2.
     pub params: Params,
     layers: usize,
 }
@@ -296,7 +306,7 @@ impl Critics {
         Self { params: self.params.copy(device), layers: self.layers }
     }
 
-    /// Both values [2, B], before the end's meaning.
+    /// Both outputs [2, B], before [`CriticEnd`].
     pub fn forward(&self, observation: &Tensor, action: &Tensor) -> Tensor {
         let x = Tensor::cat(&[observation, action], 1).unsqueeze(0);
         let size = x.size();
@@ -310,7 +320,7 @@ impl Critics {
         x.squeeze_dim(2)
     }
 
-    /// Q1 alone, [B]: what the actor climbs.
+    /// Q1 only, [B]: the actor's objective.
     pub fn first(&self, observation: &Tensor, action: &Tensor) -> Tensor {
         let mut x = Tensor::cat(&[observation, action], 1);
         for layer in 0..self.layers {
@@ -329,12 +339,13 @@ pub const HIDDEN_S: [i64; 3] = [256, 128, 64];
 /// Bounds of the logarithm of WAD-S' standard deviations; a tanh moves between them.
 const LOG_STD: [f64; 2] = [-5.0, 2.0];
 
-/// Where the log standard deviations begin, before their tanh: exp(-1.0), a third of the range.
+/// Initial log standard deviation, before its tanh: exp(-1.0), a third of the range.
 const START_LOG_STD: f32 = 0.145;
 
-/// WAD-S' policy: a gaussian, squashed.
+/// WAD-S' policy: a squashed Gaussian.
 #[derive(Debug)]
 pub struct PolicyS {
+    /// All weights and biases.
     pub params: Params,
     actions: i64,
     squash: Squash,
@@ -345,7 +356,7 @@ impl PolicyS {
     pub fn new(dims: Dims, rng: &mut impl Rng, device: Device) -> Self {
         let mut draw = Draw::new(rng);
         draw.chain(None, &[dims.observation(), HIDDEN_S[0], HIDDEN_S[1], HIDDEN_S[2]]);
-        // Pedals are tanh's here, rescaled: half of a sigmoid's argument.
+        // Pedals are rescaled tanhs here: half of a sigmoid's argument.
         let mut biases: Vec<f32> =
             start(dims.actions).iter().enumerate().map(|(i, b)| if i == 0 { *b } else { 0.5 * b }).collect();
         biases.resize(2 * dims.actions as usize, START_LOG_STD);
@@ -376,12 +387,12 @@ impl PolicyS {
         (mean, log_std * (0.5 * (high - low)) + 0.5 * (high + low))
     }
 
-    /// The action without chance, [B, A].
+    /// The deterministic action, [B, A].
     pub fn mean_action(&self, observation: &Tensor) -> Tensor {
         self.squash.rescale(&self.distribution(observation).0.tanh())
     }
 
-    /// The action that standard normal `noise` [B, A] draws.
+    /// The action sampled with standard normal `noise` [B, A].
     pub fn sample(&self, observation: &Tensor, noise: &Tensor) -> Tensor {
         let (mean, log_std) = self.distribution(observation);
         self.squash.rescale(&(mean + log_std.exp() * noise).tanh())
@@ -404,6 +415,7 @@ impl PolicyS {
 /// WAD-S' value network.
 #[derive(Debug)]
 pub struct Value {
+    /// All weights and biases.
     pub params: Params,
 }
 

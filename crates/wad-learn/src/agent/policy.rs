@@ -1,7 +1,7 @@
 //! A trained actor as a file, and as an [`Agent`].
 //!
 //! The file is a `.safetensors` with the parameters in half precision and, in its header, a
-//! [`PolicyCard`]: what the agent is, what it was trained on, and how well it drove. An actor belongs to
+//! [`PolicyCard`]: algorithm, training data and validation results. An actor belongs to
 //! one encoder and one camera, whose hashes it carries.
 
 use super::action::to_control;
@@ -21,27 +21,33 @@ use wad_see::observation::{self, Observation};
 use wad_sim::bundled;
 use wad_vehicle::Control;
 
-/// What is written with an actor.
+/// The header of an actor's file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PolicyCard {
+    /// Algorithm and its constants.
     pub algorithm: Algorithm,
+    /// Sizes of the networks' inputs and outputs.
     pub dims: Dims,
+    /// The part of the observation that the actor uses.
     pub inputs: Inputs,
-    /// Identify the encoder and the camera that the actor was trained behind.
+    /// Hash of the encoder that the actor was trained with.
     pub encoder_hash: String,
+    /// Hash of the camera's configuration ([`wad_camera::CameraConfig::hash`]).
     pub camera_hash: String,
-    /// What its raw states mean, [`observation::RAW_MEANING`] of its time.
+    /// Version of the raw states' meaning: [`observation::RAW_MEANING`] at its training.
     #[serde(default = "observation::first_meaning")]
     pub raw_meaning: u32,
     /// The detector that it was trained with.
     pub detector: String,
-    /// Environment steps and updates that made it.
+    /// Environment steps of its training.
     pub steps: u64,
+    /// Updates of the networks.
     pub updates: u64,
+    /// The training's seed.
     pub seed: u64,
     /// Demonstrations in its replay buffer (environment steps).
     pub demonstrations: u64,
-    /// How it drove on the validation seeds, and anything else that its trainer wants known.
+    /// Results on the validation seeds, and other notes of the trainer.
     pub scores: serde_json::Value,
     /// The whole training configuration.
     pub config: serde_json::Value,
@@ -50,28 +56,57 @@ pub struct PolicyCard {
 /// A trained actor.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Policy {
+    /// The header.
     pub card: PolicyCard,
+    /// Scale of the actor's inputs.
     pub scale: InputScale,
     /// The actor's parameters, rounded to half precision.
     pub values: Vec<f32>,
 }
 
-/// Why there is no policy.
+/// Why a policy cannot be read, written or used.
 #[derive(Debug, thiserror::Error)]
 pub enum PolicyError {
+    /// A file cannot be read or written.
     #[error("cannot {what} `{}`: {source}", path.display())]
-    File { what: &'static str, path: PathBuf, source: std::io::Error },
-    #[error("`{}` is no trained agent: {why}; expected a file that `train agent` wrote", path.display())]
-    Format { path: PathBuf, why: String },
+    File {
+        /// The action that failed.
+        what: &'static str,
+        /// The file or folder.
+        path: PathBuf,
+        /// The cause.
+        source: std::io::Error,
+    },
+    /// The file does not hold a trained agent.
+    #[error("`{}` is not a trained agent: {why}; expected a file that `train agent` wrote", path.display())]
+    Format {
+        /// The file or folder.
+        path: PathBuf,
+        /// The cause.
+        why: String,
+    },
+    /// The agent was trained with another encoder, camera or meaning of the raw states.
     #[error(
-        "the agent `{}` was trained behind the {what} {expected}, and this one is {found}; \
-         use the {what} that it was trained with, or train it anew", path.display()
+        "the agent `{}` was trained with the {what} {expected}, and this one is {found}; \
+         use the agent's {what}, or train the agent again", path.display()
     )]
-    Other { path: PathBuf, what: &'static str, expected: String, found: String },
+    Other {
+        /// The file or folder.
+        path: PathBuf,
+        /// What differs.
+        what: &'static str,
+        /// The hash or meaning that the agent was trained with.
+        expected: String,
+        /// This program's.
+        found: String,
+    },
+    /// No bundled agent has this name, and no file this path.
     #[error("no agent is called `{0}`: expected autopilot, wad-t, wad-s or a file that `train agent` wrote")]
     Unknown(String),
-    #[error("this build comes without the trained agent `{0}`; train one, and name its file")]
+    /// This build does not include the agent of this name.
+    #[error("this build does not include the trained agent `{0}`; train one, and give its file")]
     NotShipped(String),
+    /// The agent's encoder cannot be opened.
     #[error("the agent's encoder: {0}")]
     Encoder(#[from] LatentError),
 }
@@ -86,7 +121,7 @@ impl Policy {
         Self { card, scale, values }
     }
 
-    /// Writes the file; a reader never sees half of it.
+    /// Writes the file atomically.
     ///
     /// # Errors
     /// It cannot be written.
@@ -119,7 +154,7 @@ impl Policy {
     /// Reads a file.
     ///
     /// # Errors
-    /// It cannot be read, or holds no policy, or parameters of another form.
+    /// It cannot be read, is not a policy's file, or has parameters of another form.
     pub fn load(path: &Path) -> Result<Self, PolicyError> {
         let bytes = std::fs::read(path).map_err(|source| PolicyError::File {
             what: "read",
@@ -129,11 +164,11 @@ impl Policy {
         Self::parse(&bytes).map_err(|why| PolicyError::Format { path: path.to_path_buf(), why })
     }
 
-    /// The policy that `name` means: a file, or `wad-t` or `wad-s`, which travel with the binary. And what
-    /// to call its place in messages.
+    /// The policy called `name`: a file, or the bundled `wad-t` or `wad-s`. Also returns the name of its
+    /// place, for messages.
     ///
     /// # Errors
-    /// There is none, or it is none.
+    /// There is no such policy, or the file is not one.
     pub fn find(name: &str) -> Result<(Self, PathBuf), PolicyError> {
         let path = Path::new(name);
         if path.is_file() {
@@ -204,14 +239,14 @@ impl Policy {
         Ok(actor)
     }
 
-    /// The name of the encoder that it was trained behind: the bundled one with those weights, or what its
-    /// training called it.
+    /// The name of the encoder that it was trained with: the bundled one with those weights, or the name in
+    /// its training's configuration.
     pub fn encoder(&self) -> String {
         let called = || self.card.config.get("encoder")?.as_str().map(str::to_string);
         TchEncoder::bundled_with(&self.card.encoder_hash).or_else(called).unwrap_or_else(|| "default".into())
     }
 
-    /// Refuses another encoder or camera than the agent was trained behind, and raw states of another meaning.
+    /// Refuses another encoder or camera than the agent was trained with, and raw states of another meaning.
     ///
     /// # Errors
     /// They differ.
@@ -282,10 +317,10 @@ impl Agent for PolicyAgent {
     }
 }
 
-/// The encoder called `name`: a file, a folder, a bundled one's name, or `pooled`, which is untrained.
+/// The encoder called `name`: a file, a folder, a bundled encoder's name, or `pooled` (untrained).
 ///
 /// # Errors
-/// There is none, or it does not fit this program.
+/// There is no such encoder, or it does not fit this program.
 pub fn find_encoder(name: &str) -> Result<Box<dyn Encoder>, LatentError> {
     Ok(match name {
         "pooled" => Box::new(PooledEncoder),
@@ -293,24 +328,24 @@ pub fn find_encoder(name: &str) -> Result<Box<dyn Encoder>, LatentError> {
     })
 }
 
-/// What the agent `name` sees through: the name of its encoder. None where it is none of ours.
+/// The name of the encoder of agent `name`; None if it is not a trained agent of this program.
 pub fn encoder_of(name: &str) -> Option<String> {
     Policy::find(name).ok().map(|(policy, _)| policy.encoder())
 }
 
-/// A trained agent, and the encoder that it sees through.
+/// A trained agent and its encoder.
 pub type Opened = (Box<dyn Agent>, Box<dyn Encoder>);
 
-/// The trained agent that `name` means ([`Policy::find`]), and the encoder that it sees through:
+/// The trained agent called `name` ([`Policy::find`]) and its encoder:
 /// `encoder`, or the one that it was trained with.
 ///
 /// # Errors
-/// There is no such agent or encoder, or they do not belong together or to this camera.
+/// The agent or encoder does not exist, or they do not fit together or this camera.
 pub fn open(name: &str, encoder: Option<&str>, camera: &CameraConfig) -> Result<Opened, PolicyError> {
     let (policy, path) = Policy::find(name)?;
     let encoder = match encoder {
         Some(encoder) => find_encoder(encoder)?,
-        // The file that it was trained with may be elsewhere by now: what counts is the hash.
+        // The encoder's file may have moved since: the hash decides.
         None => find_encoder(&policy.encoder()).or_else(|_| find_encoder("default"))?,
     };
     policy.check(&path, encoder.hash(), &camera.hash())?;
@@ -400,7 +435,7 @@ mod tests {
         for keep in [0, 5, 200, bytes.len() / 2, bytes.len() - 1] {
             std::fs::write(&path, &bytes[..keep]).unwrap();
             let error = Policy::load(&path).unwrap_err().to_string();
-            assert!(error.contains("is no trained agent"), "{error}");
+            assert!(error.contains("is not a trained agent"), "{error}");
         }
         assert!(Policy::load(&folder.path().join("none")).is_err());
     }

@@ -24,13 +24,15 @@ use rand::{Rng, RngExt};
 pub struct Segment {
     /// Latent and raw vector of each observation: one more than there are transitions.
     pub observations: Vec<Vec<f32>>,
+    /// The action of each transition.
     pub actions: Vec<Action>,
+    /// The reward of each transition, not scaled.
     pub rewards: Vec<f32>,
-    /// The last transition ended the task for good: nothing is worth anything after it.
+    /// The last transition ended the task: the value of the next state is 0.
     pub terminated: bool,
-    /// The last transition was cut off by the clock: what comes after it is worth what it is worth.
+    /// The clock ended the episode: the last transition still bootstraps.
     pub truncated: bool,
-    /// What an expert would have done in place of each action; None or missing: nobody was asked.
+    /// The expert's action in place of each action; None or missing: the expert was not asked.
     pub shown: Vec<Option<Action>>,
 }
 
@@ -43,24 +45,38 @@ impl Segment {
         self.actions.len()
     }
 
-    /// Whether there is no transition.
+    /// Whether it has no transitions.
     pub fn is_empty(&self) -> bool {
         self.actions.is_empty()
     }
 }
 
-/// Why there is no buffer.
+/// Why the buffer cannot be made.
 #[derive(Debug, thiserror::Error)]
 pub enum BufferError {
+    /// The buffer does not fit into the memory.
     #[error(
         "a replay buffer of {transitions} transitions takes {needed_mb} MB, and {available_mb} MB of memory are free; \
          make it smaller with --buffer"
     )]
-    Memory { transitions: usize, needed_mb: u64, available_mb: u64 },
+    Memory {
+        /// The wanted size (transitions).
+        transitions: usize,
+        /// Memory that it needs (MB).
+        needed_mb: u64,
+        /// Free memory (MB).
+        available_mb: u64,
+    },
+    /// The buffer is too small to learn from.
     #[error(
         "a replay buffer needs at least {least} transitions, found {found}; make it larger with --buffer"
     )]
-    TooSmall { found: usize, least: usize },
+    TooSmall {
+        /// The wanted size (transitions).
+        found: usize,
+        /// The smallest size (transitions).
+        least: usize,
+    },
 }
 
 /// What an entry is.
@@ -73,20 +89,23 @@ pub(crate) mod flag {
     pub const SHOWN: u8 = 8;
 }
 
-/// How batches are drawn.
+/// How batches are sampled.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sampling {
     /// Transitions per batch.
     pub batch_size: usize,
-    /// Rewards that are summed before the critic's word is taken.
+    /// Rewards summed before the critic's estimate is used (n-step return).
     pub n_step: usize,
+    /// Discount per tick.
     pub gamma: f64,
+    /// Factor on the rewards.
     pub reward_scale: f64,
 }
 
-/// Batches as they come from the buffer.
+/// A sample of the buffer.
 #[derive(Clone, Debug, Default)]
 pub struct Sampled {
+    /// Number of batches, K.
     pub batches: usize,
     /// B
     pub size: usize,
@@ -117,11 +136,11 @@ pub struct ReplayBuffer {
 const LEAST: usize = 1024;
 
 impl ReplayBuffer {
-    /// An empty buffer for `transitions` transitions. Memory is taken as it fills, but whether it will
-    /// fit is asked now.
+    /// An empty buffer for `transitions` transitions. Memory is allocated as it fills, but whether it will
+    /// fit is checked now.
     ///
     /// # Errors
-    /// It would not fit in memory, or is too small to learn from.
+    /// It would not fit into memory, or is too small to learn from.
     pub fn new(dims: Dims, transitions: usize) -> Result<Self, BufferError> {
         if transitions < LEAST {
             return Err(BufferError::TooSmall { found: transitions, least: LEAST });
@@ -161,22 +180,22 @@ impl ReplayBuffer {
         (2 * dims.latent + 4 * (dims.raw + 2 * dims.actions + 1) + 1) as u64
     }
 
-    /// Entries that there is room for.
+    /// Capacity (entries).
     pub fn capacity(&self) -> usize {
         self.capacity
     }
 
-    /// Entries that are held, ends of segments included.
+    /// Number of entries, including ends of segments.
     pub fn len(&self) -> usize {
         self.written.min(self.capacity as u64) as usize
     }
 
-    /// Whether nothing is held.
+    /// Whether it is empty.
     pub fn is_empty(&self) -> bool {
         self.written == 0
     }
 
-    /// Adds a segment; the oldest entries make room.
+    /// Adds a segment; it replaces the oldest entries of a full buffer.
     ///
     /// # Panics
     /// The segment's parts do not fit together.
@@ -255,8 +274,8 @@ impl ReplayBuffer {
         }
     }
 
-    /// The discounted sum of the next rewards, the discount of what follows (0 after a termination), and
-    /// the entry where it follows.
+    /// The discounted sum of the next rewards, the discount of the next value (0 after a termination), and
+    /// the entry of that value.
     fn ahead(&self, from: usize, sampling: Sampling) -> (f64, f64, usize) {
         let (mut sum, mut discount, mut at) = (0.0, 1.0, from);
         for _ in 0..sampling.n_step.max(1) {
@@ -274,7 +293,7 @@ impl ReplayBuffer {
         (sum, discount, at)
     }
 
-    /// Mean and standard deviation of each number of the observations held, over at most `samples` of
+    /// Mean and standard deviation of each number of the stored observations, over at most `samples` of
     /// them, evenly spread.
     pub fn moments(&self, samples: usize) -> (Vec<f32>, Vec<f32>) {
         let (latent, raw) = (self.dims.latent as usize, self.dims.raw as usize);
@@ -303,7 +322,7 @@ fn entries(transitions: usize) -> usize {
     transitions + transitions.div_ceil(SEGMENT)
 }
 
-/// Memory that this process may still take (bytes); None where the system does not say.
+/// Free memory for this process (bytes); None if the system does not report it.
 pub fn available_memory() -> Option<u64> {
     let info = std::fs::read_to_string("/proc/meminfo").ok()?;
     let line = info.lines().find(|line| line.starts_with("MemAvailable:"))?;

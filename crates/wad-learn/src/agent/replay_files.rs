@@ -1,6 +1,6 @@
-//! The replay buffer on disk: in chunks, of which a checkpoint writes only those that changed.
+//! The replay buffer on disk, in chunks; a checkpoint writes only the changed ones.
 //!
-//! A chunk's file is named by its place and by how much had been written when it was last touched
+//! A chunk's file name has its place and the buffer's count of entries at its last change
 //! (`chunk-3-40960.bin`), and never changes once it is there: checkpoints share files.
 
 use super::replay_buffer::ReplayBuffer;
@@ -13,20 +13,25 @@ use std::path::Path;
 /// Entries per chunk.
 const CHUNK: usize = 8192;
 
-/// What of a buffer is where.
+/// The files of a buffer.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ReplayManifest {
-    /// Entries ever written, and room in the ring.
+    /// Entries ever written.
     pub written: u64,
+    /// Entries that fit into the ring.
     pub capacity: usize,
+    /// The files, one per chunk.
     pub chunks: Vec<ChunkFile>,
 }
 
 /// One chunk's file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ChunkFile {
+    /// The file's name.
     pub file: String,
+    /// The file's length (bytes).
     pub bytes: u64,
+    /// CRC-32 of the file.
     pub crc: u32,
 }
 
@@ -156,7 +161,7 @@ impl ReplayBuffer {
     }
 }
 
-/// Removes the chunks in `folder` that none of the manifests names.
+/// Removes the chunks in `folder` that no manifest lists.
 ///
 /// # Errors
 /// The folder cannot be read, or a file not removed.

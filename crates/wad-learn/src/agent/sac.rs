@@ -15,17 +15,17 @@ use tch::{Device, Kind, Tensor, no_grad};
 pub struct SacParams {
     /// Discount per tick.
     pub gamma: f64,
-    /// Share of the value network that its target takes over per update.
+    /// Polyak factor of the value network's target.
     pub tau: f64,
-    /// Adam's step for all networks (paper: 3e-4).
+    /// Adam's learning rate for all networks (paper: 3e-4).
     pub learning_rate: f64,
-    /// Temperature: what a nat of entropy is worth in scaled reward. With `autotune` where it begins.
+    /// Temperature: scaled reward per nat of entropy. With `autotune` its initial value.
     pub alpha: f64,
-    /// Let the temperature keep the entropy at `target_entropy` (Haarnoja et al. 2019).
+    /// Adjust the temperature to keep the entropy at `target_entropy` (Haarnoja et al. 2019).
     pub autotune: bool,
-    /// Nats, over actions in -1..1; None: minus the number of actions.
+    /// Target entropy (nats), over actions in -1..1; None: minus the number of actions.
     pub target_entropy: Option<f64>,
-    /// Beyond the paper.
+    /// Imitation, beyond the paper.
     pub imitation: Imitation,
 }
 
@@ -46,16 +46,25 @@ impl Default for SacParams {
 /// Policy, critics, value network with its target, and optimisers.
 #[derive(Debug)]
 pub struct Sac {
+    /// The constants.
     pub params: SacParams,
+    /// pi.
     pub policy: PolicyS,
+    /// Q1 and Q2.
     pub critics: Critics,
+    /// V.
     pub value: Value,
+    /// V', the slow copy of V in the critics' target.
     pub value_target: Value,
+    /// The policy's optimiser.
     pub policy_adam: Adam,
+    /// The critics' optimiser.
     pub critics_adam: Adam,
+    /// The value network's optimiser.
     pub value_adam: Adam,
     /// Logarithm of the temperature, [1].
     pub log_alpha: Tensor,
+    /// The optimiser of the temperature.
     pub alpha_adam: Adam,
     /// Updates so far.
     pub updates: u64,
@@ -92,7 +101,7 @@ impl Sac {
         }
     }
 
-    /// One step of behaviour cloning: the policy alone. The drawn action is pulled, not the mean.
+    /// One step of behaviour cloning: the policy only. The loss uses the sampled action, not the mean.
     pub fn clone_expert(&mut self, batch: &Batch, learning_rate: f64) {
         let (action, _) = self.policy.sample_with_log_prob(&batch.observation, &batch.noise);
         let gradient = self.policy.params.gradient(&cloning_loss(batch, &action, &self.half));
@@ -114,7 +123,7 @@ impl Sac {
         let q_error = (&q - &y).square().mean_dim([1i64].as_slice(), false, Kind::Float);
         let q_gradient = self.critics.params.gradient(&(q_error.sum(Kind::Float) * 0.5));
 
-        // pi: alpha log pi(a|s) - min Q(s, a), with a drawn anew
+        // pi: alpha log pi(a|s) - min Q(s, a), with a new sample a
         let (action, log_prob) = self.policy.sample_with_log_prob(&batch.observation, &batch.noise);
         let q_new = self.critics.forward(&batch.observation, &action).amin([0i64].as_slice(), false);
         let weight = self.params.imitation.at(self.updates);

@@ -12,22 +12,25 @@ use tch::{Device, Kind, Tensor, no_grad};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Td3Params {
-    /// Discount per tick: 0.99 looks 100 ticks, 17 s, ahead.
+    /// Discount per tick: 0.99 has a horizon of 100 ticks, 17 s.
     pub gamma: f64,
-    /// Share of the networks that their targets take over per update.
+    /// Polyak factor of the target networks.
     pub tau: f64,
-    /// Adam's steps (paper: 3e-4 and 3e-3).
+    /// Adam's learning rate for the actor (paper: 3e-4).
     pub actor_learning_rate: f64,
+    /// Adam's learning rate for the critics (paper: 3e-3).
     pub critic_learning_rate: f64,
-    /// Noise on the target's action and its bound, in units of half an action's range.
+    /// Noise on the target's action, in units of half an action's range.
     pub policy_noise: f64,
+    /// Bound of that noise, in the same units.
     pub noise_clip: f64,
     /// Critic updates per actor update.
     pub policy_frequency: u64,
     /// Hidden layers of the critics.
     pub critic_hidden: Vec<i64>,
+    /// The critics' last layer.
     pub critic_end: CriticEnd,
-    /// Beyond the paper.
+    /// Imitation, beyond the paper.
     pub imitation: Imitation,
 }
 
@@ -51,12 +54,19 @@ impl Default for Td3Params {
 /// Actor, critics, their targets and optimisers.
 #[derive(Debug)]
 pub struct Td3 {
+    /// The constants.
     pub params: Td3Params,
+    /// pi.
     pub actor: ActorT,
+    /// pi', the slow copy of pi in the critics' target.
     pub actor_target: ActorT,
+    /// Q1 and Q2.
     pub critics: Critics,
+    /// Q1' and Q2', the slow copies in the critics' target.
     pub critics_target: Critics,
+    /// The actor's optimiser.
     pub actor_adam: Adam,
+    /// The critics' optimiser.
     pub critics_adam: Adam,
     /// Updates so far.
     pub updates: u64,
@@ -118,7 +128,7 @@ impl Td3 {
         }
     }
 
-    /// One step of behaviour cloning: the actor alone, its target with it.
+    /// One step of behaviour cloning: the actor and its target only.
     pub fn clone_expert(&mut self, batch: &Batch, learning_rate: f64) {
         let loss = cloning_loss(batch, &self.actor.forward(&batch.observation), &self.half);
         let gradient = self.actor.params.gradient(&loss);
@@ -147,7 +157,7 @@ impl Td3 {
         })
     }
 
-    /// -mean Q1(s, pi(s)), and imitation where it was asked for.
+    /// -mean Q1(s, pi(s)), plus imitation if it is on.
     fn actor_loss(&self, batch: &Batch) -> Tensor {
         let p = &self.params;
         let action = self.actor.forward(&batch.observation);
@@ -168,7 +178,7 @@ impl Td3 {
         }
     }
 
-    /// What the critics' output means as a return.
+    /// The critics' output as a return.
     fn meaning(&self, q: &Tensor) -> Tensor {
         match self.params.critic_end {
             CriticEnd::Linear => q.shallow_clone(),

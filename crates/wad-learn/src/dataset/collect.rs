@@ -21,27 +21,37 @@ use wad_sim::bundled;
 use wad_sim::cores::Cores;
 use wad_sim::traffic::TrafficSpec;
 
-/// How far it is.
+/// The progress of collecting.
 #[derive(Clone, Copy, Debug)]
 pub struct Progress {
-    /// Frames on disk or under way, those of earlier calls too.
+    /// Frames on disk or in work, including earlier calls.
     pub frames: usize,
+    /// Frames to collect in total.
     pub wanted: usize,
 }
 
-/// What was collected.
+/// The result of collecting.
 #[derive(Clone, Debug, Serialize)]
 pub struct Collected {
+    /// The dataset's folder.
     pub out: PathBuf,
+    /// The town's name.
     pub town: String,
+    /// Frames in complete shards.
     pub frames: usize,
-    /// Those that were there before.
+    /// Frames of earlier calls.
     pub frames_before: usize,
+    /// Complete shards.
     pub shards: usize,
+    /// Size of the shards (bytes).
     pub bytes: u64,
+    /// Wall time of this call (s).
     pub wall_seconds: f64,
+    /// New frames per second of wall time.
     pub frames_per_second: f64,
+    /// All wanted frames are there.
     pub complete: bool,
+    /// The user interrupted.
     pub interrupted: bool,
 }
 
@@ -74,8 +84,8 @@ impl Shared<'_> {
     }
 }
 
-/// Collects a dataset, or goes on with one. Ends early, with finished shards kept, when `interrupt`
-/// becomes true or the time is over. `report` is called about ten times a second.
+/// Collects a dataset, or continues one. Ends early, with finished shards kept, when `interrupt`
+/// becomes true or the time is up. `report` is called about ten times a second.
 ///
 /// # Errors
 /// The folder holds another dataset, the disk is full, or SUMO fails. Finished shards are kept.
@@ -175,7 +185,7 @@ pub fn collect(
     })
 }
 
-/// Segments without a whole shard, and the frames in those that have one. A torn shard counts as missing.
+/// Segments without a complete shard, and the number of frames in complete shards. A torn shard is missing.
 fn missing_segments(folder: &Path, segments: &[Segment]) -> Result<(Vec<Segment>, usize), DatasetError> {
     let (mut missing, mut frames) = (Vec::new(), 0);
     for segment in segments {

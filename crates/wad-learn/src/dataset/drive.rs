@@ -15,16 +15,17 @@ use wad_sim::session::{Act, Itinerary, Seat, Session};
 use wad_sim::traffic::TrafficSpec;
 use wad_vehicle::{Control, EgoParams};
 
-/// Driven before the first frame (s).
+/// Time before the first frame (s).
 const WARM_UP: f64 = 8.0;
-/// Standing for so long it is put down elsewhere (s): enough for a red light.
+/// Standing time after which the ego is moved to another place (s): longer than a red light.
 const STUCK_AFTER: f64 = 75.0;
 /// Frames go on for this long after a crash (s).
 const AFTER_CRASH: f64 = 1.0;
-/// An impulse that is a crash (N s), and how far off the route it is put back (m).
+/// Impulse from which a collision is a crash (N s), and distance from the route at which the ego is moved
+/// back (m).
 const CRASH: f64 = 200.0;
 const LOST: f64 = 8.0;
-/// So near to its end the route is done (m).
+/// Distance to the route's end that counts as arrival (m).
 const ARRIVED: f64 = 5.0;
 /// A crash-free drive from one place lasts at most this long (s); then another place is seen.
 const LONGEST_STAY: f64 = 240.0;
@@ -33,7 +34,7 @@ const LONGEST_STAY: f64 = 240.0;
 const EGO: usize = 0;
 const EGO_ID: &str = "ego";
 
-/// One segment under way.
+/// A running segment.
 pub struct SegmentDrive<'a> {
     options: &'a CollectOptions,
     session: Session,
@@ -49,7 +50,7 @@ pub struct SegmentDrive<'a> {
 }
 
 impl<'a> SegmentDrive<'a> {
-    /// Starts SUMO and puts the ego somewhere.
+    /// Starts SUMO and places the ego at random.
     ///
     /// # Errors
     /// Bad input, or SUMO fails.
@@ -82,7 +83,7 @@ impl<'a> SegmentDrive<'a> {
         })
     }
 
-    /// Drives until the next frame is due, and looks.
+    /// Drives until the next frame is due, and makes it.
     ///
     /// # Errors
     /// SUMO fails, or the picture cannot be encoded.

@@ -1,86 +1,189 @@
-//! What can be wrong with a dataset.
+//! Errors of datasets.
 
 use std::path::PathBuf;
 
 /// Why a dataset cannot be read, written or collected.
 #[derive(Debug, thiserror::Error)]
 pub enum DatasetError {
+    /// A file or folder cannot be read or written.
     #[error("could not {what} `{}`: {source}", path.display())]
-    Io { what: &'static str, path: PathBuf, source: std::io::Error },
+    Io {
+        /// The action that failed.
+        what: &'static str,
+        /// The file or folder.
+        path: PathBuf,
+        /// The cause.
+        source: std::io::Error,
+    },
+    /// The disk is full.
     #[error(
         "the disk is full: could not write `{}`: {source}; finished shards are kept, so free some room and \
          give the same command again to go on",
         path.display()
     )]
-    DiskFull { path: PathBuf, source: std::io::Error },
+    DiskFull {
+        /// The file or folder.
+        path: PathBuf,
+        /// The cause.
+        source: std::io::Error,
+    },
+    /// The folder has no `dataset.json`.
     #[error(
-        "`{}` is no dataset: expected dataset.json in it; make one with `wad-cosim dataset collect --out {}`",
+        "`{}` is not a dataset: expected dataset.json in it; make one with `wad-cosim dataset collect --out {}`",
         path.display(), path.display()
     )]
-    NotADataset { path: PathBuf },
+    NotADataset {
+        /// The file or folder.
+        path: PathBuf,
+    },
+    /// The dataset is of another version.
     #[error(
         "`{}` was written in format {found}, this program reads format {expected}; collect it again, or use \
          the program that wrote it",
         path.display()
     )]
-    Version { path: PathBuf, found: u64, expected: u64 },
+    Version {
+        /// The file or folder.
+        path: PathBuf,
+        /// The dataset's version.
+        found: u64,
+        /// This program's version.
+        expected: u64,
+    },
+    /// The dataset is unfinished.
     #[error(
-        "`{}` is half-written: {found} of {wanted} frames are there; give the `dataset collect` command \
-         again to go on with it, or use what there is with --partial",
+        "`{}` is unfinished: {found} of {wanted} frames are there; run the same `dataset collect` command \
+         again to finish it, or use these frames with --partial",
         path.display()
     )]
-    HalfWritten { path: PathBuf, found: usize, wanted: usize },
+    HalfWritten {
+        /// The file or folder.
+        path: PathBuf,
+        /// Frames that are there.
+        found: usize,
+        /// Frames that were to be collected.
+        wanted: usize,
+    },
+    /// There are no usable frames.
     #[error("`{}` holds no frames{hint}", path.display())]
-    Empty { path: PathBuf, hint: &'static str },
+    Empty {
+        /// The file or folder.
+        path: PathBuf,
+        /// The rest of the message: where, or what to do.
+        hint: &'static str,
+    },
+    /// A shard is cut off or damaged.
     #[error("`{}` is torn: {why}", path.display())]
-    Torn { path: PathBuf, why: String },
+    Torn {
+        /// The file or folder.
+        path: PathBuf,
+        /// The cause.
+        why: String,
+    },
+    /// The folder holds another dataset than the one to collect.
     #[error(
-        "`{}` holds another dataset: {what} is {found}, asked for was {asked}; name another folder with \
+        "`{}` holds another dataset: expected {what} {asked}, found {found}; name another folder with \
          --out, or remove it",
         path.display()
     )]
-    Differs { path: PathBuf, what: &'static str, found: String, asked: String },
+    Differs {
+        /// The file or folder.
+        path: PathBuf,
+        /// The option that differs.
+        what: &'static str,
+        /// Its value in the folder.
+        found: String,
+        /// Its value in the call.
+        asked: String,
+    },
+    /// The dataset was collected with another camera.
     #[error(
         "`{}` was collected with camera {found}, this program's camera is {expected}; collect it again",
         path.display()
     )]
-    Camera { path: PathBuf, found: String, expected: String },
+    Camera {
+        /// The file or folder.
+        path: PathBuf,
+        /// Hash of the dataset's camera.
+        found: String,
+        /// Hash of this program's camera.
+        expected: String,
+    },
+    /// Test data must not be trained on.
     #[error(
         "`{}` is test data (town `{town}`): it may only be measured on; train on a dataset of the training \
          town, `wad-cosim dataset collect --town town3`",
         path.display()
     )]
-    TestData { path: PathBuf, town: String },
+    TestData {
+        /// The file or folder.
+        path: PathBuf,
+        /// The dataset's town.
+        town: String,
+    },
+    /// The folder is not a recorded run.
     #[error(
-        "`{}` is no recorded run: {why}; expected a folder that `wad-cosim run --out` wrote", path.display()
+        "`{}` is not a recorded run: {why}; expected a folder that `wad-cosim run --out` wrote", path.display()
     )]
-    NotARun { path: PathBuf, why: String },
+    NotARun {
+        /// The file or folder.
+        path: PathBuf,
+        /// The cause.
+        why: String,
+    },
+    /// A recorded run does not repeat.
     #[error(
-        "the run in `{}` goes another way now: {off:.2} m off at tick {tick}; it was recorded by another version \
-         of this program, of SUMO or of the config, so record it again",
+        "the run in `{}` does not repeat: {off:.2} m off its record at tick {tick}; it was recorded with another \
+         version of this program, of SUMO or of the config, so record it again",
         path.display()
     )]
-    Drifted { path: PathBuf, tick: u64, off: f64 },
+    Drifted {
+        /// The file or folder.
+        path: PathBuf,
+        /// The tick at which it was noticed.
+        tick: u64,
+        /// Distance from the record (m).
+        off: f64,
+    },
+    /// The recorded runs are of several towns.
     #[error(
-        "the recorded runs are of different towns, {first} and {other}; a dataset is of one, so collect one from each"
+        "the recorded runs are of different towns, {first} and {other}; a dataset has one town, so collect one for each"
     )]
-    Towns { first: String, other: String },
+    Towns {
+        /// The first run's town.
+        first: String,
+        /// Another run's town.
+        other: String,
+    },
+    /// A picture cannot be encoded or decoded.
     #[error("image: {0}")]
     Image(String),
+    /// No such town.
     #[error(transparent)]
     Bundled(#[from] wad_sim::bundled::ResolveError),
+    /// SUMO fails.
     #[error(transparent)]
     Bridge(#[from] wad_sim::bridge::BridgeError),
+    /// The drive cannot start or go on.
     #[error(transparent)]
     Drive(#[from] crate::drive::DriveError),
+    /// There is no route.
     #[error(transparent)]
     Destination(#[from] wad_sim::destination::DestinationError),
+    /// The town cannot be read.
     #[error(transparent)]
     Assets(#[from] wad_sim::assets::AssetsError),
+    /// Camera or perception fail.
     #[error(transparent)]
     Eyes(#[from] wad_see::eyes::EyesError),
+    /// The operating system refuses something.
     #[error("could not {what}: {source}")]
-    System { what: &'static str, source: std::io::Error },
+    System {
+        /// The action that failed.
+        what: &'static str,
+        /// The cause.
+        source: std::io::Error,
+    },
 }
 
 impl From<wad_sim::session::ItineraryError> for DatasetError {
@@ -93,7 +196,7 @@ impl From<wad_sim::session::ItineraryError> for DatasetError {
 }
 
 impl DatasetError {
-    /// An I/O error at `path`; a full disk is told apart.
+    /// An I/O error at `path`; a full disk has its own error.
     pub fn io(what: &'static str, path: impl Into<PathBuf>) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.into();
         move |source| match source.kind() {

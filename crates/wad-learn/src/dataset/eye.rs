@@ -1,4 +1,4 @@
-//! Looks at the world through camera and perception, and makes frames of what it sees.
+//! Makes a dataset's frames of the world, with camera and perception.
 
 use super::error::DatasetError;
 use super::image_codec::CameraCodec;
@@ -17,28 +17,28 @@ const HALF_LANE: f64 = 1.6;
 /// An object counts as seen from this many pixels of the camera on.
 const SEEN_PIXELS: u32 = 16;
 
-/// Eyes that record what they see.
+/// Camera and perception that make frames.
 pub struct Eye {
     segment: Segment,
     eyes: Eyes,
-    /// How the camera's pictures are kept; None: not at all.
+    /// The format of camera pictures; None: they are not kept.
     codec: Option<CameraCodec>,
 }
 
-/// What a frame says beside what is seen.
+/// A frame's facts that do not come from camera and perception.
 #[derive(Clone, Copy, Debug)]
 pub struct Moment {
     /// Simulation time, and time since the last frame (s).
     pub time: f64,
     pub since: f64,
-    /// What the ego was steered with.
+    /// The ego's control.
     pub control: Control,
     /// See [`FrameRecord::disturbed`].
     pub disturbed: bool,
 }
 
 impl Eye {
-    /// In the segment's weather; `keeps_camera`: with the camera's pictures.
+    /// For the segment's weather; `keeps_camera`: with the camera's pictures.
     ///
     /// # Errors
     /// This build cannot detect lanes.
@@ -51,7 +51,7 @@ impl Eye {
         Ok(eye)
     }
 
-    /// Forgets what it saw: the ego was put down elsewhere.
+    /// Clears its memory, because the ego was moved to another place.
     pub fn reset(&mut self) {
         self.eyes.reset(self.segment.weather, self.segment.seed);
     }
@@ -68,7 +68,7 @@ impl Eye {
     pub fn record(&mut self, network: &Network, ego: &Ego, moment: Moment) -> Result<Frame, DatasetError> {
         self.eyes.look(&EgoFacts::of(network, ego, moment.since))?;
         let (Some(frame), Some(percept)) = (self.eyes.frame(), self.eyes.percept()) else {
-            return Err(DatasetError::Image("the eyes are blind".to_string()));
+            return Err(DatasetError::Image("the camera gave no frame".to_string()));
         };
         let world = ego.world();
         // The frame numbers road users by their place in the world; a shard by what they are.

@@ -13,7 +13,7 @@ use wad_see::perception::TransformedImage;
 use wad_see::perception::coco::class_name;
 use wad_sim::telemetry;
 
-/// Of manifest and shards. Other versions are refused.
+/// Version of manifest and shards. Other versions are refused.
 pub const FORMAT_VERSION: u64 = 1;
 
 const MANIFEST: &str = "dataset.json";
@@ -22,55 +22,65 @@ const MANIFEST: &str = "dataset.json";
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Role {
+    /// Any other town: for training.
     Training,
-    /// The new town: for measuring only.
+    /// The new town: for measurements only.
     Test,
 }
 
-/// The town that nothing may be trained on.
+/// The town that must not be trained on.
 const TEST_TOWN: &str = "town5";
 
 impl Role {
-    /// town5's is test data, every other town's may be trained on.
+    /// Test data for town5, training data for every other town.
     pub fn of(town: &str) -> Self {
         if town == TEST_TOWN { Self::Test } else { Self::Training }
     }
 }
 
-/// How far collecting came.
+/// The state of collecting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum State {
-    /// Under way, or broken off.
+    /// Running, or interrupted.
     Collecting,
-    /// All that was wanted, or what there was time for.
+    /// Complete, or stopped by the time limit.
     Complete,
 }
 
 /// `dataset.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
+    /// Version of the format, [`VERSION`].
     pub version: u64,
+    /// The state of collecting.
     pub state: State,
+    /// Whether it may be used for training.
     pub role: Role,
+    /// The town's name.
     pub town: String,
     /// Frames wanted, and there when complete.
     pub frames_wanted: usize,
+    /// Frames wanted.
     pub frames: usize,
     /// Frames to a segment.
     pub per_segment: usize,
+    /// The seed of everything random.
     pub seed: u64,
+    /// The weathers, in turn.
     pub weathers: Vec<Preset>,
     /// [`CameraConfig::hash`].
     pub camera: String,
     /// The detector whose boxes are painted.
     pub detector: String,
+    /// Whether the camera's pictures are kept.
     pub keeps_camera: bool,
+    /// The version of the program that collected it.
     pub program: String,
-    /// Recorded runs that it shows; none: the autopilot's own drives.
+    /// Recorded runs that its frames come from; none: drives of the autopilot.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub runs: Vec<PathBuf>,
-    /// Every frame shows an object of one of these classes; none: all frames were kept.
+    /// Every frame shows an object of one of these classes; empty: all frames were kept.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub showing: Vec<ObjectClass>,
 }
@@ -121,7 +131,7 @@ impl Manifest {
         telemetry::write_json(&path, self).map_err(|e| DatasetError::io("write", e.path)(e.source))
     }
 
-    /// Refuses to go on with a folder that holds something else.
+    /// Refuses to continue in a folder with another dataset.
     pub(super) fn check_same(&self, asked: &Self, folder: &Path) -> Result<(), DatasetError> {
         let text = |m: &Self| {
             [
@@ -147,7 +157,7 @@ impl Manifest {
     }
 }
 
-/// Where a segment's shard lies.
+/// The path of a segment's shard.
 pub(super) fn shard_path(folder: &Path, segment: &Segment) -> PathBuf {
     folder.join(format!("shard-{:05}.wads", segment.index))
 }
@@ -155,11 +165,13 @@ pub(super) fn shard_path(folder: &Path, segment: &Segment) -> PathBuf {
 /// A dataset open for reading.
 #[derive(Clone, Debug)]
 pub struct Dataset {
+    /// The contents of `dataset.json`.
     pub manifest: Manifest,
+    /// The dataset's folder.
     pub folder: PathBuf,
     /// Whole shards in order, with the frames in each.
     pub shards: Vec<(PathBuf, Segment, usize)>,
-    /// Shards that are torn and were left out, with why.
+    /// Torn shards, left out, with the cause.
     pub torn: Vec<String>,
 }
 
@@ -167,11 +179,11 @@ pub struct Dataset {
 const VALIDATION_EVERY: usize = 10;
 
 impl Dataset {
-    /// Opens a dataset. A torn shard loses only itself. Without `partial` one that was not collected to
-    /// its end is refused.
+    /// Opens a dataset without its torn shards. Without `partial` an unfinished dataset
+    /// is refused.
     ///
     /// # Errors
-    /// The folder is no dataset, half-written, empty, of another version or of another camera.
+    /// The folder is not a dataset, or it is unfinished, empty, of another version or of another camera.
     pub fn open(folder: &Path, partial: bool) -> Result<Self, DatasetError> {
         let path = folder.to_path_buf();
         let manifest =
@@ -209,10 +221,10 @@ impl Dataset {
         Ok(dataset)
     }
 
-    /// Refuses test data.
+    /// Checks that it may be trained on.
     ///
     /// # Errors
-    /// It was collected in the new town.
+    /// It is test data.
     pub fn require_training(&self) -> Result<(), DatasetError> {
         match self.manifest.role {
             Role::Training => Ok(()),
@@ -244,7 +256,7 @@ impl Dataset {
     /// A reader of the shard at this index.
     ///
     /// # Errors
-    /// The shard went away or broke since the dataset was opened.
+    /// The shard was removed or damaged since the dataset was opened.
     pub fn reader(&self, shard: usize) -> Result<ShardReader, DatasetError> {
         let (path, _, _) = self
             .shards
@@ -262,7 +274,7 @@ impl Dataset {
         self.read(shard, bytes, |reader, image| reader.next_image(image))
     }
 
-    /// The same, and each image's record to `take`.
+    /// The same, and passes each image's record to `take`.
     ///
     /// # Errors
     /// The shard cannot be opened.
@@ -349,7 +361,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path();
         let error = |partial| Dataset::open(path, partial).unwrap_err().to_string();
-        assert!(error(false).contains("no dataset"), "{}", error(false));
+        assert!(error(false).contains("not a dataset"), "{}", error(false));
         data(path, "town5");
         let dataset = Dataset::open(path, false).unwrap();
         assert!(matches!(dataset.require_training(), Err(DatasetError::TestData { .. })));

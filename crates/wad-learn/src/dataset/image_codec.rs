@@ -3,17 +3,18 @@
 use super::error::DatasetError;
 use serde::{Deserialize, Serialize};
 
-/// How a shard keeps camera pictures.
+/// The format of camera pictures in a shard.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum CameraCodec {
+    /// Lossless.
     Png,
     /// Quality 95.
     Jpeg,
 }
 
 impl CameraCodec {
-    /// JPEG where this build has OpenCV, else PNG.
+    /// JPEG if this build has OpenCV, else PNG.
     pub fn best() -> Self {
         if cfg!(feature = "vision") { Self::Jpeg } else { Self::Png }
     }

@@ -1,6 +1,6 @@
-//! Disturbances of the autopilot's hand, so that off-centre and near-accident views get into the data.
+//! Disturbances of the autopilot's controls, so that the data has off-centre and near-accident views.
 //!
-//! Now and then a push of about a second: the wheel turned, the throttle held, or both. In between the
+//! Now and then a push of about a second: the wheel turned, the throttle held, or both. Between pushes the
 //! autopilot recovers, and the recovery is in the data too.
 
 use rand::RngExt;
@@ -8,7 +8,7 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use wad_vehicle::Control;
 
-/// How the control is disturbed.
+/// The disturbances of the control.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct NoiseParams {
@@ -31,7 +31,7 @@ impl Default for NoiseParams {
 #[derive(Clone, Copy, Debug)]
 struct Push {
     left: f64,
-    /// Lateral acceleration (m/s2, left positive); 0: hands off the wheel.
+    /// Lateral acceleration (m/s2, left positive); 0: no steering.
     lateral: f64,
     throttle: Option<f64>,
 }
@@ -53,7 +53,7 @@ impl Disturber {
         Self { params, rng, pause, since: f64::INFINITY, push: None }
     }
 
-    /// Whether a push acts or the ego still recovers from one.
+    /// Whether a push acts or the ego is still recovering from one.
     pub fn is_disturbed(&self) -> bool {
         self.push.is_some() || self.since < self.params.recovery
     }
@@ -94,7 +94,7 @@ impl Disturber {
 
 fn draw_pause(params: &NoiseParams, rng: &mut ChaCha8Rng) -> f64 {
     let u: f64 = rng.random();
-    // Exponential, but never at once.
+    // Exponential, but never zero.
     1.0 - (params.pause - 1.0).max(0.1) * (1.0 - u).max(1e-6).ln()
 }
 
@@ -107,7 +107,7 @@ fn draw_push(params: &NoiseParams, rng: &mut ChaCha8Rng) -> Push {
     let throttle = 0.4 + 0.6 * rng.random::<f64>();
     match kind {
         k if k < 0.65 => Push { left, lateral, throttle: None },
-        // Towards whatever the autopilot was braking for.
+        // Towards the obstacle that the autopilot brakes for.
         k if k < 0.85 => Push { left, lateral: 0.0, throttle: Some(throttle) },
         _ => Push { left, lateral, throttle: Some(throttle) },
     }

@@ -1,4 +1,4 @@
-//! What to collect.
+//! Options of collecting.
 
 use super::noise::NoiseParams;
 use super::recorded::RecordedRun;
@@ -7,33 +7,38 @@ use std::time::Duration;
 use wad_camera::Preset;
 use wad_camera::model::ObjectClass;
 
-/// What to collect.
+/// Options of collecting a dataset.
 #[derive(Clone, Debug)]
 pub struct CollectOptions {
-    /// A bundled town, or whatever `run` takes.
+    /// The town, as for `run`.
     pub town: String,
     /// Recorded runs to drive again; none: the autopilot drives in `town`.
     pub runs: Vec<RecordedRun>,
+    /// Frames to collect.
     pub frames: usize,
+    /// The dataset's folder.
     pub out: PathBuf,
     /// Frames to a segment, which is a shard.
     pub per_segment: usize,
+    /// The seed of everything random.
     pub seed: u64,
+    /// The weathers, in turn.
     pub weathers: Vec<Preset>,
-    /// Keep the camera's pictures too.
+    /// Keep the camera's pictures.
     pub camera: bool,
     /// Simulation time between frames (s); more while the ego stands.
     pub every: f64,
-    /// Keep only frames that show an object of one of these classes; none: all frames.
+    /// Keep only frames that show an object of one of these classes; empty: all frames.
     pub showing: Vec<ObjectClass>,
+    /// Disturbances of the autopilot's controls.
     pub noise: NoiseParams,
-    /// SUMOs at once.
+    /// SUMOs in parallel.
     pub jobs: usize,
-    /// Stop after this wall time and be content with what there is.
+    /// Stop after this wall time; the dataset then counts as complete.
     pub time_limit: Option<Duration>,
 }
 
-/// The weathers that everything is trained in (spec.md "Conditions").
+/// The training weathers of all networks (spec.md "Conditions").
 pub const TRAINING_WEATHERS: [Preset; 3] = [Preset::ClearNoon, Preset::CloudyNoon, Preset::SoftRainNoon];
 
 impl CollectOptions {
@@ -44,7 +49,7 @@ impl CollectOptions {
             runs: Vec::new(),
             frames,
             out: out.to_path_buf(),
-            // At least twenty segments, so that all conditions and a validation share are in.
+            // At least twenty segments, so that all conditions and a validation share are included.
             per_segment: (frames / 20).clamp(10, 500),
             seed: 0,
             weathers: TRAINING_WEATHERS.to_vec(),

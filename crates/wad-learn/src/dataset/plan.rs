@@ -1,4 +1,4 @@
-//! Which drives make a dataset: weathers and traffic in turn, a seed for each.
+//! The plan of a dataset: drives with weathers and traffic in turn, and a seed for each.
 
 use serde::{Deserialize, Serialize};
 use sumo_network::seeds;
@@ -10,8 +10,11 @@ use wad_sim::traffic::Counts;
 pub struct Segment {
     /// Number in the dataset.
     pub index: usize,
+    /// The segment's own seed.
     pub seed: u64,
+    /// The weather of its frames.
     pub weather: Preset,
+    /// Background traffic.
     pub traffic: Counts,
     /// Frames to collect.
     pub frames: usize,
@@ -21,7 +24,8 @@ pub struct Segment {
 const DENSITY: [usize; 5] = [100, 60, 25, 100, 130];
 
 /// The segments of a dataset of `frames` frames, `per_segment` each. `dense` is the town's dense
-/// population. Five densities and the weathers (whose number five must not divide) meet in every pair.
+/// population. Five densities and the weathers (their number must not be a multiple of five) meet in every
+/// pair.
 pub fn plan(
     frames: usize,
     per_segment: usize,
@@ -44,10 +48,10 @@ pub fn plan(
         .collect()
 }
 
-/// A standing ego's view is kept this seldom (s).
+/// Time between frames at standstill (s).
 const STANDING_EVERY: f64 = 2.5;
 
-/// How long after a frame the next one is due, where the ego has stood for `standing` (all s).
+/// Time from a frame to the next one, if the ego has stood for `standing` (all s).
 pub(super) fn due(standing: f64, every: f64) -> f64 {
     if standing > 1.0 { STANDING_EVERY } else { every }
 }

@@ -1,5 +1,5 @@
 //! A recorded run as data: it is driven again from its `config.json`, with the controls of its telemetry,
-//! and what its ego saw is kept. Any driver's will do, for the run itself tells what he did.
+//! and the ego's frames are kept. It works for any driver, because the telemetry has every control.
 
 use super::error::DatasetError;
 use super::eye::{Eye, Moment};
@@ -10,16 +10,18 @@ use std::path::{Path, PathBuf};
 use wad_camera::Preset;
 use wad_sim::telemetry::TickRecord;
 
-/// Before the first frame (s): where a run begins nothing moves yet.
+/// Time before the first frame (s): at a run's begin nothing moves yet.
 const WARM_UP: f64 = 2.0;
-/// The ego driven again may be this far from where it was recorded (m). It is there to the bit under the
+/// Largest distance between the recorded ego and the ego driven again (m). It is exact to the bit under the
 /// autopilot; a control read back from text may differ in its last digit.
 const DRIFT: f64 = 0.1;
 
 /// A run folder, read back.
 #[derive(Clone, Debug)]
 pub struct RecordedRun {
+    /// The run's folder.
     pub folder: PathBuf,
+    /// The options of the run, from `config.json`.
     pub options: DriveOptions,
     ticks: Vec<TickRecord>,
 }
@@ -28,7 +30,7 @@ impl RecordedRun {
     /// Reads `config.json` and `telemetry.jsonl` of a run's folder. A line that was cut off ends the run.
     ///
     /// # Errors
-    /// The folder is no run's, or the run was driven in a SUMO that was attached.
+    /// The folder is not a run's, or the run used --attach.
     pub fn open(folder: &Path) -> Result<Self, DatasetError> {
         let not = |why: String| DatasetError::NotARun { path: folder.to_path_buf(), why };
         let read =
@@ -37,7 +39,7 @@ impl RecordedRun {
             serde_json::from_str(&read("config.json")?).map_err(|e| not(format!("config.json: {e}")))?;
         if options.bridge.attach.is_some() {
             return Err(not(
-                "it joined a SUMO that was running already, which cannot be had again".to_string()
+                "it was driven with --attach in a foreign SUMO, so it cannot be driven again".to_string()
             ));
         }
         let text = read("telemetry.jsonl")?;
@@ -67,8 +69,8 @@ impl RecordedRun {
         self.ticks.last().map_or(0.0, |last| last.time) - self.ticks.first().map_or(0.0, |first| first.time)
     }
 
-    /// Segments that show these runs in each of these weathers, the weathers of a run side by side. The
-    /// frames are those that there are at most.
+    /// Segments for these runs in each of these weathers, with the weathers of a run side by side. The
+    /// number of frames is an upper limit.
     pub fn segments(runs: &[Self], weathers: &[Preset], every: f64) -> Vec<Segment> {
         let of = |run: &Self| (run.seconds() / every) as usize + 1;
         let all = runs.iter().flat_map(|run| weathers.iter().map(move |&weather| (run, weather)));
@@ -99,7 +101,7 @@ impl<'a> RunDrive<'a> {
     /// Starts SUMO as the run did.
     ///
     /// # Errors
-    /// Its config is gone, or SUMO fails.
+    /// Its config is missing, or SUMO fails.
     pub async fn start(
         run: &'a RecordedRun,
         segment: Segment,
@@ -116,10 +118,10 @@ impl<'a> RunDrive<'a> {
         Ok(Self { run, drive, eye, every, next: 0, since_frame: 0.0, standing: 0.0, respawns: 0 })
     }
 
-    /// Drives on until a frame is due; None at the run's end.
+    /// Drives until the next frame is due; None at the run's end.
     ///
     /// # Errors
-    /// SUMO fails, or the ego is not where the run says.
+    /// SUMO fails, or the ego is not where it was recorded.
     pub async fn next_frame(&mut self) -> Result<Option<Frame>, DatasetError> {
         let begin = self.run.ticks.first().map_or(0.0, |first| first.time);
         while let Some(recorded) = self.run.ticks.get(self.next) {
@@ -135,7 +137,7 @@ impl<'a> RunDrive<'a> {
                 self.respawns = moved;
                 self.eye.reset();
             } else {
-                // Telemetry has the ego before it was put down elsewhere.
+                // Telemetry has the ego before it was moved to another place.
                 let off = (state.pose.xy() - recorded.ego.pose.xy()).norm();
                 if off > DRIFT {
                     let path = self.run.folder.clone();

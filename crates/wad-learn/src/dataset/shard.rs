@@ -22,21 +22,23 @@ use wad_see::perception::{TRANSFORMED_SIZE, TransformedImage};
 
 const MAGIC: &[u8; 8] = b"WADSHARD";
 const END: u32 = u32::MAX;
-/// No record is longer (bytes): a longer one is a damaged length.
+/// Longest record (bytes); a longer length is damaged.
 const LONGEST: u32 = 64 << 20;
 
-/// What all frames of a shard have in common.
+/// The header of a shard.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ShardHeader {
+    /// Version of the format.
     pub version: u64,
+    /// The segment that these frames come from.
     pub segment: Segment,
     /// [`wad_camera::CameraConfig::hash`].
     pub camera: String,
-    /// How camera pictures are kept; None: not at all.
+    /// The format of camera pictures; None: they are not kept.
     pub camera_codec: Option<CameraCodec>,
 }
 
-/// Writes a shard beside its place and moves it there when it is whole.
+/// Writes a shard to a temporary file and renames it when it is complete.
 pub struct ShardWriter {
     path: PathBuf,
     staging: PathBuf,
@@ -46,7 +48,7 @@ pub struct ShardWriter {
 }
 
 impl ShardWriter {
-    /// Begins the shard that will lie at `path`.
+    /// Begins the shard of `path`.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -111,7 +113,7 @@ impl ShardWriter {
     pub fn finish(mut self) -> Result<usize, DatasetError> {
         let put = self.put_in_place();
         if put.is_err() {
-            // The file may be closed already, and then dropping leaves it.
+            // If the file is closed already, dropping keeps it.
             let _ = std::fs::remove_file(&self.staging);
         }
         put.map(|()| self.frames as usize)
@@ -130,7 +132,7 @@ impl ShardWriter {
 }
 
 impl Drop for ShardWriter {
-    /// What was not finished goes away.
+    /// Removes an unfinished file.
     fn drop(&mut self) {
         if self.file.take().is_some() {
             let _ = std::fs::remove_file(&self.staging);
@@ -138,8 +140,8 @@ impl Drop for ShardWriter {
     }
 }
 
-/// Where a frame's camera picture lies, to be read when it is wanted: a dataset larger than the memory
-/// can be trained on. Holds no open file.
+/// The place of a frame's camera picture, to be read when needed: a dataset larger than the memory
+/// can be trained on. It holds no open file.
 #[derive(Clone, Debug)]
 pub struct CameraPlace {
     path: Arc<Path>,
@@ -151,15 +153,15 @@ pub struct CameraPlace {
 }
 
 impl CameraPlace {
-    /// How the picture is kept.
+    /// The picture's format.
     pub fn codec(&self) -> CameraCodec {
         self.codec
     }
 
-    /// The picture as it is kept.
+    /// The picture's encoded bytes.
     ///
     /// # Errors
-    /// The file went away, or changed since the place was found.
+    /// The file was removed or changed since the place was found.
     pub fn read(&self) -> Result<Vec<u8>, DatasetError> {
         let io = DatasetError::io("read", &*self.path);
         let mut bytes = vec![0; self.length];
@@ -190,10 +192,10 @@ pub struct ShardReader {
 }
 
 impl ShardReader {
-    /// Opens a whole shard.
+    /// Opens a complete shard.
     ///
     /// # Errors
-    /// The file is torn, is none of ours, or has another version.
+    /// The file is torn, is not a shard, or has another version.
     pub fn open(path: &Path) -> Result<Self, DatasetError> {
         let torn = |why: &str| DatasetError::Torn { path: path.to_path_buf(), why: why.to_string() };
         let io = |error| DatasetError::io("read", path)(error);
@@ -203,7 +205,7 @@ impl ShardReader {
         let mut magic = [0; 12];
         file.read_exact(&mut magic).map_err(|_| torn("it ends within its header"))?;
         if &magic[..8] != MAGIC {
-            return Err(torn("it does not begin as a shard does"));
+            return Err(torn("its first bytes are not a shard's"));
         }
         let size = u32::from_le_bytes([magic[8], magic[9], magic[10], magic[11]]);
         if u64::from(size) > length {
@@ -232,7 +234,7 @@ impl ShardReader {
         Ok(Self { path: path.into(), file, header, frames, read: 0, at: begin, payload: Vec::new() })
     }
 
-    /// What its frames have in common.
+    /// The header.
     pub fn header(&self) -> &ShardHeader {
         &self.header
     }
@@ -290,7 +292,7 @@ impl ShardReader {
         Ok(Some(Frame { record, transformed, camera: camera.to_vec() }))
     }
 
-    /// The next frame's record, and where its camera picture lies; None at the end.
+    /// The next frame's record and the place of its camera picture; None at the end.
     ///
     /// # Errors
     /// The frame is damaged, or has no camera picture.
@@ -308,7 +310,7 @@ impl ShardReader {
         Ok(Some((record, CameraPlace { path, codec, offset, length, crc })))
     }
 
-    /// The next frame's record alone; None at the end.
+    /// The next frame's record only; None at the end.
     ///
     /// # Errors
     /// The frame is damaged.
@@ -320,7 +322,7 @@ impl ShardReader {
             .map_err(|e| DatasetError::Torn { path: path.to_path_buf(), why: format!("frame {read}: {e}") })
     }
 
-    /// The next frame's transformed image alone into `bytes` ([`TransformedImage::BYTES`] of them);
+    /// Reads only the next frame's transformed image into `bytes` ([`TransformedImage::BYTES`] of them);
     /// false at the end.
     ///
     /// # Errors

@@ -1,4 +1,4 @@
-//! Small made-up datasets for tests.
+//! Small synthetic datasets for tests.
 
 use super::folder::shard_path;
 use super::{

@@ -1,4 +1,4 @@
-//! What came of a run: counts while it goes, the summary at its end.
+//! The result of a run: counts during the run, the summary at its end.
 
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -10,8 +10,11 @@ use wad_vehicle::{EgoState, PartnerKind};
 /// Counts by partner.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CollisionCounts {
+    /// With vehicles.
     pub vehicle: u64,
+    /// With pedestrians.
     pub pedestrian: u64,
+    /// With fixed objects.
     #[serde(rename = "static")]
     pub fixed: u64,
 }
@@ -29,38 +32,59 @@ impl CollisionCounts {
 /// `summary.json`, and the last line of `run --json`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Summary {
+    /// The town's name.
     pub town: String,
+    /// The run's seed.
     pub seed: u64,
+    /// Ticks driven.
     pub ticks: u64,
+    /// Length of a tick (ms).
     pub tick_ms: f64,
+    /// Simulated time (s).
     pub sim_seconds: f64,
+    /// Wall time (s).
     pub wall_seconds: f64,
+    /// Ticks per second of wall time.
     pub ticks_per_second: f64,
+    /// Way of the ego (m).
     pub distance_m: f64,
+    /// Mean speed over all ticks (m/s).
     pub mean_speed_mps: f64,
     /// Mean speed over the ticks in which neither a light nor other traffic held the ego.
     pub mean_free_speed_mps: f64,
     /// Ticks in which a light or other traffic held the ego.
     pub held_ticks: u64,
+    /// Highest speed (m/s).
     pub top_speed_mps: f64,
+    /// Destinations reached.
     pub destinations_reached: u64,
+    /// All collisions.
     pub collisions: CollisionCounts,
-    /// Those that the ego caused.
+    /// Collisions that the ego caused.
     pub collisions_caused: CollisionCounts,
+    /// Red lights run.
     pub red_lights_run: u64,
+    /// Ticks outside the lane.
     pub outside_lane_ticks: u64,
+    /// Times that a wheel left the road.
     pub sidewalk_events: u64,
+    /// Times blocked: standing too long without a reason.
     pub vehicle_blocked: u64,
-    /// Times the ego was put down elsewhere because it was blocked or had nowhere to go on.
+    /// Times the ego was moved to another place because it was blocked or its route could not go on.
     pub respawns: u64,
+    /// Mean number of background vehicles.
     pub vehicles_mean: f64,
+    /// Mean number of pedestrians.
     pub pedestrians_mean: f64,
+    /// How the run ended.
     pub end: End,
     /// Of a scenario: whether its task counts the end as a success, and why it ended.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub success: Option<bool>,
+    /// Of a scenario: why it ended.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cause: Option<String>,
+    /// The user interrupted the run.
     pub interrupted: bool,
     /// The run's folder.
     pub out: PathBuf,

@@ -1,4 +1,4 @@
-//! Judges an encoder on frames that it has not seen.
+//! Scores an encoder on frames that it was not trained on.
 
 use super::probe::{Probe, Regression, auc, explained};
 use super::score::{ObjectScore, psnr, ssim};
@@ -16,11 +16,13 @@ use wad_see::perception::{TRANSFORMED_SIZE, TransformedImage};
 use wad_sim::cpu_time;
 use wad_sim::stats::median;
 
-/// Why an encoder cannot be judged.
+/// Why an encoder cannot be scored.
 #[derive(Debug, thiserror::Error)]
 pub enum JudgeError {
+    /// A dataset cannot be read.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
+    /// The encoder fails.
     #[error(transparent)]
     Latent(#[from] LatentError),
 }
@@ -36,28 +38,42 @@ impl From<tch::TchError> for JudgeError {
 pub struct ProbeScore {
     /// Area under the ROC curve on the measured frames; None where one kind of frame is missing.
     pub auc: Option<f64>,
-    /// Frames with the thing, where fitted and where measured.
+    /// Frames with the object among the fitted ones.
     pub fitted_positives: usize,
+    /// Frames with the object among the measured ones.
     pub measured_positives: usize,
 }
 
-/// What an encoder is worth.
+/// The scores of an encoder.
 #[derive(Clone, Debug, Serialize)]
 pub struct Judgement {
+    /// The encoder's hash.
     pub encoder: String,
+    /// The town of the measured frames.
     pub town: String,
+    /// Number of measured frames.
     pub frames: usize,
+    /// Mean PSNR of the reconstructions (dB).
     pub psnr_db: f64,
+    /// Mean SSIM of the reconstructions.
     pub ssim: f64,
+    /// Mean PSNR by weather (dB).
     pub psnr_by_weather: BTreeMap<&'static str, f64>,
+    /// Counts of painted objects and of those that the reconstruction keeps.
     pub objects: ObjectScore,
+    /// Share of large painted objects kept.
     pub kept_large: f64,
+    /// Share of small painted objects kept.
     pub kept_small: f64,
+    /// Share of tiny painted objects kept.
     pub kept_tiny: f64,
+    /// Intersection over union of blue pixels.
     pub blue_iou: f64,
     /// CPU time of one image through the encoder, one thread, median (ms).
     pub encode_ms: f64,
+    /// Number of frames that the probes are fitted on.
     pub probe_frames: usize,
+    /// The town of those frames.
     pub probe_town: String,
     /// A vehicle in the lane within 20 m.
     pub lead: ProbeScore,
@@ -65,23 +81,26 @@ pub struct Judgement {
     pub pedestrian: ProbeScore,
     /// The light painted red.
     pub red: ProbeScore,
-    /// Of frames with a painted boundary found: the ego's offset from its lane's centre (m).
+    /// The ego's offset from its lane's centre (m), on frames with a painted boundary.
     pub lateral: LinearScore,
-    /// Heading of the waypoint ahead less the ego's (rad), of the same frames.
+    /// Heading of the waypoint ahead minus the ego's (rad), on the same frames.
     pub heading: LinearScore,
     /// Gap to the vehicle in the lane within 20 m (m).
     pub gap: LinearScore,
-    /// The same probe of the vehicle, measured where the route goes straight on: where it turns, the picture
-    /// does not tell which of the roads ahead is the ego's.
+    /// The probe for the vehicle, measured only where the route goes straight on: where it turns, the picture
+    /// does not show which of the roads ahead is the ego's.
     pub lead_straight: ProbeScore,
-    /// What the picture itself would tell: the same probes from the share of blue in each 8x8 pixels.
+    /// The same probes on the picture itself: the share of blue in each cell of 8x8 pixels.
     pub lead_of_picture: ProbeScore,
+    /// The same probe for a pedestrian in the lane.
     pub pedestrian_of_picture: ProbeScore,
-    /// Middle of the two painted boundaries (m, left of the ego), and their slope, where both are painted;
-    /// and the same from the share of green in each 4x4 pixels.
+    /// Middle of the two painted boundaries (m, left of the ego), on frames with both.
     pub middle: LinearScore,
+    /// Slope of the painted boundaries.
     pub slope: LinearScore,
+    /// Their middle from the share of green in each 4x4 pixels.
     pub middle_of_picture: LinearScore,
+    /// Their slope from the share of green in each 4x4 pixels.
     pub slope_of_picture: LinearScore,
 }
 
@@ -90,8 +109,11 @@ pub struct Judgement {
 pub struct LinearScore {
     /// Share of the variance that it explains; None without frames.
     pub r2: Option<f64>,
+    /// Median absolute error, in the quantity's unit.
     pub median_error: Option<f64>,
+    /// Frames with the quantity among the fitted ones.
     pub fitted: usize,
+    /// Frames with the quantity among the measured ones.
     pub measured: usize,
 }
 
@@ -128,7 +150,7 @@ impl Seen {
     }
 }
 
-/// The share of such pixels in each cell of so many pixels, row by row.
+/// The share of matching pixels in each cell, row by row.
 fn shares(image: &TransformedImage, cell: usize, is_such: impl Fn([u8; 3]) -> bool) -> Vec<f32> {
     let across = TRANSFORMED_SIZE / cell;
     let mut shares = vec![0.0; across * across];
@@ -139,7 +161,8 @@ fn shares(image: &TransformedImage, cell: usize, is_such: impl Fn([u8; 3]) -> bo
     shares
 }
 
-/// As latents are: mean 0 and deviation 1 over the first frames. What hardly moves stays small.
+/// Standardised like latents: mean 0 and deviation 1 over the first frames. Nearly constant numbers stay
+/// small.
 fn standardise(known: &mut [Vec<f32>], unseen: &mut [Vec<f32>]) {
     let count = known.len().max(1) as f32;
     for i in 0..known.first().map_or(0, Vec::len) {
@@ -191,7 +214,7 @@ fn regress(
     }
 }
 
-/// Judges `encoder` on `frames` of `measured`, evenly over it; probes are fitted on `fitted`.
+/// Scores `encoder` on `frames` of `measured`, evenly over it; probes are fitted on `fitted`.
 ///
 /// # Errors
 /// A dataset cannot be read, or torch fails.
@@ -273,7 +296,7 @@ fn encode_ms(encoder: &TchEncoder) -> Result<f64, JudgeError> {
     Ok(median(times))
 }
 
-/// Hands `frames` frames of `dataset`, evenly over it, to `take` in batches.
+/// Passes `frames` frames of `dataset`, evenly over it, to `take` in batches.
 fn each(
     encoder: &TchEncoder,
     dataset: &Dataset,

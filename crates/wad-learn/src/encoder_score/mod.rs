@@ -1,4 +1,4 @@
-//! How good an encoder is: reconstructions, objects that are still there, and what linear probes read off the latent.
+//! Scores of an encoder: reconstructions, painted objects that they keep, and linear probes on the latent.
 
 #[cfg(feature = "learn")]
 pub mod judge;

@@ -1,4 +1,4 @@
-//! Linear probes: logistic regression from the latent, and how well it ranks unseen frames.
+//! Linear probes: regressions on the latent, measured on unseen frames.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -11,14 +11,14 @@ pub struct Probe {
 
 /// Newton steps.
 const STEPS: usize = 12;
-/// Square penalties on the weights that are tried: where the positives are few, 200 weights need a strong one.
+/// Candidate L2 penalties: with few positives, 200 weights need a strong one.
 const PENALTIES: [f64; 4] = [1.0, 10.0, 100.0, 1000.0];
-/// The last share of what is fitted to is held back while the penalty is chosen.
+/// Last share of the fitted frames, held back to choose the penalty.
 const HELD_BACK: f64 = 0.3;
 
 impl Probe {
-    /// Fits by Newton's method with an L2 penalty: the one that ranks the last part best when fitted to the
-    /// first. None where all labels are equal or nothing is given.
+    /// Fits by Newton's method with the L2 penalty that ranks the last part best when fitted to the
+    /// first. None if all labels are equal or there are none.
     pub fn fit(features: &[Vec<f32>], labels: &[bool]) -> Option<Self> {
         if features.len() != labels.len() {
             return None;
@@ -65,7 +65,7 @@ impl Probe {
         Some(Self { weights })
     }
 
-    /// The higher, the more likely.
+    /// The log-odds of a positive.
     pub fn score(&self, features: &[f32]) -> f64 {
         linear(&self.weights, features)
     }
@@ -79,7 +79,7 @@ pub struct Regression {
 }
 
 impl Regression {
-    /// Least squares with an L2 penalty: the one that explains the last part best when fitted to the first.
+    /// Least squares with the L2 penalty that explains the last part best when fitted to the first.
     /// None without values.
     pub fn fit(features: &[Vec<f32>], values: &[f64]) -> Option<Self> {
         if values.len() != features.len() {
@@ -97,7 +97,7 @@ impl Regression {
         Normal::of(features, values)?.solve(best)
     }
 
-    /// The value that the features stand for.
+    /// The predicted value.
     pub fn value(&self, features: &[f32]) -> f64 {
         linear(&self.weights, features)
     }
@@ -132,7 +132,7 @@ fn linear(weights: &DVector<f64>, features: &[f32]) -> f64 {
     bias + features.iter().zip(weights.iter()).map(|(x, w)| f64::from(*x) * w).sum::<f64>()
 }
 
-/// Share of the variance of `wanted` that `made` explains; None where there is no variance.
+/// Share of the variance of `wanted` that `made` explains; None if there is no variance.
 pub fn explained(made: &[f64], wanted: &[f64]) -> Option<f64> {
     let mean = wanted.iter().sum::<f64>() / wanted.len().max(1) as f64;
     let all: f64 = wanted.iter().map(|y| (y - mean).powi(2)).sum();

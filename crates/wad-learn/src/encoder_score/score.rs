@@ -1,4 +1,4 @@
-//! How good a reconstruction is: PSNR, SSIM, and whether the painted objects are still there.
+//! Scores of a reconstruction: PSNR, SSIM, and the share of painted objects that it keeps.
 
 use crate::dataset::BoxRecord;
 use serde::Serialize;
@@ -49,20 +49,22 @@ pub fn ssim(a: &TransformedImage, b: &TransformedImage) -> f64 {
     sum / count
 }
 
-/// Whether a pixel is painted blue, or has become a blue of its own by blending or by reconstruction.
+/// Whether a pixel is painted blue, or is bluish after blending or reconstruction.
 pub fn is_blue(pixel: &[u8]) -> bool {
     pixel[2] >= 128 && i32::from(pixel[2]) - i32::from(pixel[0].max(pixel[1])) >= 80
 }
 
-/// Counts of painted objects and of those still there.
+/// Counts of painted objects and of kept ones.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Kept {
+    /// Painted objects.
     pub objects: u64,
+    /// Objects that the reconstruction keeps.
     pub kept: u64,
 }
 
 impl Kept {
-    /// Share still there; 0 where there was none.
+    /// Share of kept objects; 0 without objects.
     pub fn share(&self) -> f64 {
         self.kept as f64 / self.objects.max(1) as f64
     }
@@ -80,14 +82,15 @@ pub struct ObjectScore {
     pub large: Kept,
     /// Smaller, both sides 3 pixels or more.
     pub small: Kept,
-    /// Smaller still.
+    /// All smaller ones.
     pub tiny: Kept,
-    /// Blue pixels in both images, and in either.
+    /// Blue pixels in both images.
     pub both: u64,
+    /// Blue pixels in either image.
     pub either: u64,
 }
 
-/// Overlap of the blue, at which an object counts as still there.
+/// Overlap of the blue from which an object counts as kept.
 const SAME: f64 = 0.5;
 /// Objects that show less are not painted (camera pixels of 512 x 512).
 const LEAST_PIXELS: u32 = 12;

@@ -1,20 +1,22 @@
-//! What is known of a frame that a latent should tell.
+//! A frame's ground truth that the latent should hold: the labels of the linear probes.
 
 use crate::dataset::{FrameRecord, Labels};
 
-/// How near counts (m).
+/// A vehicle nearer than this counts (m).
 pub const LEAD: f64 = 20.0;
+/// A pedestrian nearer than this counts (m).
 pub const PEDESTRIAN: f64 = 15.0;
 /// An ego further from its lane's centre has left it (m).
 const NEAR_LANE: f64 = 1.75;
-/// A route that turns less is straight (rad).
+/// A route that turns less than this is straight (rad).
 const STRAIGHT: f64 = 0.15;
 
-/// What probes are fitted to and measured by, and what `--label-weight` teaches.
+/// The labels that probes are fitted to and measured by; `--label-weight` trains on them too.
 #[derive(Clone, Copy, Debug)]
 pub struct Told {
+    /// Vehicle, pedestrian and light.
     pub labels: Labels,
-    /// Offset from the lane's centre (m) and heading error (rad), where a boundary is in sight.
+    /// Offset from the lane's centre (m) and heading error (rad), if a boundary is in sight.
     pub on_lane: Option<[f64; 2]>,
     /// The route goes straight on for the next waypoints.
     pub straight: bool,
@@ -23,7 +25,7 @@ pub struct Told {
 }
 
 impl Told {
-    /// What a frame's record says.
+    /// From a frame's record.
     pub fn of(record: &FrameRecord) -> Self {
         let sees = record.lanes.left.is_some() || record.lanes.right.is_some();
         let near = record.raw.lateral.abs() < NEAR_LANE;

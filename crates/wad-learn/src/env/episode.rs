@@ -1,4 +1,4 @@
-//! One episode: its clock, its judge, and what its reward is made from.
+//! One episode: its clock, its criteria, and the facts for its reward.
 
 use crate::reward::{self, Facts, Light, RewardParams};
 use sumo_network::geometry::{Pose, Vector};
@@ -25,12 +25,12 @@ impl Episode {
         Self { task, placement, limit, tick: 0, over: false, steer: 0.0, acceleration: 0.0 }
     }
 
-    /// An ending that is no matter of the clock.
+    /// An ending other than a timeout.
     pub fn ending(&self, end: End, cause: String) -> Ending {
         end::ending(self.task.kind, end, cause)
     }
 
-    /// What the reward of this tick is made from; remembers what the next one needs.
+    /// The facts for the reward of this tick; keeps what the next tick needs.
     pub fn facts(
         &mut self,
         params: &RewardParams,

@@ -1,39 +1,70 @@
-//! What can go wrong in an environment.
+//! Errors of an environment.
 
 use wad_see::eyes::EyesError;
 use wad_sim::assets::AssetsError;
 use wad_sim::bridge::BridgeError;
 use wad_sim::tasks::TaskError;
 
-/// Why an environment cannot be made or go on.
+/// Why an environment cannot be made or cannot go on.
 #[derive(Debug, thiserror::Error)]
 pub enum EnvError {
+    /// The town cannot be read.
     #[error(transparent)]
     Assets(#[from] AssetsError),
+    /// Camera, perception or encoder fail.
     #[error(transparent)]
     Eyes(#[from] EyesError),
+    /// The task has no place on this net.
     #[error(transparent)]
     Task(#[from] TaskError),
+    /// SUMO or the bridge fail.
     #[error(transparent)]
     Bridge(#[from] BridgeError),
-    #[error("no episode is under way: call reset first")]
+    /// `step` without `reset`.
+    #[error("no episode is running: call reset first")]
     NoEpisode,
+    /// SUMO failed at every start.
     #[error(
         "SUMO failed {attempts} times in a row at the start of an episode of `{task}` with seed {seed}; the last time: {source}"
     )]
-    Start { attempts: usize, task: String, seed: u64, source: Box<BridgeError> },
+    Start {
+        /// Number of starts.
+        attempts: usize,
+        /// The task.
+        task: String,
+        /// The episode's seed.
+        seed: u64,
+        /// The last error.
+        source: Box<BridgeError>,
+    },
+    /// Traffic leaves no free place.
     #[error(
         "no free place for `{task}` in {town} after {tries} draws: too much traffic; ask for fewer vehicles"
     )]
-    Crowded { task: String, town: String, tries: usize },
+    Crowded {
+        /// The task.
+        task: String,
+        /// The town.
+        town: String,
+        /// Number of places tried.
+        tries: usize,
+    },
+    /// The folder for SUMO's files cannot be made.
     #[error("cannot make a folder for SUMO's files: {source}; check that the temporary folder is writable")]
-    Folder { source: std::io::Error },
+    Folder {
+        /// The cause.
+        source: std::io::Error,
+    },
+    /// The asynchronous runtime cannot be started.
     #[error("cannot start the asynchronous runtime: {source}")]
-    Runtime { source: std::io::Error },
+    Runtime {
+        /// The cause.
+        source: std::io::Error,
+    },
 }
 
 impl EnvError {
-    /// True where the user's input is at fault, not SUMO.
+    /// Whether the user's input is wrong, not SUMO.
     pub fn is_input(&self) -> bool {
         match self {
             Self::Task(_) | Self::Crowded { .. } => true,
@@ -44,7 +75,7 @@ impl EnvError {
         }
     }
 
-    /// True where SUMO is at fault.
+    /// Whether SUMO failed.
     pub fn is_sumo(&self) -> bool {
         matches!(self, Self::Bridge(_) | Self::Start { .. } | Self::Assets(_)) && !self.is_input()
     }

@@ -1,11 +1,11 @@
-//! Lights held at green for the tasks that come before the one with lights.
+//! Holds lights at green for the tasks before the cross task.
 
 use std::collections::BTreeMap;
 use sumo_network::network::{Route, TrafficLightId};
 use sumo_traci::{Batch, traffic_light};
 use wad_sim::bridge::{Bridge, BridgeError};
 
-/// Lights that are held, with the programs that they are to go back to.
+/// Held lights, with their own programs.
 #[derive(Debug, Default)]
 pub struct Held(Vec<(TrafficLightId, String)>);
 
@@ -39,7 +39,7 @@ pub async fn hold(bridge: &mut Bridge, route: &Route) -> Result<Held, BridgeErro
     Ok(held)
 }
 
-/// Gives the lights back to their programs, from the next step on.
+/// Restores the lights' programs, from the next step on.
 pub fn release(bridge: &mut Bridge, held: &mut Held) {
     let network = bridge.network().clone();
     for (light, program) in held.0.drain(..) {

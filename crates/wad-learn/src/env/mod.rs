@@ -5,9 +5,9 @@
 //! step(Control)     -> Step { observation, reward, terminated, truncated, info }
 //! ```
 //!
-//! An [`Env`] is blocking and belongs to one thread: it owns a runtime of its own and shares its core
-//! with its SUMO, so make it on the thread that uses it. Any number of them run in parallel; what does
-//! not change is shared between them ([`Assets`]).
+//! An [`Env`] is blocking and belongs to one thread: it has its own runtime and shares its core
+//! with its SUMO, so make it on the thread that uses it. Any number of them run in parallel and share
+//! the town ([`Assets`]).
 //!
 //! ```no_run
 //! # fn example() -> Result<(), Box<dyn std::error::Error>> {
@@ -61,22 +61,24 @@ use wad_sim::tasks::{Placement, TaskSpec};
 use wad_vehicle::{Control, EgoState};
 use world::World;
 
-/// What came of a control.
+/// The result of one control.
 #[derive(Clone, Debug)]
 pub struct Step {
+    /// The observation after the tick.
     pub observation: Observation,
-    /// What was driven.
+    /// The control that was driven.
     pub control: Control,
     /// Sum of `info.reward`.
     pub reward: f64,
-    /// The episode ended by what the ego did: the value of what follows is 0.
+    /// The ego ended the episode, e.g. by a collision: the value of the next state is 0.
     pub terminated: bool,
-    /// The episode ended otherwise (arrival, the clock): what follows would have had a value.
+    /// The episode ended otherwise (arrival, the clock): the next state still has a value.
     pub truncated: bool,
+    /// Details of the tick.
     pub info: Info,
 }
 
-/// Beside the observation: for logs, tables and people, never for the agent.
+/// Facts for logs, tables and people, never for the agent.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Info {
     /// Ticks of the episode so far.
@@ -85,32 +87,40 @@ pub struct Info {
     pub time: f64,
     /// The named reward terms.
     pub reward: RewardTerms,
-    /// What happened in the tick.
+    /// The tick's events.
     pub events: Vec<Event>,
-    /// How the episode ended, where it did.
+    /// How the episode ended; None while it runs.
     pub ending: Option<Ending>,
     /// The six raw states by name, in units.
     pub raw: RawState,
+    /// The ego's state.
     pub ego: EgoState,
-    /// Way along the route since the start, and the route's length (m).
+    /// Way along the route since the start (m).
     pub driven: f64,
+    /// The route's length (m).
     pub route_length: f64,
     /// Background vehicles and pedestrians in the net.
     pub traffic: (usize, usize),
 }
 
-/// Where the wall time of an environment went, summed over its life (s).
+/// Wall time of an environment by stage, summed over its life (s).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Stages {
+    /// Number of steps.
     pub steps: u64,
-    /// Message out, SUMO's step, the new world decoded.
+    /// SUMO: message, step, decoding the new world.
     pub sumo: f64,
+    /// The ego's physics.
     pub physics: f64,
+    /// Rendering.
     pub camera: f64,
     /// Detection, lanes, painting, raw states.
     pub perception: f64,
+    /// The encoder.
     pub encoder: f64,
+    /// Number of resets.
     pub resets: u64,
+    /// All resets.
     pub reset: f64,
 }
 
@@ -137,7 +147,7 @@ impl Env {
         Ok(Self { runtime, world: World::new(assets, options, encoder)? })
     }
 
-    /// Begins an episode of `task`; everything that is drawn (place, traffic, weather where several are
+    /// Begins an episode of `task`; everything random (place, traffic, weather if several are
     /// given, the detector's faults) comes from `seed`. In [`WorldMode::Fresh`] equal calls give equal
     /// episodes bit for bit. A SUMO that died is replaced.
     ///
@@ -150,13 +160,13 @@ impl Env {
     /// Drives one tick.
     ///
     /// # Errors
-    /// There is no episode under way, or perception or encoder fail. SUMO's death is no error here: see
-    /// the module.
+    /// No episode is running, or perception or encoder fail. SUMO's death is not an error here: see the
+    /// module.
     pub fn step(&mut self, control: Control) -> Result<Step, EnvError> {
         self.runtime.block_on(self.world.step(control))
     }
 
-    /// Drives one tick as a driver wants: the expert itself, or a control.
+    /// Drives one tick by the expert or with a control.
     ///
     /// # Errors
     /// As [`Env::step`].
@@ -164,11 +174,11 @@ impl Env {
         self.runtime.block_on(self.world.act(act))
     }
 
-    /// What the rule-based expert would do now (it sees the whole world). To be asked at every tick of
-    /// an episode that it drives, and once a tick: it has a memory.
+    /// The rule-based expert's control for this tick (it sees the whole world). Call it at every tick of
+    /// an episode that it drives, and only once a tick: it has a memory.
     ///
     /// # Errors
-    /// There is no episode under way.
+    /// No episode is running.
     pub fn expert(&mut self) -> Result<Control, EnvError> {
         self.world.expert()
     }
@@ -178,7 +188,7 @@ impl Env {
         self.world.placement()
     }
 
-    /// The ego, for cameras that look from outside.
+    /// The ego as an actor, for cameras outside it.
     pub fn ego(&self) -> Option<&wad_sim::bridge::Ego> {
         self.world.ego()
     }
@@ -193,7 +203,7 @@ impl Env {
         self.world.sumo_pid()
     }
 
-    /// The ego's eyes, as they looked last.
+    /// The ego's eyes, with the last frame.
     pub fn eyes(&self) -> &Eyes {
         self.world.eyes()
     }
@@ -203,7 +213,7 @@ impl Env {
         self.world.eyes().raw()
     }
 
-    /// What the observation is made from, for people and data sets: the camera's last frame.
+    /// The camera's last frame, the observation's source, for people and datasets.
     pub fn frame(&self) -> Option<&wad_camera::Frame> {
         self.world.eyes().frame()
     }
@@ -218,7 +228,7 @@ impl Env {
         self.world.tick()
     }
 
-    /// Where the time went.
+    /// Wall time by stage.
     pub fn stages(&self) -> Stages {
         self.world.stages
     }

@@ -1,4 +1,4 @@
-//! What stands in the ego's way in the obstacle task.
+//! The obstacle of the obstacle task.
 
 use super::EnvError;
 use std::sync::Arc;
@@ -21,8 +21,8 @@ fn actor(obstacle: ObstacleKind) -> ActorKind {
     }
 }
 
-/// Puts it there with the next step: vehicles into SUMO, whose traffic then queues behind them; a person
-/// into the ego's world alone, since SUMO's persons do not stand in lanes.
+/// Places it with the next step: vehicles into SUMO, whose traffic then queues behind them; a person only
+/// into the ego's world, since SUMO's persons do not stand in lanes.
 pub fn put(bridge: &mut Bridge, ego: &mut Ego, wanted: &ObstaclePlacement) -> Result<(), EnvError> {
     let network = Arc::clone(bridge.network());
     let place = wanted.at.on(&network)?;
@@ -34,7 +34,7 @@ pub fn put(bridge: &mut Bridge, ego: &mut Ego, wanted: &ObstaclePlacement) -> Re
         ego.set_extras(vec![person(lane.shape.at(place.s))]);
         return Ok(());
     }
-    // Where no bus may be, a car may.
+    // A car, where buses are not allowed.
     let Some(model) = FLEET.iter().find(fits).or(FLEET.first()) else { return Ok(()) };
     let edge = network.edge(lane.edge).id.as_str();
     let route_id = format!("{OBSTACLE}_{edge}");
@@ -56,14 +56,14 @@ pub fn put(bridge: &mut Bridge, ego: &mut Ego, wanted: &ObstaclePlacement) -> Re
     Ok(())
 }
 
-/// Takes it away with the next step.
+/// Removes it with the next step.
 pub fn take_away(bridge: &mut Bridge, ego: &mut Ego) {
     ego.set_extras(Vec::new());
     // A person was never in SUMO: it refuses, and nothing is lost.
     vehicle::remove(bridge.next_batch(), OBSTACLE, RemoveReason::Vaporized);
 }
 
-/// A person who stands at `place`, turned to whoever comes.
+/// A person who stands at `place` and faces the traffic.
 fn person(place: Pose) -> Actor {
     let walker = &WALKERS[0];
     let heading = place.heading + std::f64::consts::PI;

@@ -1,4 +1,4 @@
-//! What an environment is made of; saved with every result.
+//! The environment's options; saved with every result.
 
 use crate::reward::RewardParams;
 use rand::RngExt;
@@ -10,25 +10,25 @@ use wad_sim::criteria::CriteriaParams;
 use wad_sim::end::Termination;
 use wad_vehicle::EgoParams;
 
-/// What becomes of SUMO between episodes.
+/// What happens to SUMO between episodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum WorldMode {
     /// A new SUMO per episode: reproducible from task and seed alone. For evaluation.
     #[default]
     Fresh,
-    /// SUMO and its traffic run on; the ego is put down elsewhere, at a place that is free. For training.
+    /// SUMO and its traffic run on; the ego moves to another free place. For training.
     Running,
 }
 
-/// How askew the ego stands at the start: each is drawn from the seed, evenly to both sides. Nobody parks
-/// perfectly, and a driver that does not look must not get down a straight road by luck.
+/// Random displacement of the ego at the start, drawn from the seed, uniformly to both sides. Without it, a
+/// blind driver could follow a straight road by luck.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StartOffset {
-    /// Beside the lane's middle (m). Default 0.25.
+    /// Most distance from the lane's middle (m). Default 0.25.
     pub lateral: f64,
-    /// Off the lane's heading (degrees). Default 2.5.
+    /// Most deviation from the lane's heading (degrees). Default 2.5.
     pub heading_deg: f64,
 }
 
@@ -47,32 +47,38 @@ impl StartOffset {
     }
 }
 
-/// What an environment is made of.
+/// An environment's options.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EnvOptions {
+    /// SUMO's life between episodes.
     pub world: WorldMode,
+    /// Parts of the observation to compute.
     pub observation: ObservationMode,
     /// Detector by name, e.g. `truth`.
     pub detector: String,
+    /// The front camera.
     pub camera: CameraConfig,
     /// Tick length (ms). Default 167, the paper's six a second.
     pub tick_ms: f64,
-    /// How far the ego's world reaches (m). Default 100.
+    /// Radius of the ego's world (m). Default 100.
     pub sight: f64,
+    /// The ego's physics.
     pub ego: EgoParams,
+    /// Random displacement of the ego at the start.
     pub start: StartOffset,
     /// Thresholds of the events.
     pub criteria: CriteriaParams,
     /// Which events end an episode.
     pub termination: Termination,
+    /// The reward's constants.
     pub reward: RewardParams,
-    /// In [`WorldMode::Running`]: episodes after which SUMO is started anew all the same, so that jams
+    /// In [`WorldMode::Running`]: episodes after which SUMO is started again, so that jams
     /// dissolve and the traffic's seed changes. Default 200.
     pub episodes_per_sumo: u64,
     /// Longest time a tick may take before SUMO counts as hung (s). Default 60.
     pub tick_timeout: f64,
-    /// Show SUMO's window. It changes nothing of what happens, so it is not kept with results.
+    /// Show SUMO's window. It does not change the simulation, so it is not saved with results.
     #[serde(skip)]
     pub gui: bool,
 }
@@ -104,7 +110,7 @@ impl EnvOptions {
         Self::default()
     }
 
-    /// For training: running traffic, and standing for no reason ends an episode after 30 s, not 90.
+    /// For training: running traffic, and standing without a reason ends an episode after 30 s, not 90.
     pub fn training() -> Self {
         Self {
             world: WorldMode::Running,

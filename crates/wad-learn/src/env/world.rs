@@ -25,24 +25,24 @@ use wad_sim::tasks::{Placement, TaskError, TaskSpec};
 use wad_sim::traffic::TrafficSpec;
 use wad_vehicle::Control;
 
-/// Times that SUMO is started for one episode before that counts as an error.
+/// Failed starts of SUMO for one episode after which `reset` fails.
 const ATTEMPTS: usize = 3;
-/// In running traffic: places drawn for one start, and the room that is cleared round it (m).
+/// In running traffic: places drawn for one start, and the radius cleared round it (m).
 const PLACES: usize = 12;
 const ROOM: f64 = 30.0;
 
 /// The environment's only ego.
 const EGO: usize = 0;
 
-/// A SUMO that runs, with the ego in it.
+/// A running SUMO with the ego in it.
 struct Sumo {
     session: Session,
-    /// What its population was made by.
+    /// The settings of its population.
     traffic: TrafficSpec,
     episodes: u64,
-    /// Something stands in the way since the last episode.
+    /// The last episode's obstacle is still there.
     obstacle: bool,
-    /// Lights that the last task held at green.
+    /// Lights held at green by the last task.
     held: Held,
 }
 
@@ -51,7 +51,7 @@ pub struct World {
     options: EnvOptions,
     eyes: Eyes,
     sumo: Option<Sumo>,
-    /// The ego, while it is in no SUMO.
+    /// The ego, while no SUMO runs.
     parked: Option<Seat>,
     episode: Option<Episode>,
     /// Draws the further destinations of a route that never ends.
@@ -128,7 +128,7 @@ impl World {
         Ok(observation)
     }
 
-    /// Looks at the world after a tick.
+    /// Runs camera and perception after a tick.
     fn look(&mut self) -> Result<Observation, EnvError> {
         let Some(sumo) = &self.sumo else { return Err(EnvError::NoEpisode) };
         let ego = sumo.session.ego(EGO);
@@ -143,14 +143,14 @@ impl World {
         Ok(self.eyes.observation())
     }
 
-    /// Lets SUMO go, and keeps the ego for the next one.
+    /// Ends SUMO, and keeps the ego for the next one.
     fn park(&mut self) {
         if let Some(sumo) = self.sumo.take() {
             self.parked = sumo.session.into_seats().pop();
         }
     }
 
-    /// Puts the ego to its start, in a world as the task wants it.
+    /// Moves the ego to its start, and prepares traffic, lights and obstacle for the task.
     async fn begin(&mut self, task: &TaskSpec, seed: u64) -> Result<Placement, EnvError> {
         let (placement, route) = self.place(task, seed)?;
         let traffic = task.traffic();
@@ -177,7 +177,7 @@ impl World {
         if let (Some(wanted), None) = (&placement.obstacle, self.assets.scenario()) {
             obstacle::put(bridge, seat.ego_mut(), wanted)?;
         }
-        // Standing: SUMO learns the new route, and those in sight have a speed.
+        // One tick at standstill: SUMO gets the new route, and actors in sight get a speed.
         sumo.session.settle().await?;
         Ok(placement)
     }
@@ -226,8 +226,8 @@ impl World {
         self.folder.path().join("sumo")
     }
 
-    /// The ego put down at the route's begin, or, where somebody stands there who cannot be taken away,
-    /// at another place for the same task.
+    /// Moves the ego to the route's begin, or, if a road user stands there that cannot be removed, to
+    /// another place for the same task.
     async fn go_on(
         &mut self,
         task: &TaskSpec,
@@ -338,7 +338,7 @@ impl World {
         })
     }
 
-    /// SUMO died: the episode is lost, the next reset builds a new one.
+    /// SUMO died: the episode is lost, the next reset starts a new SUMO.
     fn lost(&mut self, error: &BridgeError) -> Step {
         tracing::warn!("an episode is lost, its SUMO is replaced: {error}");
         let time = self.sumo.as_ref().map_or(0.0, |sumo| sumo.session.bridge().time());
@@ -416,7 +416,7 @@ impl World {
 
 /// A route that never ends is lengthened when less than this is left of it (m).
 const ONWARD: f64 = 250.0;
-/// Places drawn for that at a time.
+/// Places drawn per attempt.
 const ONWARD_DRAWS: usize = 20;
 
 /// Lengthens the route before its end comes into view. Where no place can be reached from its end it

@@ -1,4 +1,4 @@
-//! Episodes that were kept to be seen again: a folder with `episode.json` and the recorded states.
+//! Kept episodes: a folder with `episode.json` and the recorded states, for `replay`.
 
 use super::{Case, EpisodeRecord};
 use crate::env::{Env, EnvOptions};
@@ -9,23 +9,41 @@ use wad_sim::replay::{self, Body, Header, Moment, Recorder, Recording, ReplayErr
 use wad_sim::telemetry::write_json;
 use wad_vehicle::Control;
 
-/// `episode.json`: everything that is needed to drive it again.
+/// `episode.json`: everything that is needed to drive the episode again.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Kept {
-    /// The program's version, and [`wad_sim::assets::Assets::net_hash`] of the town.
+    /// The program's version.
     pub build: String,
+    /// Hash of the town's net.
     pub net: String,
+    /// The environment's options.
     pub options: EnvOptions,
+    /// The episode's result.
     pub episode: EpisodeRecord,
 }
 
 /// Why a kept episode cannot be read or driven again.
 #[derive(Debug, thiserror::Error)]
 pub enum KeptError {
+    /// A file cannot be read or written.
     #[error("cannot {what} {}: {source}", path.display())]
-    File { what: &'static str, path: PathBuf, source: std::io::Error },
-    #[error("{} is no kept episode: {why}; expected a folder as `eval` keeps of each failure", path.display())]
-    Format { path: PathBuf, why: String },
+    File {
+        /// The action that failed.
+        what: &'static str,
+        /// The file or folder.
+        path: PathBuf,
+        /// The cause.
+        source: std::io::Error,
+    },
+    /// The folder is not a kept episode.
+    #[error("{} is not a kept episode: {why}; expected a folder that `eval` keeps of a failure", path.display())]
+    Format {
+        /// The file or folder.
+        path: PathBuf,
+        /// The cause.
+        why: String,
+    },
+    /// The recording cannot be read.
     #[error(transparent)]
     Replay(#[from] ReplayError),
 }
@@ -54,7 +72,7 @@ impl Kept {
     /// Reads the folder.
     ///
     /// # Errors
-    /// It is none, or cannot be read.
+    /// It is not a kept episode, or cannot be read.
     pub fn open(folder: &Path) -> Result<(Self, Recording), KeptError> {
         let path = folder.join(FILE);
         let text = std::fs::read_to_string(&path).map_err(|source| KeptError::File {
@@ -87,7 +105,7 @@ pub(super) fn header(env: &Env, case: &Case) -> Header {
     header
 }
 
-/// Calls `then` with the state that `env` is in.
+/// Calls `then` with the current state of `env`.
 pub(super) fn with_moment(
     env: &Env,
     tick: u64,

@@ -1,4 +1,4 @@
-//! What results were made by: results of different builds, weights, nets or settings are never mixed.
+//! The manifest of results: results of different builds, weights, nets or settings are never mixed.
 
 use super::{Selection, Shard, Suite};
 use crate::env::EnvOptions;
@@ -9,22 +9,27 @@ use std::collections::BTreeMap;
 /// `config.json` of an evaluation's folder.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
-    /// The program's version with its commit, and SUMO's version.
+    /// The program's version with its commit.
     pub build: String,
+    /// SUMO's version.
     pub sumo: String,
+    /// The suite.
     pub suite: Suite,
+    /// The driven part of the suite.
     pub selection: Selection,
+    /// The environment's options.
     pub options: EnvOptions,
-    /// What each agent is: the hashes of its weights and of its encoder's, or nothing for one that has none.
+    /// Each agent's identity: the hashes of its weights and of its encoder; empty for agents without weights.
     pub agents: BTreeMap<String, String>,
     /// Hashes of the towns' nets.
     pub nets: BTreeMap<String, String>,
-    /// The part of the plan that is driven here; None: all of it.
+    /// The driven part of the plan; None: all of it.
     pub shard: Option<Shard>,
 }
 
 impl Manifest {
-    /// Where `other` differs, e.g. `build: 0.1.0 (aaa), found 0.1.0 (bbb)`; `shards`: whether that counts.
+    /// The differences of `other`, e.g. `build: 0.1.0 (aaa), found 0.1.0 (bbb)`; `shards`: whether the shard
+    /// counts.
     pub fn differences(&self, other: &Self, shards: bool) -> Vec<String> {
         let mut found = Vec::new();
         let value = |manifest: &Self| {

@@ -4,8 +4,9 @@
 //! Suite + Selection --plan--> Cases --run (jobs in parallel)--> EpisodeRecords --rows--> tables, reports
 //! ```
 //!
-//! A [`Case`] is one episode to be; it and the environment's options give the same episode wherever and
-//! whenever it is driven. An [`EpisodeRecord`] is one line of `episodes.jsonl`. [`kept`] shows failures again.
+//! A [`Case`] is one planned episode; with the environment's options it gives the same episode wherever and
+//! whenever it is driven. An [`EpisodeRecord`] is one line of `episodes.jsonl`. [`kept`] shows failures
+//! again.
 
 pub mod kept;
 mod manifest;

@@ -1,4 +1,4 @@
-//! From a suite and what the user wants of it to the episodes to be driven.
+//! Makes the plan of episodes from a suite and the user's selection.
 
 use super::routes::{RouteError, Routes};
 use super::suite::MOST_EPISODES;
@@ -15,46 +15,59 @@ use wad_camera::Preset;
 use wad_sim::tasks::TaskSpec;
 use wad_sim::traffic::TrafficSpec;
 
-/// Which part of a suite is driven; what is empty or None is the suite's own.
+/// The selected part of a suite; an empty list or None stands for the suite's own.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Selection {
+    /// The drivers.
     pub agents: Vec<DriverSpec>,
+    /// Tasks by name.
     pub tasks: Vec<String>,
+    /// Conditions by name.
     pub conditions: Vec<String>,
+    /// Towns (CONFIG).
     pub towns: Vec<String>,
+    /// Weathers instead of the suite's.
     pub weathers: Vec<Preset>,
+    /// Traffic: selects tasks, or replaces their own traffic.
     pub traffic: Vec<TrafficSpec>,
+    /// The evaluation's seeds.
     pub seeds: Vec<u64>,
+    /// Episodes per task, town and weather.
     pub episodes: Option<u64>,
-    /// Route file for a town that brings none.
+    /// Route file for a town without one.
     pub routes: Option<PathBuf>,
 }
 
-/// One episode to be driven.
+/// One planned episode.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Case {
+    /// The suite's name.
     pub suite: String,
-    /// The suite's condition; `other` for a town and weather that are none.
+    /// The suite's condition; `other` for a town and weather outside all of them.
     pub condition: String,
+    /// The driver.
     pub agent: DriverSpec,
+    /// The town (CONFIG).
     pub town: String,
     /// The suite's name for the task.
     pub task: String,
+    /// The task.
     pub spec: TaskSpec,
-    /// The evaluation's seed, and the number of the episode in its row.
+    /// The evaluation's seed.
     pub seed: u64,
+    /// Number of the episode in its row, from 0.
     pub episode: u64,
 }
 
 impl Case {
-    /// The seed of the episode itself. It does not hang on agent or weather: all drive the same places in
+    /// The seed of the episode itself. It does not depend on agent or weather: all drive the same places in
     /// the same traffic.
     pub fn episode_seed(&self) -> u64 {
         seeds::derive(self.seed, &format!("{} {} {} {}", self.suite, self.town, self.task, self.episode))
     }
 
-    /// What tells it from every other episode, as a name for a folder.
+    /// A unique name for the episode's folder.
     pub fn name(&self) -> String {
         let text = format!(
             "{}_{}_{}_{}_{}_s{}_{:03}",
@@ -75,21 +88,22 @@ impl Case {
         if name.len() <= 100 {
             return name;
         }
-        // The end tells episodes apart; what is cut off is in the number.
+        // The end identifies the episode; the number covers the part that is cut off.
         format!("{:08x}{}", crc32fast::hash(text.as_bytes()), &name[name.len() - 80..])
     }
 }
 
-/// One of N parts of a plan that several machines share.
+/// One of N parts of a plan, for several machines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Shard {
-    /// From 1 to `of`.
+    /// Number of the part, 1 to `of`.
     pub part: usize,
+    /// Number of parts.
     pub of: usize,
 }
 
 impl Shard {
-    /// Whether the case number `index` of the plan is in it.
+    /// Whether case number `index` of the plan belongs to it.
     pub fn has(self, index: usize) -> bool {
         index % self.of.max(1) + 1 == self.part
     }
@@ -121,7 +135,7 @@ struct Place {
 }
 
 impl Selection {
-    /// The towns of the part of `suite` that is driven.
+    /// The towns of the selected part of `suite`.
     ///
     /// # Errors
     /// The suite has no such condition.
@@ -132,7 +146,7 @@ impl Selection {
         Ok(towns)
     }
 
-    /// Towns with weathers: the suite's conditions, or their weathers in the towns that were asked for.
+    /// Towns with weathers: the suite's conditions, or their weathers in the selected towns.
     fn places(&self, suite: &Suite) -> Result<Vec<Place>, SuiteError> {
         known(suite, "condition", &self.conditions, suite.conditions.iter().map(|c| c.name.as_str()))?;
         let wanted = |name: &String| self.conditions.is_empty() || self.conditions.contains(name);
@@ -183,8 +197,8 @@ impl Selection {
         self.cases(suite)?.into_iter().map(placed).collect()
     }
 
-    /// The episodes with their tasks, each once, without the places that a town's route file gives them: what
-    /// can be said without the towns.
+    /// The episodes with their tasks, each once, without the places from the route files:
+    /// all that is known without the towns.
     ///
     /// # Errors
     /// The suite has no such condition or task, or there are too many episodes.
@@ -227,7 +241,7 @@ impl Selection {
                                 seed,
                                 episode,
                             };
-                            // What is asked for twice counts once.
+                            // Repeated values count once.
                             if seen.insert(case.name()) {
                                 plan.push((case, task));
                             }
@@ -261,7 +275,7 @@ impl Selection {
     }
 }
 
-/// The suite's condition that a town and a weather belong to.
+/// The suite's condition of a town and a weather.
 fn condition_of(suite: &Suite, town: &str, weather: Preset) -> String {
     let own = suite.conditions.iter().find(|c| c.town == town && c.weathers.contains(&weather));
     own.map_or("other".to_string(), |c| c.name.clone())

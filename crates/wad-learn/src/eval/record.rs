@@ -8,71 +8,84 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use wad_sim::tasks::Placement;
 
-/// Whose fault it is that an episode could not be driven to its end.
+/// The fault that stopped an episode before its end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Fault {
-    /// It died, hung, or answered nonsense: the episode counts as failed.
+    /// The agent died, hung, or gave an invalid answer: the episode counts as failed.
     Agent,
     /// SUMO died, twice: the episode does not count, and is driven again on `--resume`.
     Simulator,
 }
 
-/// What came of an episode, and everything that is needed to drive it again. It holds nothing that
-/// depends on wall time: equal cases give equal bytes.
+/// The result of an episode, and everything that is needed to drive it again. Nothing in it depends
+/// on wall time: equal cases give equal bytes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EpisodeRecord {
+    /// The case that was driven.
     #[serde(flatten)]
     pub case: Case,
+    /// The episode's own seed.
     pub episode_seed: u64,
+    /// Where it took place.
     pub placement: Placement,
+    /// How it ended.
     #[serde(flatten)]
     pub ending: Ending,
+    /// The fault that ended it, if one did.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fault: Option<Fault>,
+    /// Ticks driven.
     pub ticks: u64,
     /// Length of a tick (s).
     pub tick_s: f64,
+    /// The route's length (m).
     pub route_length_m: f64,
-    /// Way along the route.
+    /// Way along the route (m).
     pub driven_m: f64,
-    /// Way of the ego's centre.
+    /// Way of the ego's centre (m).
     pub distance_m: f64,
-    /// Over all ticks, standing ones too.
+    /// Mean speed over all ticks, including standstill (m/s).
     pub mean_speed_mps: f64,
+    /// Highest speed (m/s).
     pub top_speed_mps: f64,
-    /// Root mean square over the ticks (m/s2, and steering per tick).
+    /// Root mean square acceleration over the ticks (m/s2).
     pub rms_acceleration: f64,
+    /// Root mean square of the steering's change per tick (share of full lock).
     pub rms_steer_change: f64,
-    /// Sum of the rewards, and by term.
+    /// Sum of the rewards.
     pub episodic_return: f64,
+    /// Sums of the reward's terms.
     pub terms: RewardTerms,
+    /// Mean number of background vehicles.
     pub vehicles_mean: f64,
+    /// Mean number of pedestrians.
     pub pedestrians_mean: f64,
-    /// What happened on the way, whether it ended the episode or not.
+    /// All events, also those that did not end the episode.
     pub events: EventCounts,
-    /// Ticks by speed, and by gap to the vehicle in front.
+    /// Ticks by speed.
     pub speeds: Histogram,
+    /// Ticks by true gap to the vehicle in front.
     pub gaps: Histogram,
     /// Where it ended: x, y (m).
     pub end_at: [f64; 2],
-    /// The recording's folder, relative to the evaluation's, where one was kept.
+    /// The recording's folder, relative to the evaluation's; None if it was not kept.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub recording: Option<RecordingFolder>,
 }
 
 /// A recording's folder, relative to its evaluation's: `episodes/NAME`.
 ///
-/// Results may come from others. A path that leads out of the evaluation's folder cannot become one of these.
+/// Results may come from others: a path that leads out of the evaluation's folder is refused.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct RecordingFolder(String);
 
-/// The folder in an evaluation's that recordings lie in.
+/// The folder of recordings in an evaluation's folder.
 pub(super) const RECORDINGS: &str = "episodes";
 
 impl RecordingFolder {
-    /// Where the recording of `case` goes.
+    /// The folder for the recording of `case`.
     pub fn of(case: &Case) -> Self {
         Self(format!("{RECORDINGS}/{}", case.name()))
     }

@@ -1,4 +1,4 @@
-//! Evaluation routes: fixed in a file per town, each one that the autopilot finishes in the empty town.
+//! Evaluation routes: fixed in a file per town; the autopilot finishes each in the empty town.
 
 use crate::env::{Assets, Env, EnvError, EnvOptions, ObservationMode};
 use serde::{Deserialize, Serialize};
@@ -11,44 +11,82 @@ use wad_sim::bundled;
 use wad_sim::tasks::{Placement, TaskError, TaskKind, TaskSpec};
 use wad_sim::traffic::TrafficSpec;
 
-/// The routes of one town, in sets by the kind of task that they are for.
+/// The routes of one town, in sets by kind of task.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Routes {
+    /// The town (CONFIG).
     pub town: String,
-    /// [`Assets::net_hash`] of the net that they belong to.
+    /// [`Assets::net_hash`] of their net.
     pub net: String,
+    /// Places by the kind of task.
     pub sets: BTreeMap<String, Vec<Placement>>,
-    /// Sets that the net has no place for, and why.
+    /// Sets without a place on the net, and the cause.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub missing: BTreeMap<String, String>,
 }
 
-/// Why there are no routes.
+/// Why routes cannot be read, written or made.
 #[derive(Debug, thiserror::Error)]
 pub enum RouteError {
+    /// The town has no file of routes.
     #[error(
-        "the suite's routes for `{town}` are not there: `wad-cosim eval routes {town}` makes them, and \
-         `--routes FILE` names them where they do not lie beside the net"
+        "the suite's routes for `{town}` are missing: make them with `wad-cosim eval routes {town}`, or name \
+         their file with `--routes FILE` if it is not beside the net"
     )]
-    None { town: String },
+    None {
+        /// The town.
+        town: String,
+    },
+    /// The file lacks a set that the suite needs.
     #[error("the suite needs routes `{set}`, and {} has none: {why}{}", path.display(), remedy(set))]
-    NoSet { set: String, path: PathBuf, why: String },
+    NoSet {
+        /// The set's name.
+        set: String,
+        /// The file or folder.
+        path: PathBuf,
+        /// Why there is none.
+        why: String,
+    },
+    /// The file cannot be read or written.
     #[error("cannot {what} the routes {}: {source}", path.display())]
-    File { what: &'static str, path: PathBuf, source: std::io::Error },
-    #[error("{} are no routes: {why}; `wad-cosim eval routes` makes such a file", path.display())]
-    Format { path: PathBuf, why: String },
+    File {
+        /// The action that failed.
+        what: &'static str,
+        /// The file or folder.
+        path: PathBuf,
+        /// The cause.
+        source: std::io::Error,
+    },
+    /// The file does not hold routes.
+    #[error("{} is not a file of routes: {why}; `wad-cosim eval routes` makes one", path.display())]
+    Format {
+        /// The file or folder.
+        path: PathBuf,
+        /// The cause.
+        why: String,
+    },
+    /// The routes belong to another net.
     #[error(
-        "the routes {} belong to another net ({expected}) than {town} ({found}): make them anew with \
+        "the routes {} belong to another net ({expected}) than {town} ({found}): make them again with \
          `wad-cosim eval routes {town}`", path.display()
     )]
-    OtherNet { path: PathBuf, town: String, expected: String, found: String },
+    OtherNet {
+        /// The file or folder.
+        path: PathBuf,
+        /// The town.
+        town: String,
+        /// Hash of the routes' net.
+        expected: String,
+        /// Hash of the town's net.
+        found: String,
+    },
 }
 
-/// What to do about a net without places for a set.
+/// The remedy for a net without places for a set.
 fn remedy(set: &str) -> &'static str {
     match set {
-        "cross" => ". `wad-cosim net enrich` puts signals on junctions; make the routes anew afterwards",
+        "cross" => ". `wad-cosim net enrich` adds signals to junctions; make the routes again afterwards",
         _ => ". Drive the suite's other tasks with --task, or choose a net that has such places",
     }
 }
@@ -57,7 +95,7 @@ const SHIPPED: [(&str, &str); 2] =
     [("town3", include_str!("routes/town3.json")), ("town5", include_str!("routes/town5.json"))];
 
 impl Routes {
-    /// The sets that are made: the five tasks', and navigation's.
+    /// The sets to make: for the five tasks, and for navigation.
     pub const SETS: [TaskKind; 6] = [
         TaskKind::Straight,
         TaskKind::OneTurn,
@@ -67,11 +105,11 @@ impl Routes {
         TaskKind::Navigation,
     ];
 
-    /// The routes of the town `config`: `file` where one is named, else the shipped ones, else those
-    /// beside the net (`NAME.routes.json`). And where they come from.
+    /// The routes of the town `config`: from `file` if given, else the bundled ones, else the file
+    /// beside the net (`NAME.routes.json`). Also returns their source.
     ///
     /// # Errors
-    /// There are none, or they belong to another net.
+    /// There are no routes, or they belong to another net.
     pub fn find(config: &str, assets: &Assets, file: Option<&Path>) -> Result<(Self, PathBuf), RouteError> {
         let beside = Self::beside(assets);
         let (path, text) = match (file, SHIPPED.iter().find(|(town, _)| *town == config)) {
@@ -93,7 +131,7 @@ impl Routes {
         Ok((routes, path))
     }
 
-    /// Where a town's own routes lie: beside its configuration; for a town that travels with the program,
+    /// The file of a town's own routes: beside its configuration; for a bundled town
     /// in the current folder.
     pub fn beside(assets: &Assets) -> PathBuf {
         let name = format!("{}.routes.json", assets.name());
@@ -104,7 +142,7 @@ impl Routes {
     /// One of the sets.
     ///
     /// # Errors
-    /// It is not there; `path` is what the error calls the file.
+    /// The set is missing; `path` names the file in the error.
     pub fn set(&self, set: &str, path: &Path) -> Result<&[Placement], RouteError> {
         match self.sets.get(set).filter(|routes| !routes.is_empty()) {
             Some(routes) => Ok(routes),
@@ -118,7 +156,7 @@ impl Routes {
         }
     }
 
-    /// Writes the file, a route a line.
+    /// Writes the file, one route per line.
     ///
     /// # Errors
     /// It cannot be written.
@@ -153,16 +191,17 @@ fn read(path: &Path) -> Result<String, RouteError> {
     })
 }
 
-/// Places drawn for each route that is wanted, before a set stays short.
+/// Most places drawn per wanted route.
 const DRAWS: u64 = 12;
-/// Routes between the same lanes that begin closer together than this are one (m).
+/// Routes between the same lanes that begin closer together than this count as the same (m).
 const APART: f64 = 2.0;
 
-/// Finds `count` routes for a kind of task: drawn from `seed`, and kept where the autopilot finishes them
-/// in the empty town without breaking a rule. `tried` hears of each one.
+/// Finds `count` routes for a kind of task: drawn from `seed`, and kept if the autopilot finishes them
+/// in the empty town without breaking a rule. `tried` is called for each one.
 ///
 /// # Errors
-/// SUMO or the environment fail. A net without a place for the task is no error: the answer says why.
+/// SUMO or the environment fail. A net without a place for the task is not an error: the inner result has the
+/// cause.
 pub fn find(
     assets: &Arc<Assets>,
     kind: TaskKind,

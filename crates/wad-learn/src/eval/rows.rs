@@ -12,46 +12,71 @@ use wad_sim::traffic::TrafficSpec;
 /// The episodes of one agent under one condition. Rates are fractions 0..1.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Row {
+    /// The suite's name.
     pub suite: String,
+    /// The agent.
     pub agent: String,
+    /// The condition.
     pub condition: String,
+    /// The town.
     pub town: String,
+    /// The task.
     pub task: String,
+    /// The weather.
     pub weather: Preset,
+    /// The background traffic.
     pub traffic: TrafficSpec,
+    /// The evaluation's seed.
     pub seed: u64,
+    /// Their totals.
     #[serde(flatten)]
     pub score: Score,
 }
 
-/// What a set of episodes amounts to. Rates are fractions 0..1.
+/// The totals of a set of episodes. Rates are fractions 0..1.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Score {
-    /// Episodes that count: all but those in which SUMO died.
+    /// Episodes that count: all except those in which SUMO died.
     pub episodes: u64,
     /// Episodes in which SUMO died.
     pub lost: u64,
+    /// Successful episodes.
     pub successes: u64,
+    /// Share of successful episodes.
     pub success_rate: f64,
     /// Wilson's 95 % interval of the success rate.
     pub interval: (f64, f64),
-    /// How many ended how; those that nobody did are left out.
+    /// Number of episodes by end; ends that did not occur are left out.
     pub ends: BTreeMap<End, u64>,
-    /// Of those that ended with an error those in which the agent failed.
+    /// Episodes in which the agent failed.
     pub agent_failures: u64,
+    /// Total way (km).
     pub distance_km: f64,
+    /// Mean way per episode (m).
     pub mean_distance_m: f64,
+    /// Mean speed over all ticks (m/s).
     pub mean_speed_mps: f64,
+    /// Mean over the episodes of their highest speed (m/s).
     pub mean_top_speed_mps: f64,
+    /// Highest speed (m/s).
     pub top_speed_mps: f64,
+    /// Mean number of ticks per episode.
     pub mean_ticks: f64,
+    /// Mean simulated time per episode (s).
     pub mean_seconds: f64,
+    /// Mean share of the route that was driven.
     pub mean_route_completion: f64,
+    /// Mean sum of rewards per episode.
     pub mean_return: f64,
+    /// Root mean square acceleration (m/s2).
     pub rms_acceleration: f64,
+    /// Root mean square of the steering's change per tick (share of full lock).
     pub rms_steer_change: f64,
+    /// Events by kind.
     pub events: EventCounts,
+    /// Ticks by speed.
     pub speeds: Histogram,
+    /// Ticks by true gap to the vehicle in front.
     pub gaps: Histogram,
 }
 
@@ -99,7 +124,7 @@ pub fn grouped<'a, K: Ord>(
 }
 
 impl Score {
-    /// Of a set of episodes.
+    /// The totals of a set of episodes.
     pub fn of(group: &[&EpisodeRecord]) -> Self {
         let counting: Vec<&EpisodeRecord> =
             group.iter().copied().filter(|e| e.fault != Some(Fault::Simulator)).collect();

@@ -19,16 +19,22 @@ use wad_vehicle::Control;
 /// Why an evaluation stopped.
 #[derive(Debug, thiserror::Error)]
 pub enum EvalError {
+    /// An environment cannot be made or go on.
     #[error(transparent)]
     Env(#[from] EnvError),
+    /// A town cannot be read.
     #[error(transparent)]
     Assets(#[from] AssetsError),
+    /// A driver cannot be made.
     #[error(transparent)]
     Driver(#[from] DriverError),
+    /// Results cannot be stored.
     #[error(transparent)]
     Store(#[from] super::StoreError),
+    /// A recording cannot be written.
     #[error(transparent)]
     Replay(#[from] ReplayError),
+    /// A kept episode cannot be written.
     #[error(transparent)]
     Kept(#[from] kept::KeptError),
 }
@@ -36,13 +42,16 @@ pub enum EvalError {
 /// Makes a trained or external agent; called on the thread that drives.
 pub type MakeAgent<'a> = dyn Fn(&DriverSpec) -> Result<Made, DriverError> + Sync + 'a;
 
-/// Which episodes are kept to be seen again.
+/// The episodes to keep for `replay`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Keep {
+    /// No episode.
     None,
+    /// Episodes without success.
     #[default]
     Failures,
+    /// Every episode.
     All,
 }
 
@@ -54,30 +63,32 @@ impl FromStr for Keep {
             "none" => Ok(Self::None),
             "failures" => Ok(Self::Failures),
             "all" => Ok(Self::All),
-            _ => Err(format!("`{text}`: expected none, failures or all")),
+            _ => Err(format!("expected none, failures or all, found `{text}`")),
         }
     }
 }
 
-/// How to drive a plan.
+/// Options of driving a plan.
 pub struct Evaluation<'a> {
+    /// The environment's options.
     pub options: EnvOptions,
-    /// Environments at a time.
+    /// Environments in parallel.
     pub jobs: usize,
+    /// Makes trained and external agents.
     pub make_agent: &'a MakeAgent<'a>,
-    /// The evaluation's folder, and which episodes are kept in it; None: nothing is kept.
+    /// The evaluation's folder, and the episodes to keep in it; None: nothing is kept.
     pub keep: Option<(PathBuf, Keep)>,
-    /// The program's version, for what is kept.
+    /// The program's version, for kept episodes.
     pub build: &'a str,
-    /// Set from outside to stop after the episodes under way.
+    /// Set it to stop after the running episodes.
     pub stop: &'a AtomicBool,
 }
 
-/// Drives the episodes of `plan` in `towns`. `done` gets each one's record when it ends, in whatever order
-/// that is.
+/// Drives the episodes of `plan` in `towns`. `done` gets each one's record when it ends, in any
+/// order.
 ///
 /// # Errors
-/// A town, a task or an agent cannot be had, or `done` fails. What is done already stays with `done`.
+/// A town, a task or an agent cannot be opened, or `done` fails. Finished episodes stay with `done`.
 pub fn run(
     plan: &[Case],
     towns: &BTreeMap<String, Arc<Assets>>,
@@ -110,7 +121,7 @@ pub fn run(
         for record in receiver {
             let outcome = record.and_then(&mut done);
             failed.fetch_or(outcome.is_err(), Ordering::Relaxed);
-            // The first error is the one to tell; what others drove meanwhile is kept all the same.
+            // The first error is returned; episodes that other jobs finished meanwhile are kept.
             if result.is_ok() {
                 result = outcome;
             }
@@ -132,7 +143,7 @@ impl Worker<'_> {
             (town, agent) == (&case.town, &case.agent)
         };
         if !self.current.as_ref().is_some_and(fits) {
-            // The old environment's SUMO goes before the new one's comes.
+            // The old environment's SUMO ends before the new one starts.
             self.current = None;
             let (env, driver) = self.make(case)?;
             self.current = Some((case.town.clone(), case.agent.clone(), env, driver));
@@ -196,7 +207,7 @@ pub(super) fn make(
     Ok((Env::new(Arc::clone(assets), options, encoder)?, driver))
 }
 
-/// One episode, with its recording where that is wanted.
+/// Drives one episode, and records it if it may be kept.
 fn drive(
     env: &mut Env,
     driver: &mut Driver,
@@ -262,7 +273,7 @@ fn drive(
     Ok((record, recorder))
 }
 
-/// Adds the state that `env` is in.
+/// Adds the current state of `env`.
 fn record(
     recorder: Option<&mut Recorder>,
     env: &Env,

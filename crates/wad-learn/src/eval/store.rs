@@ -2,10 +2,10 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `config.json` | the [`Manifest`]: what the results were made by |
+//! | `config.json` | the [`Manifest`]: builds, settings, nets and weights of the results |
 //! | `episodes.jsonl` | one line per episode, appended when it ends |
-//! | `summary.json` | the table, in the plan's order: the same whoever drove which episode when |
-//! | `episodes/NAME/` | what is needed to see an episode again, of failures |
+//! | `summary.json` | the table in the plan's order, whatever the order of driving |
+//! | `episodes/NAME/` | the recording of each failed episode, for `replay` |
 
 use super::record::RECORDINGS;
 use super::{Case, EpisodeRecord, Manifest, RecordingFolder};
@@ -16,37 +16,85 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use wad_sim::telemetry::write_json;
 
-/// Why results cannot be kept or read.
+/// Why results cannot be stored or read.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
+    /// A file cannot be read or written.
     #[error("cannot {what} {}: {source}", path.display())]
-    File { what: &'static str, path: PathBuf, source: std::io::Error },
-    #[error("{} holds results already: --resume goes on with them, or name another folder with --out", path.display())]
-    Taken { path: PathBuf },
+    File {
+        /// The action that failed.
+        what: &'static str,
+        /// The file or folder.
+        path: PathBuf,
+        /// The cause.
+        source: std::io::Error,
+    },
+    /// The folder holds results already.
+    #[error("{} holds results already: continue them with --resume, or name another folder with --out", path.display())]
+    Taken {
+        /// The file or folder.
+        path: PathBuf,
+    },
+    /// The folder holds results without a manifest.
     #[error(
         "{} holds results ({found}), but no {CONFIG} that says what they were made by, so new ones cannot be told from \
          them: put that file back, or name another folder with --out", path.display()
     )]
-    Unnamed { path: PathBuf, found: &'static str },
+    Unnamed {
+        /// The file or folder.
+        path: PathBuf,
+        /// The file that was found.
+        found: &'static str,
+    },
+    /// A line's recording lies outside the folder.
     #[error(
         "{}, line {line}: {why}; other paths are not followed. Get the file from whoever drove the episodes, or take the \
          line out", path.display()
     )]
-    Outside { path: PathBuf, line: usize, why: String },
+    Outside {
+        /// The file or folder.
+        path: PathBuf,
+        /// The line's number, from 1.
+        line: usize,
+        /// The cause.
+        why: String,
+    },
+    /// A recording cannot be copied.
     #[error(
         "the recording {} cannot be copied: {why}; bring it back as `eval` kept it, or take `recording` out of its line \
          in {EPISODES}", path.display()
     )]
-    Recording { path: PathBuf, why: String },
+    Recording {
+        /// The file or folder.
+        path: PathBuf,
+        /// The cause.
+        why: String,
+    },
+    /// Another process writes into the folder.
     #[error("another evaluation is writing into {}", path.display())]
-    Busy { path: PathBuf },
-    #[error("{} is no folder of an evaluation: {why}", path.display())]
-    Format { path: PathBuf, why: String },
+    Busy {
+        /// The file or folder.
+        path: PathBuf,
+    },
+    /// The folder is not an evaluation's.
+    #[error("{} is not an evaluation's folder: {why}", path.display())]
+    Format {
+        /// The file or folder.
+        path: PathBuf,
+        /// The cause.
+        why: String,
+    },
+    /// The folder's results were made with other settings.
     #[error(
         "the results in {} were made otherwise, and must not be mixed with new ones: {}; use another folder, or what \
          they were made with", path.display(), differences.join("; ")
     )]
-    Mixed { path: PathBuf, differences: Vec<String> },
+    Mixed {
+        /// The file or folder.
+        path: PathBuf,
+        /// What differs.
+        differences: Vec<String>,
+    },
 }
 
 /// An evaluation's folder, open for more episodes.
@@ -59,13 +107,15 @@ pub struct Store {
 /// A folder's manifest and episodes, as read.
 #[derive(Clone, Debug)]
 pub struct Results {
+    /// The folder.
     pub path: PathBuf,
+    /// The contents of `config.json`.
     pub manifest: Manifest,
-    /// Those of the plan, in the order of their lines.
+    /// The plan's episodes, in the order of their lines.
     pub episodes: Vec<EpisodeRecord>,
-    /// Lines left out because they are no episodes: their numbers, and what is wrong.
+    /// Invalid lines, left out: their numbers, and the cause.
     pub broken: Vec<(usize, String)>,
-    /// Lines left out because the manifest's plan does not have these episodes: their numbers and names.
+    /// Lines of episodes outside the manifest's plan, left out: their numbers and names.
     pub foreign: Vec<(usize, String)>,
     /// Names of the plan's episodes that have no line.
     pub missing: Vec<String>,
@@ -81,7 +131,7 @@ impl Results {
     /// Reads a folder.
     ///
     /// # Errors
-    /// It is no folder of an evaluation, or cannot be read.
+    /// It is not an evaluation's folder, or cannot be read.
     pub fn open(path: &Path) -> Result<Self, StoreError> {
         let file = |what, path: PathBuf| move |source| StoreError::File { what, path, source };
         let config = path.join(CONFIG);
@@ -103,7 +153,7 @@ impl Results {
         let mut found = HashSet::new();
         let whole = bytes.iter().rposition(|&b| b == b'\n').map_or(0, |end| end as u64 + 1);
         for (text, line) in bytes.split_inclusive(|&b| b == b'\n').zip(1..) {
-            // A line without its end may be cut within a number, and look whole.
+            // A line without its end may be cut within a number, and look complete.
             if !text.ends_with(b"\n") {
                 broken.push((line, "half-written".to_string()));
                 continue;
@@ -131,7 +181,7 @@ impl Results {
         Ok(Self { path: path.to_path_buf(), manifest, episodes, broken, foreign, missing, whole })
     }
 
-    /// Which lines are left out and why, and what is missing: a sentence each, for people.
+    /// One sentence for each line that is left out, and for missing episodes.
     pub fn remarks(&self) -> Vec<String> {
         let mut remarks = self.unread();
         if let Some(first) = self.missing.first() {
@@ -145,7 +195,7 @@ impl Results {
         remarks
     }
 
-    /// Which lines are left out and why.
+    /// One sentence for each line that is left out.
     pub fn unread(&self) -> Vec<String> {
         let mut remarks = Vec::new();
         let file = self.path.join(EPISODES).display().to_string();
@@ -155,15 +205,13 @@ impl Results {
             ));
         }
         for (line, name) in &self.foreign {
-            remarks.push(format!(
-                "{file}, line {line}: {name} is no episode of this evaluation's plan; left out"
-            ));
+            remarks.push(format!("{file}, line {line}: {name} is not in this evaluation's plan; left out"));
         }
         remarks
     }
 }
 
-/// What is wrong with a line's `recording`, where that is why it is no episode.
+/// The fault of a line's `recording`, if that makes the line invalid.
 fn leads_out(line: &[u8]) -> Option<String> {
     #[derive(Deserialize)]
     struct Line {
@@ -172,7 +220,7 @@ fn leads_out(line: &[u8]) -> Option<String> {
     RecordingFolder::try_from(serde_json::from_slice::<Line>(line).ok()?.recording).err()
 }
 
-/// Cases as text: they hold numbers that have no order and no hash of their own.
+/// Cases as text, because floating-point numbers have no total order and no hash.
 fn key(case: &Case) -> String {
     serde_json::to_string(case).unwrap_or_default()
 }
@@ -181,15 +229,15 @@ fn by_case(episodes: &[EpisodeRecord]) -> HashMap<String, &EpisodeRecord> {
     episodes.iter().map(|episode| (key(&episode.case), episode)).collect()
 }
 
-/// The records of `plan` among `episodes`, in the plan's order; None where one is not there.
+/// The records of `plan` among `episodes`, in the plan's order; None for a missing one.
 pub fn in_order<'a>(plan: &[Case], episodes: &'a [EpisodeRecord]) -> Vec<Option<&'a EpisodeRecord>> {
     let index = by_case(episodes);
     plan.iter().map(|case| index.get(&key(case)).copied()).collect()
 }
 
 impl Store {
-    /// Opens the folder `path` for the results of `manifest`; with `resume` those that are there already
-    /// stay, and are returned. A half-written line is taken out.
+    /// Opens the folder `path` for the results of `manifest`; with `resume` earlier results
+    /// stay, and are returned. A half-written line is removed.
     ///
     /// # Errors
     /// The folder holds other results, or cannot be written.
@@ -259,12 +307,13 @@ impl Store {
         })
     }
 
-    /// Makes the folder `path` of `episodes`, each with the folder that it was driven into, whose recordings
-    /// are copied. All of it is there in the end, or nothing: what cannot be used is refused before the first
-    /// write, and files are moved to their places when all are written.
+    /// Makes the folder `path` from `episodes`, each with the folder of its run; their recordings
+    /// are copied. Either everything is written or nothing: unusable input is refused before the first
+    /// write, and files are renamed to their places when all are written.
     ///
     /// # Errors
-    /// The folder holds results, a recording is gone or is more than plain files, or a file cannot be written.
+    /// The folder holds results, a recording is gone or is more than plain files, or a file cannot be
+    /// written.
     pub fn merge(
         path: &Path,
         manifest: &Manifest,
@@ -296,7 +345,7 @@ impl Store {
             store.add(episode)?;
         }
         store.finish(summary)?;
-        // The manifest last: without it the folder is no evaluation's.
+        // The manifest last: without it the folder is not an evaluation's.
         for name in [RECORDINGS, EPISODES, SUMMARY, CONFIG] {
             let (from, to) = (draft.path().join(name), path.join(name));
             if from.exists() {
@@ -323,7 +372,7 @@ fn free(path: &Path) -> Result<(), StoreError> {
     }
 }
 
-/// The files of a recording's folder, which has nothing else in it: no folder, and no link to other places.
+/// The files of a recording's folder; folders and links in it are refused.
 fn plain_files(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
     let refused = |why: String| StoreError::Recording { path: folder.to_path_buf(), why };
     let entries = std::fs::read_dir(folder).map_err(|e| refused(e.to_string()))?;
@@ -338,7 +387,7 @@ fn plain_files(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
     Ok(files)
 }
 
-/// Two evaluations into one folder would drive every episode twice.
+/// Locks the folder: two evaluations in one folder would drive every episode twice.
 fn lock(log: &File, path: &Path) -> Result<(), StoreError> {
     match log.try_lock() {
         Ok(()) => Ok(()),

@@ -1,5 +1,5 @@
-//! Suites as data: what is driven, where, in which weather, and what ends an episode (spec.md "Ends",
-//! "Conditions"). A suite is a JSON file; the paper's travel with the program.
+//! Suites as data: tasks, towns, weathers, and the events that end an episode (spec.md "Ends",
+//! "Conditions"). A suite is a JSON file; the paper's are bundled.
 
 use super::routes::RouteError;
 use crate::env::Termination;
@@ -16,22 +16,24 @@ use wad_sim::traffic::TrafficSpec;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Suite {
-    /// As on the command line and in results.
+    /// Its name on the command line and in results.
     pub name: String,
-    /// For people.
+    /// Its title in reports.
     pub title: String,
-    /// Where it comes from.
+    /// Its source, e.g. a table of the paper.
     #[serde(default)]
     pub source: String,
+    /// Towns with weathers.
     pub conditions: Vec<Condition>,
+    /// The tasks.
     pub tasks: Vec<SuiteTask>,
     /// False: each task is driven in each of a condition's weathers. True: its episodes take them in turn.
     #[serde(default)]
     pub weathers_in_turn: bool,
-    /// Which events end an episode; the paper's hard termination where left out.
+    /// The events that end an episode; default: the paper's hard termination.
     #[serde(default)]
     pub termination: Termination,
-    /// Episodes per task, town and weather (per task and town where weathers come in turn).
+    /// Episodes per task, town and weather (per task and town if weathers come in turn).
     pub episodes: u64,
 }
 
@@ -39,9 +41,11 @@ pub struct Suite {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Condition {
+    /// The condition's name.
     pub name: String,
     /// A CONFIG.
     pub town: String,
+    /// Its weathers.
     pub weathers: Vec<Preset>,
 }
 
@@ -49,10 +53,11 @@ pub struct Condition {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SuiteTask {
+    /// The task's name in tables.
     pub name: String,
-    /// What counts as a success, and the clock.
+    /// The kind of task: criterion of success and time limit.
     pub kind: TaskKind,
-    /// The set of the town's route file that its places are taken from, one after the other; None: drawn
+    /// The set of the town's route file with its places, used in order; None: places are drawn
     /// from the episode's seed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub routes: Option<String>,
@@ -67,31 +72,67 @@ pub struct SuiteTask {
     pub endless: bool,
 }
 
-/// More episodes of one task are a slip of the keyboard.
+/// Most episodes of one task; more are taken for a typing error.
 pub(super) const MOST_EPISODES: u64 = 1_000_000;
 
-/// Times that a scenario is driven: start, traffic and the detector's faults differ by their seeds.
+/// Episodes of a scenario: start, traffic and the detector's faults differ by their seeds.
 const SCENARIO_EPISODES: u64 = 5;
 
-/// What is not there to be evaluated.
+/// Why a suite or a part of it cannot be evaluated.
 #[derive(Debug, thiserror::Error)]
 pub enum SuiteError {
+    /// No suite has this name.
     #[error("no suite is called `{found}`: expected {}, a JSON file like those (docs/evaluate.md), or a scenario (docs/scenarios.md)", names().join(", "))]
-    Unknown { found: String },
+    Unknown {
+        /// The name.
+        found: String,
+    },
+    /// The suite's file cannot be read.
     #[error("cannot read the suite {}: {source}", path.display())]
-    Read { path: PathBuf, source: std::io::Error },
-    #[error("{} is no suite: {why}; docs/evaluate.md shows one", path.display())]
-    Format { path: PathBuf, why: String },
+    Read {
+        /// The file or folder.
+        path: PathBuf,
+        /// The cause.
+        source: std::io::Error,
+    },
+    /// The file is not a suite.
+    #[error("{} is not a suite: {why}; docs/evaluate.md shows one", path.display())]
+    Format {
+        /// The file or folder.
+        path: PathBuf,
+        /// The cause.
+        why: String,
+    },
+    /// The suite lacks a condition or task.
     #[error("the suite {suite} has no {what} `{found}`: expected {}", expected.join(", "))]
-    NotIn { suite: String, what: &'static str, found: String, expected: Vec<String> },
+    NotIn {
+        /// The suite.
+        suite: String,
+        /// `condition` or `task`.
+        what: &'static str,
+        /// The unknown name.
+        found: String,
+        /// The names that it has.
+        expected: Vec<String>,
+    },
+    /// A shard's text is invalid.
     #[error("shard `{found}`: expected K/N with K from 1 to N, e.g. 1/4")]
-    Shard { found: String },
+    Shard {
+        /// The text.
+        found: String,
+    },
+    /// Too many episodes.
     #[error(
         "{found} episodes: expected at most {MOST_EPISODES} of a task; see `episodes` in the suite, or --episodes"
     )]
-    TooMany { found: u64 },
+    TooMany {
+        /// Their number.
+        found: u64,
+    },
+    /// The routes cannot be read.
     #[error(transparent)]
     Routes(#[from] RouteError),
+    /// The scenario cannot be read.
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
 }
@@ -104,16 +145,16 @@ const SHIPPED: [&str; 5] = [
     include_str!("suites/infractions.json"),
 ];
 
-/// Names of the suites that travel with the program.
+/// Names of the bundled suites.
 pub fn names() -> Vec<String> {
     SHIPPED.iter().filter_map(|text| Some(serde_json::from_str::<Suite>(text).ok()?.name)).collect()
 }
 
 impl Suite {
-    /// The suite that `name` means: a shipped one, or a JSON file.
+    /// The suite called `name`: a bundled one, or a JSON file.
     ///
     /// # Errors
-    /// There is none, or the file is none.
+    /// There is no such suite, or the file is not one.
     pub fn find(name: &str) -> Result<Self, SuiteError> {
         let path = Path::new(name);
         if path.is_file() || path.extension().is_some_and(|e| e == "json") {
@@ -128,7 +169,7 @@ impl Suite {
         }
     }
 
-    /// The suite of one scenario, where `name` is one: its one task, in its weather.
+    /// The suite of one scenario, if `name` is one: its one task, in its weather.
     fn of_scenario(name: &str) -> Result<Option<Self>, SuiteError> {
         let Ok(config) = bundled::resolve(name) else { return Ok(None) };
         if config.extension().is_none_or(|e| e != "sumocfg") {

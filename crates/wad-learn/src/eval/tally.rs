@@ -1,4 +1,4 @@
-//! What is summed up over an episode.
+//! Sums over an episode.
 
 use crate::env::Step;
 use crate::reward::RewardTerms;
@@ -12,14 +12,21 @@ use wad_vehicle::PartnerKind;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct EventCounts {
+    /// Collisions with vehicles.
     pub collisions_vehicle: u64,
+    /// Collisions with pedestrians.
     pub collisions_pedestrian: u64,
+    /// Collisions with fixed objects.
     pub collisions_static: u64,
-    /// Of all collisions those that the ego caused.
+    /// Collisions that the ego caused.
     pub collisions_caused: u64,
+    /// Red lights run.
     pub red_lights: u64,
+    /// Times outside the lane.
     pub outside_lane: u64,
+    /// Times that a wheel left the road.
     pub sidewalk: u64,
+    /// Times blocked: standing too long without a reason.
     pub vehicle_blocked: u64,
 }
 
@@ -78,6 +85,7 @@ impl Histogram {
     pub const BINS: usize = 12;
     /// Width of a bin: of speeds (km/h), and of gaps (m).
     pub const SPEED: f64 = 5.0;
+    /// Width of a bin of gaps (m).
     pub const GAP: f64 = 5.0;
 
     fn note(&mut self, value: f64, width: f64) {
@@ -113,13 +121,13 @@ pub struct Tally {
 }
 
 impl Tally {
-    /// Begins where the ego stands.
+    /// Begins at the ego's position.
     pub fn at(place: Option<Point>) -> Self {
         let (speeds, gaps) = (Histogram(vec![0; Histogram::BINS]), Histogram(vec![0; Histogram::BINS]));
         Self { last: place, speeds, gaps, ..Self::default() }
     }
 
-    /// Adds a tick that was steered with `steer`.
+    /// Adds a tick with steering `steer`.
     pub fn add(&mut self, step: &Step, ego: Option<&Ego>, steer: f64) {
         let state = &step.info.ego;
         let speed = state.speed.max(0.0);

@@ -14,44 +14,58 @@ use wad_vehicle::Control;
 /// Why an episode cannot be simulated again.
 #[derive(Debug, thiserror::Error)]
 pub enum VerifyError {
+    /// The town cannot be read.
     #[error(transparent)]
     Assets(#[from] AssetsError),
+    /// The environment fails.
     #[error(transparent)]
     Env(#[from] EnvError),
+    /// The agent cannot be made or fails.
     #[error(transparent)]
     Agent(#[from] AgentError),
+    /// The episode cannot be driven.
     #[error(transparent)]
     Eval(#[from] EvalError),
-    #[error("the episode was driven on another net: {town} was {expected} then, and is {found} now")]
-    OtherNet { town: String, expected: String, found: String },
+    /// The town's net has changed since.
+    #[error("the episode was driven on another net: expected {town} with hash {expected}, found {found}")]
+    OtherNet {
+        /// The town.
+        town: String,
+        /// Hash of the episode's net.
+        expected: String,
+        /// Hash of the town's net.
+        found: String,
+    },
 }
 
-/// Who drove when an episode was simulated again.
+/// The driver of an episode's second simulation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Driven {
     /// The agent itself.
     Agent,
-    /// The controls that were recorded: an external agent need not be there any more.
+    /// The recorded controls: an external agent may not be available any more.
     Recorded,
 }
 
-/// What a second simulation found.
+/// The result of a second simulation.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Verdict {
-    /// Ticks that were compared, the state before the first one too.
+    /// Compared states, including the one before the first tick.
     pub ticks: u64,
+    /// No tick differs.
     pub same: bool,
-    /// The first tick that differs, and what of it.
+    /// The first tick that differs, and the difference.
     pub first_difference: Option<(u64, String)>,
+    /// The driver of the second simulation.
     pub driven: Driven,
 }
 
-/// Simulates a kept episode again, tick by tick against its recording; `tick` hears of each, and ends it
-/// early with false.
+/// Simulates a kept episode again and compares it tick by tick with its recording; `tick` is called for each,
+/// and returns false to end early.
 ///
 /// # Errors
-/// The town is another one by now, or the environment or the agent cannot be made.
+/// The town has changed since, or the environment or the agent cannot be made.
 pub fn verify(
     kept: &Kept,
     recording: &Recording,
@@ -67,7 +81,7 @@ pub fn verify(
     }
     let options = EnvOptions { gui, ..kept.options.clone() };
     let external = matches!(case.agent, DriverSpec::Exec(_));
-    // Blind: what an external agent saw is of no account where its controls are given.
+    // Blind: an external agent's observations do not matter if its controls are given.
     let spec = if external { DriverSpec::Random } else { case.agent.clone() };
     let (mut env, mut driver) = make(&assets, &options, &spec, make_agent)?;
     let driven = if external { Driven::Recorded } else { Driven::Agent };
@@ -101,7 +115,7 @@ pub fn verify(
     Ok(verdict)
 }
 
-/// What of a state is another.
+/// The difference between two states, if there is one.
 fn difference(frame: &Frame, now: &Moment<'_>) -> String {
     let (a, b) = (frame.ego.pose.position, now.ego.pose.position);
     if frame.control != now.control {
@@ -113,7 +127,7 @@ fn difference(frame: &Frame, now: &Moment<'_>) -> String {
     } else {
         let count = |world: &sumo_network::world::WorldState| (world.vehicles.len(), world.pedestrians.len());
         format!(
-            "those round the ego: recorded {:?} vehicles and pedestrians in sight, now {:?}",
+            "traffic round the ego: recorded {:?} vehicles and pedestrians in sight, now {:?}",
             count(&frame.world),
             count(now.world)
         )

@@ -5,8 +5,8 @@
 //! front as the detector sees it) and the ego's own motion; nothing else of the simulator.
 //!
 //! **Scale.** At six ticks a second and gamma 0.99 an agent looks 100 ticks (17 s) ahead. Driving well is
-//! worth about +1 a tick, so about +100; waiting where one must +0.8; standing for no reason about -0.2, so
-//! -20 if for ever, and an ending costs 20 to 50 once beside all that would have followed. So: better to
+//! worth about +1 a tick, so about +100; necessary waiting +0.8; standing without a reason about -0.2, so
+//! -20 if for ever, and an ending costs 20 to 50 once, besides all later rewards. So: better to
 //! drive than to wait, better to wait than to run the light, and never better to crash than to stand.
 
 mod params;
@@ -26,11 +26,17 @@ const BEND_STEP: f64 = 2.0;
 /// The named terms of one tick.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RewardTerms {
+    /// r_timeout.
     pub timeout: f64,
+    /// r_collision.
     pub collision: f64,
+    /// r_lane.
     pub lane: f64,
+    /// r_speed.
     pub speed: f64,
+    /// r_light.
     pub light: f64,
+    /// r_steps.
     pub steps: f64,
 }
 
@@ -68,32 +74,36 @@ pub struct Light {
     pub red: bool,
 }
 
-/// What the reward of a tick is made from: the state after the tick.
+/// The facts for the reward of a tick: the state after the tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Facts {
-    /// The ego's (m/s), and its acceleration over this tick and the one before (m/s2).
+    /// The ego's speed (m/s).
     pub speed: f64,
+    /// Acceleration over this tick (m/s2).
     pub acceleration: f64,
+    /// Acceleration over the tick before (m/s2).
     pub previous_acceleration: f64,
-    /// Its steering (-1..1) in this tick and the one before.
+    /// The ego's steering in this tick (-1..1).
     pub steer: f64,
+    /// Steering in the tick before (-1..1).
     pub previous_steer: f64,
-    /// Waypoints: the limit here (m/s), the speed at which the bend ahead is comfortable (m/s, see
-    /// [`curve_speed`]), the steering (-1..1) that the bend here needs, and the distance outside the
-    /// lane's or lane change's centre (m, >= 0).
+    /// The speed limit here (m/s), from the waypoints as are the next three.
     pub speed_limit: f64,
+    /// The speed at which the bend ahead is comfortable (m/s, see [`curve_speed`]).
     pub curve_speed: f64,
+    /// The steering that the bend here needs (-1..1).
     pub curve_steer: f64,
+    /// Distance outside the centre of the lane or lane change (m, >= 0).
     pub offset: f64,
-    /// From the detector in use.
+    /// The vehicle in front, from the detector in use.
     pub lead: Option<LeadState>,
-    /// Red or yellow ahead.
+    /// The red or yellow light ahead.
     pub light: Option<Light>,
     /// The stop line was crossed on red.
     pub ran_red: bool,
     /// Impulse of the tick's worst collision (N s).
     pub collision: Option<f64>,
-    /// The ego stood too long for no reason.
+    /// The ego stood too long without a reason.
     pub blocked: bool,
     /// The episode ends because the ego left its lane or the road.
     pub left_road: bool,
@@ -134,8 +144,8 @@ pub fn compute(p: &RewardParams, facts: &Facts) -> RewardTerms {
     }
 }
 
-/// r_timeout: `-p.timeout` once, when the ego has stood too long for no reason; terminal. Waiting at a red
-/// light or behind somebody is no such reason (spec.md "Events").
+/// r_timeout: `-p.timeout` once, when the ego has stood too long without a reason; terminal. Waiting at a red
+/// light or behind a vehicle does not count (spec.md "Events").
 pub fn timeout(p: &RewardParams, blocked: bool) -> f64 {
     if blocked { -p.timeout } else { 0.0 }
 }
@@ -209,7 +219,7 @@ pub fn longitudinal(p: &RewardParams, facts: &Facts) -> f64 {
     if wanted.stop && v < p.standing {
         return p.stopped;
     }
-    // Below walking pace a share says nothing: nobody drives at half of 0.2 m/s.
+    // Below walking pace a share means nothing: half of 0.2 m/s is not driving.
     let w = wanted.speed;
     let value = if v <= w {
         (p.speed + p.idle) * v / w.max(p.least_wanted) - p.idle
@@ -217,7 +227,7 @@ pub fn longitudinal(p: &RewardParams, facts: &Facts) -> f64 {
         let at_wanted = (p.speed + p.idle) * (w / p.least_wanted).min(1.0) - p.idle;
         (at_wanted - p.excess * (v - w)).max(-p.excess_most)
     };
-    // Reverse is no way to drive.
+    // Driving in reverse earns nothing.
     if facts.speed < -p.standing { -p.idle } else { value }
 }
 

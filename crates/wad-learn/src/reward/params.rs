@@ -6,70 +6,82 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RewardParams {
-    /// Once, for standing too long for no reason. Default 20.
+    /// Cost of standing too long without a reason, once. Default 20.
     pub timeout: f64,
-    /// Once, for a collision; more by its impulse, up to `collision_hard` at `collision_impulse` (N s).
-    /// Default 25 + 25 at 10,000 N s, a wall at 24 km/h.
+    /// Cost of a collision, once; the impulse adds up to `collision_hard` at `collision_impulse`.
+    /// Default 25.
     pub collision: f64,
+    /// The most that the impulse adds to `collision`. Default 25.
     pub collision_hard: f64,
+    /// The impulse with the full addition (N s). Default 10,000, a wall at 24 km/h.
     pub collision_impulse: f64,
-    /// In the lane's middle. Default 0.2.
+    /// Reward in the lane's middle. Default 0.2.
     pub lane: f64,
-    /// Half the breadth that is rewarded (m). Default 0.9.
+    /// Half the width of the rewarded strip (m). Default 0.9.
     pub lane_threshold: f64,
-    /// Cost per metre beyond, and the most of it. Default 1, 10.
+    /// Cost per metre outside that strip. Default 1.
     pub lane_outside: f64,
+    /// Largest cost of being off the lane's middle. Default 10.
     pub lane_most: f64,
-    /// Once, for leaving lane or road for good. Default 25.
+    /// Cost of an episode's end outside lane or road, once. Default 25.
     pub lane_exit: f64,
-    /// At the wanted speed. Default 0.7.
+    /// Reward at the wanted speed. Default 0.7.
     pub speed: f64,
-    /// Cost of standing for no reason. Default 0.4.
+    /// Cost of standing without a reason. Default 0.4.
     pub idle: f64,
-    /// Cost per m/s above the wanted speed, and the most of it. Default 0.35, 1.5.
+    /// Cost per m/s above the wanted speed. Default 0.35.
     pub excess: f64,
+    /// Largest cost of excess speed. Default 1.5.
     pub excess_most: f64,
-    /// For standing where one must. Default 0.45.
+    /// Reward of necessary standing. Default 0.45.
     pub stopped: f64,
-    /// Below this the ego stands, and another does (m/s). Default 0.3, 0.8.
+    /// Below this speed the ego counts as standing (m/s). Default 0.3.
     pub standing: f64,
+    /// Below this speed another road user counts as standing (m/s). Default 0.8.
     pub standing_other: f64,
-    /// Standing within this of a stop line or a standing vehicle is right (m). Default 8.
+    /// Distance to a stop line or a standing vehicle within which standing is right (m). Default 8.
     pub stop_zone: f64,
-    /// Where to stop before a vehicle and before a line (m). Default 3, 1.
+    /// Gap to a vehicle at which to stop (m). Default 3.
     pub gap: f64,
+    /// Distance from a stop line at which to stop (m). Default 1.
     pub line_gap: f64,
-    /// Time kept to a moving vehicle (s). Default 1.
+    /// Time headway to a moving vehicle (s). Default 1.
     pub headway: f64,
-    /// Braking that the wanted speed expects (m/s2). Default 2.
+    /// Braking assumed by the wanted speed (m/s2). Default 2.
     pub braking: f64,
-    /// Wanted speeds below count as this one (m/s). Default 1.
+    /// Least wanted speed (m/s); lower ones count as this. Default 1.
     pub least_wanted: f64,
-    /// Yellow binds where this is enough to stop (m/s2). Default 3, as in spec.md.
+    /// A yellow light counts as red if this braking is enough to stop (m/s2). Default 3, as in spec.md.
     pub yellow_braking: f64,
-    /// Comfort in bends: across, and when slowing down for them (m/s2). Default 2.2, 1.5.
+    /// Comfortable lateral acceleration in bends (m/s2). Default 2.2.
     pub lateral: f64,
+    /// Comfortable braking before bends (m/s2). Default 1.5.
     pub curve_braking: f64,
-    /// Cost of steering beside what the bend needs, and of its change, per full lock. Default 0.2, 0.5.
+    /// Cost of steering other than the bend needs, per full lock. Default 0.2.
     pub steer: f64,
+    /// Cost of the steering's change in a tick, per full lock. Default 0.5.
     pub steer_change: f64,
-    /// Cost per m/s2 of acceleration beyond `comfortable` (m/s2). Default 0.05, 2.5.
+    /// Cost per m/s2 of acceleration beyond `comfortable`. Default 0.05.
     pub jolt: f64,
+    /// Acceleration without cost (m/s2). Default 2.5.
     pub comfortable: f64,
-    /// Cost per m/s2 by which the acceleration changes in a tick, beyond `jerk_free`. Default 0.03, 0.8.
+    /// Cost per m/s2 of the acceleration's change in a tick, beyond `jerk_free`. Default 0.03.
     pub jerk: f64,
+    /// Change of acceleration per tick without cost (m/s2). Default 0.8.
     pub jerk_free: f64,
-    /// The most that all discomfort costs. Default 0.5.
+    /// Largest cost of all discomfort together. Default 0.5.
     pub smoothness_most: f64,
-    /// Once, for running a red light, and per m/s. Default 25, 1.
+    /// Cost of running a red light, once. Default 25.
     pub red: f64,
+    /// Additional cost of running a red light per m/s, once. Default 1.
     pub red_speed: f64,
-    /// While standing at red; per m/s when too fast to stop. Default 0.15, 0.03.
+    /// Reward of standing at a red light. Default 0.15.
     pub red_stopped: f64,
+    /// Cost per m/s of approaching a red light too fast to stop. Default 0.03.
     pub red_approach: f64,
-    /// How far before the line one is at the intersection (m). Default 20, as in spec.md.
+    /// Distance to the stop line that counts as at the intersection (m). Default 20, as in spec.md.
     pub intersection: f64,
-    /// For being there. Default 0.02.
+    /// Reward of every tick. Default 0.02.
     pub steps: f64,
 }
 

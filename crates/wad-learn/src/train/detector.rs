@@ -1,7 +1,7 @@
 //! Trains CenterNet on the camera's pictures (Zhou et al. 2019; losses and targets in
 //! [`wad_see::perception::centernet`]).
 //!
-//! An epoch shows each frame about once, those with rare classes more often, those without objects less
+//! An epoch uses each frame about once, frames with rare classes more often, frames without objects less
 //! often. After it comes validation: COCO's mAP@0.5 of boxes 24 px high or more, on shards that were not
 //! trained on. The best network so far is exported in half precision, and a checkpoint written.
 
@@ -25,39 +25,46 @@ use wad_see::perception::metrics::{Found, Scored, average_precision, mean};
 use wad_see::perception::score::{SMALL, TALL};
 use wad_see::weights::{Weights, WeightsError};
 
-/// How to train.
+/// Options of a detector's training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TrainOptions {
+    /// The feature extractor.
     pub backbone: Backbone,
+    /// The dataset's folder.
     pub data: PathBuf,
-    /// More datasets, shown together with it.
+    /// More datasets, mixed with it.
     #[serde(default)]
     pub more: Vec<PathBuf>,
+    /// The training's folder.
     pub out: PathBuf,
-    /// Begin with these weights, named as a detector is (centernet, centernet:FILE); None: new ones.
+    /// Initial weights by detector name (centernet, centernet:FILE); None: new ones.
     #[serde(default)]
     pub init: Option<String>,
+    /// Epochs in total.
     pub epochs: u64,
+    /// Pictures per step.
     pub batch: usize,
-    /// Most batches to an epoch.
+    /// Most batches per epoch.
     pub epoch_steps: usize,
-    /// AdamW's, at its highest; it rises over the first steps and falls to 0 as half a cosine.
+    /// AdamW's highest learning rate; it rises over the first steps and falls to 0 as half a cosine.
     pub learning_rate: f64,
+    /// AdamW's weight decay.
     pub weight_decay: f64,
-    /// Width and height of the windows that most steps show; None: whole pictures only.
+    /// Width and height of the crops that most steps use (pixels); None: whole pictures only.
     pub window: Option<(usize, usize)>,
     /// Compute the backbone in bfloat16; weights and optimiser stay in single precision.
     pub bfloat16: bool,
-    /// Vary weather, light and colours.
+    /// Augment weather, light and colours.
     pub vary: bool,
+    /// The seed of everything random.
     pub seed: u64,
-    /// Use a dataset that was not collected to its end.
+    /// Accept an unfinished dataset.
     pub partial: bool,
     /// Threads that make batches.
     pub workers: usize,
-    /// Most frames that validation looks at.
+    /// Most frames used for validation.
     pub validation_frames: usize,
-    /// Ends the training (s).
+    /// Time limit of the training (s).
     pub time_limit: Option<f64>,
 }
 
@@ -87,43 +94,60 @@ impl TrainOptions {
     }
 }
 
-/// What validation says.
+/// The result of a validation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Validation {
-    /// mAP@0.5 of boxes 24 px high or more, and of 12 to 24 px.
+    /// mAP@0.5 of boxes 24 px high or more.
     pub map50: f64,
+    /// mAP@0.5 of boxes 12 to 24 px high.
     pub map50_small: f64,
 }
 
 /// A line of `metrics.jsonl`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EpochRecord {
+    /// The epoch, from 1.
     pub epoch: u64,
+    /// Steps so far.
     pub step: u64,
+    /// Mean loss over the epoch.
     pub loss: f64,
+    /// Validation after the epoch.
     pub validation: Validation,
+    /// It is the best so far.
     pub best: bool,
+    /// Wall time so far (s).
     pub wall_seconds: f64,
+    /// Pictures per second of training.
     pub images_per_second: f64,
 }
 
-/// What a training came to; `summary.json`.
+/// The result of a training; `summary.json`.
 #[derive(Clone, Debug, Serialize)]
 pub struct Trained {
+    /// The training's folder.
     pub out: PathBuf,
     /// The best network's file.
     pub detector: PathBuf,
+    /// Epochs trained.
     pub epochs: u64,
+    /// Steps trained.
     pub steps: u64,
+    /// The epoch of the best network.
     pub best_epoch: u64,
+    /// The best network's validation.
     pub best: Validation,
+    /// Training frames.
     pub frames: usize,
+    /// Validation frames.
     pub validation_frames: usize,
+    /// Wall time (s).
     pub wall_seconds: f64,
+    /// The user interrupted.
     pub interrupted: bool,
 }
 
-/// How far it is.
+/// The training's progress.
 pub type Progress = run::Progress<Validation>;
 
 /// Steps over which the learning rate rises.
@@ -132,16 +156,16 @@ const WARM_UP: f64 = 100.0;
 const LONGEST: f64 = 10.0;
 /// Steps between reports.
 const REPORT_EVERY: u64 = 10;
-/// Lowest score that validation looks at.
+/// Lowest score that counts in validation.
 const LEAST_SCORE: f32 = 0.05;
 
-/// How far a checkpoint is.
+/// The progress in a checkpoint.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 struct Reached {
     #[serde(flatten)]
     walk: run::Reached<Validation>,
     optimiser_steps: i32,
-    /// How many frames said what is best: other frames give other scores.
+    /// Number of validation frames of the best score: other frames give other scores.
     #[serde(default)]
     validation_frames: usize,
 }
@@ -153,7 +177,7 @@ struct Trainer<'a> {
     adam: AdamW,
     reached: Reached,
     training: Vec<Sample>,
-    /// Batches to an epoch.
+    /// Batches per epoch.
     epoch_steps: u64,
     validation: Vec<Sample>,
     /// For the metadata of the weights.
@@ -161,11 +185,11 @@ struct Trainer<'a> {
     began: Instant,
 }
 
-/// Trains, or goes on training with `resume`. Ends early when `interrupt` becomes true: the epoch begun
+/// Trains, or continues with `resume`. Ends early when `interrupt` becomes true: the running epoch
 /// is then lost. `report` is called every few steps.
 ///
 /// # Errors
-/// Bad data, no memory, a full disk, or a loss that is no number. The last checkpoint is kept.
+/// Bad data, no memory, a full disk, or a loss that is not a number. The last checkpoint is kept.
 pub fn train(
     options: &TrainOptions,
     device: Device,
@@ -317,7 +341,7 @@ impl Training for Trainer<'_> {
                 let rate = self.rate();
                 let is_good = self.adam.step(&total, rate, LONGEST)?;
                 let (value, step) = (total.f_double_value(&[])?, self.reached.walk.step);
-                // A gradient that is no number counts like such a loss.
+                // A gradient that is not finite counts like such a loss.
                 run::require_finite(if is_good { value } else { f64::NAN }, step, &options.out)?;
                 sum += value;
                 looks += 1;
@@ -338,7 +362,7 @@ impl Training for Trainer<'_> {
         Ok(Some(Pass { loss, shown, began, seconds, rate: self.rate(), steps }))
     }
 
-    /// The network as it would be shipped: in half precision, folded.
+    /// The network as exported: in half precision, batch norms folded.
     fn validate(&self) -> Result<Validation, TrainError> {
         let copy = CenterNet::from_weights(&self.network.weights(&[])?, self.device)?;
         let mut detector = CenterNetDetector::new("validation".into(), copy, self.device, LEAST_SCORE)?;

@@ -1,4 +1,4 @@
-//! Batches of camera pictures and targets for CenterNet, made ahead by threads of their own.
+//! Batches of camera pictures and targets for CenterNet, prepared by worker threads.
 
 use super::weathering::{self, View};
 use crate::dataset::{BoxRecord, CameraPlace, Dataset, DatasetError, decode_camera};
@@ -14,26 +14,26 @@ use wad_see::perception::coco::class_index;
 use wad_see::perception::metrics::{Scored, Truth};
 use wad_see::perception::score::{LEAST_VISIBLE, visible_share};
 
-/// Lowest box that is taught (pixels): lower ones are neither object nor background.
+/// Lowest box that is trained on (pixels): lower ones count neither as object nor as background.
 const LEAST_HEIGHT: f32 = 8.0;
-/// A class that is in a smaller share of the frames is shown more often (Gupta et al. 2019, "LVIS":
-/// repeat factor sampling), but no frame more often than this.
+/// A class in a smaller share of the frames than this is repeated (Gupta et al. 2019, "LVIS":
+/// repeat factor sampling), but no frame more often than the second number.
 const COMMON: f64 = 0.25;
 const MOST_REPEATS: f64 = 4.0;
-/// How often a frame without objects is shown, per epoch.
+/// How often a frame without objects is used per epoch.
 const EMPTY: f64 = 0.25;
 
 /// The side of a camera picture (pixels).
 pub const SIDE: usize = 512;
 
-/// A frame: where its picture lies, and its objects.
+/// A frame: the place of its picture, and its objects.
 #[derive(Clone, Debug)]
 pub struct Sample {
     picture: Picture,
     objects: Vec<BoxRecord>,
 }
 
-/// Pictures are read from their shard each time: the system keeps what fits into the memory anyway.
+/// Pictures are read from their shard each time: the system's file cache holds what fits into memory.
 #[derive(Clone, Debug)]
 enum Picture {
     Shard(CameraPlace),
@@ -54,7 +54,7 @@ impl Sample {
         }
     }
 
-    /// What the network is taught.
+    /// The network's training targets.
     fn wanted(&self) -> impl Iterator<Item = Wanted> {
         self.objects.iter().map(|object| {
             let hidden = is_hidden(object);
@@ -64,7 +64,7 @@ impl Sample {
         })
     }
 
-    /// What a detector is judged by; its detections are to be added.
+    /// The ground truth to score a detector by; its detections are to be added.
     pub fn truths(&self) -> Scored {
         let truths = self.objects.iter().map(|object| {
             let ignored = is_hidden(object);
@@ -105,7 +105,7 @@ pub fn samples(dataset: &Dataset, shards: &[usize], most: usize) -> Result<Vec<S
     Ok(found)
 }
 
-/// How often each sample is shown per epoch.
+/// How often each sample is used per epoch.
 fn repeats(samples: &[Sample]) -> Vec<f64> {
     let present = |sample: &Sample| {
         let mut classes = [false; 8];
@@ -117,7 +117,7 @@ fn repeats(samples: &[Sample]) -> Vec<f64> {
     let present: Vec<[bool; 8]> = samples.iter().map(present).collect();
     let share =
         |class: usize| present.iter().filter(|p| p[class]).count() as f64 / samples.len().max(1) as f64;
-    // A traffic light in every frame is no reason to show the frame.
+    // Traffic lights are in nearly every frame, so they do not raise a frame's rate.
     let light = class_index(ObjectClass::TrafficLight);
     let factors: Vec<f64> =
         (0..8).map(|c| (COMMON / share(c).max(1e-9)).sqrt().clamp(1.0, MOST_REPEATS)).collect();
@@ -142,23 +142,24 @@ fn order(repeats: &[f64], seed: u64, epoch: u64) -> Vec<usize> {
     order
 }
 
-/// The windows that an epoch's steps show, largest last.
+/// The windows of an epoch's steps, largest last.
 ///
-/// Most steps show small windows round objects: a third of the work of whole pictures, and hardly any
-/// empty road. The last ones show whole pictures, fewer at a time, so that batch norm ends with the
-/// statistics of what the network sees in use.
+/// Most steps use small windows round objects: a third of the work of whole pictures, and hardly any
+/// empty road. The last steps use whole pictures, fewer at a time, so that batch norm ends with the
+/// statistics of whole pictures.
 #[derive(Clone, Copy, Debug)]
 pub struct Show {
+    /// The feature extractor.
     pub backbone: Backbone,
-    /// Pictures to a step with small windows.
+    /// Pictures per step with small windows.
     pub batch: usize,
     /// Width and height of the small windows; None: whole pictures only.
     pub window: Option<(usize, usize)>,
-    /// Vary weather, light and colours ([`weathering`]).
+    /// Augment weather, light and colours ([`weathering`]).
     pub vary: bool,
 }
 
-/// Share of an epoch's steps that show whole pictures.
+/// Share of an epoch's steps that use whole pictures.
 const WHOLE: f64 = 0.25;
 /// Share of small windows that lie anywhere, not round an object.
 const ANYWHERE: f64 = 0.2;
@@ -175,7 +176,7 @@ impl Show {
         Window::whole(self.backbone, (SIDE, SIDE))
     }
 
-    /// Size of the windows in a step, and pictures to it.
+    /// Size of the windows in a step, and pictures per step.
     fn step(&self, step: usize, steps: usize) -> ((usize, usize), usize) {
         let whole = self.whole();
         match self.window {
@@ -210,7 +211,7 @@ impl Show {
     }
 }
 
-/// A batch on the processor.
+/// A batch on the CPU.
 #[derive(Debug)]
 pub struct Batch {
     count: usize,
@@ -286,7 +287,7 @@ impl Batch {
         self.count
     }
 
-    /// Pictures (n, 3, height, width) from 0 to 1, and what is wanted of them.
+    /// Pictures (n, 3, height, width) from 0 to 1, and their targets.
     ///
     /// # Errors
     /// torch fails.
@@ -295,7 +296,7 @@ impl Batch {
         let (width, height) = (self.size.0 as i64, self.size.1 as i64);
         let pixels = Tensor::f_from_data_size(&self.pixels, &[n, height, width, 3], Kind::Uint8)?;
         let x = pixels.f_to_device(device)?.f_to_kind(Kind::Float)?.f_mul_scalar(1.0 / 255.0)?;
-        // The permuted view keeps the channels innermost: convolutions on the processor like it so.
+        // The permuted view keeps the channels innermost, which is faster for convolutions on the CPU.
         let x = x.f_permute([0, 3, 1, 2])?;
         let (h, w) = (height / STRIDE as i64, width / STRIDE as i64);
         let heat = Tensor::f_from_slice(&self.heat)?.f_view([n, 8, h, w])?.f_to_device(device)?;
@@ -309,11 +310,11 @@ impl Batch {
     }
 }
 
-/// Makes the batches of an epoch on `workers` threads and hands each to `take`, in an order that does not
+/// Makes the batches of an epoch on `workers` threads and passes each to `take`, in an order that does not
 /// depend on their number. `take` says whether to go on.
 ///
 /// # Errors
-/// A picture is damaged, or what `take` says.
+/// A picture is damaged, or `take` fails.
 pub fn epoch<E: From<DatasetError>>(
     show: Show,
     samples: &[Sample],
@@ -344,7 +345,7 @@ pub fn epoch<E: From<DatasetError>>(
                 for (n, (size, count, picked)) in picks.iter().enumerate().skip(worker).step_by(workers) {
                     let mut rng = seeds::rng(seed, &format!("detector epoch {epoch} step {n}"));
                     if send.send(Batch::new(show, samples, (picked, *count), *size, &mut rng)).is_err() {
-                        return; // nobody listens any more
+                        return; // the receiver is gone
                     }
                 }
             });

@@ -1,9 +1,9 @@
 //! Trains the encoder-decoder (paper, section "Latent State Extraction").
 //!
-//! An epoch is one walk through the training images, or `epoch_steps` batches of it where that is less;
-//! then comes validation, the best so far is exported, and a checkpoint written. A run that was broken off
-//! goes on from its last checkpoint; on the processor with one thread it then ends with the very bits of
-//! one that was not (cuDNN's sums differ from run to run).
+//! An epoch is one pass over the training images, or `epoch_steps` batches if that is less. Then validation
+//! runs, the best network so far is exported, and a checkpoint is written. An interrupted run goes on from
+//! its last checkpoint; on the CPU with one thread it gives the same bits as an uninterrupted run (cuDNN's
+//! sums differ from run to run).
 
 pub mod heads;
 mod terms;
@@ -32,15 +32,15 @@ use wad_see::latent::network::{Architecture, Autoencoder, Slot};
 use wad_see::perception::TransformedImage;
 use wad_see::weights::{Weights, WeightsError};
 
-/// Images that validation looks at, at most, and that the latent is standardised by.
+/// Most images used for validation, and for standardising the latent.
 const VALIDATION_IMAGES: usize = 2000;
 const STANDARD_IMAGES: i64 = 4096;
-/// The heads learn so many times as fast as the network.
+/// Factor of the heads' learning rate over the network's.
 const HEADS_RATE: f64 = 10.0;
-/// Steps between looks at the loss: each look waits for the device.
+/// Steps between reads of the loss: each read waits for the device.
 const LOOK_EVERY: u64 = 20;
 
-/// What a checkpoint knows beside its tensors.
+/// A checkpoint's state beside its tensors.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 struct Reached {
     #[serde(flatten)]
@@ -57,17 +57,17 @@ struct Trainer<'a> {
     /// With `--label-weight`.
     heads: Option<Heads>,
     reached: Reached,
-    /// Shards that are resident, and their images.
+    /// The resident shards, and their images.
     resident: (Vec<usize>, Images),
     validation: Images,
     began: Instant,
 }
 
-/// Trains, or goes on training with `resume`. Ends early when `interrupt` becomes true: the epoch begun
+/// Trains, or continues with `resume`. Ends early when `interrupt` becomes true: the running epoch
 /// is then lost. `report` is called every few steps.
 ///
 /// # Errors
-/// Bad data, no memory, a full disk, or a loss that is no number. The last checkpoint is kept.
+/// Bad data, no memory, a full disk, or a loss that is not a number. The last checkpoint is kept.
 pub fn train(
     options: &TrainOptions,
     device: Device,
@@ -146,7 +146,7 @@ impl<'a> Trainer<'a> {
         self.options.time_limit.is_some_and(|limit| self.began.elapsed().as_secs_f64() >= limit)
     }
 
-    /// Loads the images of this epoch's shards: all that fit, chosen anew where not all do.
+    /// Loads the images of this epoch's shards: all, or a new random choice if not all fit.
     fn load(&mut self) -> Result<(), TrainError> {
         let (mut shards, _) = self.dataset.split();
         let room = (self.options.resident_gb * 1e9 / TransformedImage::BYTES as f64) as usize;
@@ -163,7 +163,7 @@ impl<'a> Trainer<'a> {
             shards.sort_unstable();
         }
         if self.resident.0 != shards {
-            // The old ones go first: both together may be too many.
+            // The old ones are freed first: both together may not fit.
             self.resident = (Vec::new(), Images::none(self.device)?);
             let choice = Choice { shards: &shards, every: 1, labelled: self.heads.is_some() };
             let images = images::load(&self.dataset, choice, self.device)?;
@@ -172,13 +172,13 @@ impl<'a> Trainer<'a> {
         Ok(())
     }
 
-    /// Batches to an epoch.
+    /// Batches per epoch.
     fn steps(&self) -> u64 {
         let images = self.resident.1.count() as usize;
         images.div_ceil(self.options.batch.max(1)).clamp(1, self.options.epoch_steps.max(1)) as u64
     }
 
-    /// How much of the training is done (0..1): by steps or by time, whichever is nearer to the end.
+    /// The training's progress (0..1), by steps or by time, whichever is further.
     fn done(&self, step_in_epoch: u64, steps: u64) -> f64 {
         let epochs = self.reached.walk.epoch as f64 + step_in_epoch as f64 / steps as f64;
         let by_steps = epochs / self.options.epochs.max(1) as f64;
@@ -232,7 +232,7 @@ impl<'a> Trainer<'a> {
         Ok(())
     }
 
-    /// What the parameters `theta` make of some pictures. `asked`: the heads' parameters and the labels.
+    /// The loss of the parameters `theta` on some pictures. `asked`: the heads' parameters and the labels.
     fn loss(
         &self,
         theta: &Tensor,
@@ -265,7 +265,7 @@ impl<'a> Trainer<'a> {
             let per_pixel = self.options.beta / (3 * 128 * 128) as f64;
             loss = loss.f_add(&divergence.f_mul_scalar(per_pixel)?)?;
         }
-        // What is exported is the mean: the heads see it too.
+        // The exported latent is the mean, so the heads use it too.
         let told = self.heads.as_ref().zip(asked);
         let labels = told.map(|(heads, (theta, labels))| heads.loss(theta, &mean, labels)).transpose()?;
         if let Some(labels) = &labels {
@@ -288,7 +288,7 @@ impl<'a> Trainer<'a> {
         let codes = Tensor::f_cat(&codes, 0)?;
         let mean = codes.f_mean_dim([0].as_slice(), false, Kind::Float)?;
         let deviation = codes.f_std_dim([0].as_slice(), false, false)?;
-        // A number that hardly moves must not be blown up to the others' size.
+        // A nearly constant number must not be amplified to the others' size.
         let least = 0.05 * deviation.f_mean(Kind::Float)?.f_double_value(&[])?;
         Ok((mean, deviation.f_clamp_min(least.max(1e-4))?))
     }
@@ -325,7 +325,7 @@ impl Training for Trainer<'_> {
             if interrupt.load(Ordering::Relaxed) {
                 return Ok(None);
             }
-            // At least one step, so that every epoch moves.
+            // At least one step per epoch.
             if step > 0 && self.is_late() {
                 break;
             }
@@ -480,7 +480,7 @@ impl Training for Trainer<'_> {
     }
 }
 
-/// What some parameters make of a batch.
+/// The losses on a batch.
 struct Made {
     /// All terms, weighted.
     loss: Tensor,
@@ -490,7 +490,7 @@ struct Made {
     pictures: Tensor,
 }
 
-/// Takes an optimiser's state from a checkpoint.
+/// Restores an optimiser's state from a checkpoint.
 fn restore(adam: &mut Adam, weights: &Weights, name: &str, reached: &Reached) -> Result<(), WeightsError> {
     for (which, moment) in adam.moments() {
         let saved = weights.get(&format!("{name}.{which}"), &moment.size())?;
@@ -500,7 +500,7 @@ fn restore(adam: &mut Adam, weights: &Weights, name: &str, reached: &Reached) ->
     Ok(())
 }
 
-/// Refuses to go on with another seed, batch or loss than the training began with.
+/// Refuses to continue with another seed, batch or loss than the training began with.
 fn check_same(options: &TrainOptions, config: &Path) -> Result<(), TrainError> {
     let text = std::fs::read(config).map_err(|source| WeightsError::Io {
         what: "read",

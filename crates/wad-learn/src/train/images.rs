@@ -12,13 +12,15 @@ use wad_see::perception::{TRANSFORMED_SIZE, TransformedImage};
 /// Why images cannot be loaded.
 #[derive(Debug, thiserror::Error)]
 pub enum ImagesError {
+    /// A dataset cannot be read.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
+    /// libtorch fails, e.g. for lack of memory.
     #[error("libtorch: {0}; if memory is short, give --resident-gb less")]
     Torch(#[from] TchError),
 }
 
-/// Threads that decode at once, at most.
+/// Most threads that decode.
 const DECODERS: usize = 16;
 
 /// Images of some shards on a device.
@@ -26,12 +28,12 @@ const DECODERS: usize = 16;
 pub struct Images {
     /// (n, 128, 128, 3), bytes.
     pub pixels: Tensor,
-    /// (n, [`LABELS`]), where they were asked for.
+    /// (n, [`LABELS`]), if requested.
     pub labels: Option<Tensor>,
 }
 
 impl Images {
-    /// None at all.
+    /// An empty set.
     ///
     /// # Errors
     /// torch fails.
@@ -39,12 +41,12 @@ impl Images {
         Ok(Self { pixels: Tensor::f_empty([0], (Kind::Uint8, device))?, labels: None })
     }
 
-    /// How many.
+    /// The number of images.
     pub fn count(&self) -> i64 {
         self.pixels.size()[0]
     }
 
-    /// Those at the places that `chosen` holds.
+    /// The images at the indices `chosen`.
     ///
     /// # Errors
     /// torch fails.
@@ -53,7 +55,7 @@ impl Images {
         Ok(Self { pixels: self.pixels.f_index_select(0, chosen)?, labels })
     }
 
-    /// All in turn, at most `most` at once.
+    /// All in order, at most `most` at a time.
     ///
     /// # Errors
     /// torch fails.
@@ -68,13 +70,14 @@ impl Images {
     }
 }
 
-/// What to load.
+/// The images to load.
 #[derive(Clone, Copy, Debug)]
 pub struct Choice<'a> {
+    /// Indices of the shards to load.
     pub shards: &'a [usize],
-    /// One of so many images.
+    /// Load one of this many images.
     pub every: usize,
-    /// With their labels.
+    /// Load labels too.
     pub labelled: bool,
 }
 
@@ -107,7 +110,7 @@ pub fn load(dataset: &Dataset, choice: Choice<'_>, device: Device) -> Result<Ima
                         dataset.images(shard, &mut bytes)
                     };
                     let read = read.map(|_| (shard, bytes, labels));
-                    // The receiver went away: an error ended the loading.
+                    // The receiver is gone: an error ended the loading.
                     if sender.send(read).is_err() {
                         return;
                     }

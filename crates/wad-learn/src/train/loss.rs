@@ -1,4 +1,4 @@
-//! What the encoder-decoder is trained for, and how its pictures are augmented; all on the device.
+//! The encoder-decoder's loss, and the augmentation of its pictures; all on the device.
 
 use rand_chacha::ChaCha8Rng;
 use tch::{Kind, TchError, Tensor};
@@ -10,21 +10,21 @@ use wad_see::latent::chance;
 /// # Errors
 /// torch fails.
 pub fn painted(pictures: &Tensor) -> Result<Tensor, TchError> {
-    // One channel high and the two others low: nothing in the town looks like that but lamps.
+    // One channel high and the two others low: in a town only lamps look like this.
     let highest = pictures.f_amax([1], true)?;
     let sum = pictures.f_sum_dim_intlist([1].as_slice(), true, Kind::Float)?;
     let others = sum.f_sub(&highest)?;
     highest.f_gt(0.7)?.f_logical_and(&others.f_lt(0.45)?)?.f_to_kind(Kind::Float)
 }
 
-/// How much each pixel counts (n, 1, 128, 128): 1, and on painted ones up to `paint` x (1 + `small`) more.
-/// The fewer painted pixels are around, the more one counts: small far objects weigh like large near
+/// The weight of each pixel (n, 1, 128, 128): 1, and on painted ones up to `paint` x (1 + `small`) more.
+/// The fewer painted pixels are around, the greater the weight: small far objects weigh like large near
 /// ones. The rim around painted pixels counts half of that, so that edges stay where they are.
 ///
 /// # Errors
 /// torch fails.
 pub fn pixel_weights(painted: &Tensor, paint: f64, small: f64) -> Result<Tensor, TchError> {
-    // One way, then the other: libtorch sums every window anew.
+    // Rows, then columns: libtorch sums every window again.
     let around = |side: i64| {
         let rows = painted.f_avg_pool2d([side, 1], [1, 1], [side / 2, 0], false, true, None)?;
         rows.f_avg_pool2d([1, side], [1, 1], [0, side / 2], false, true, None)
@@ -37,7 +37,7 @@ pub fn pixel_weights(painted: &Tensor, paint: f64, small: f64) -> Result<Tensor,
     base.f_mul(&share)?.f_add_scalar(1.0)
 }
 
-/// Another light: each picture brighter or darker and tinted, painted pixels left as they are. The new
+/// Changes the light: each picture brighter or darker and tinted, except painted pixels. The new
 /// town is driven in weathers that were not trained on.
 ///
 /// # Errors
@@ -49,7 +49,7 @@ pub fn relight(rng: &mut ChaCha8Rng, pictures: &Tensor, painted: &Tensor) -> Res
         drawn.f_narrow(1, channel, channels)?.f_mul_scalar(high - low)?.f_add_scalar(low)
     };
     let gain = between(0, 1, 0.6, 1.15)?.f_mul(&between(1, 3, 0.88, 1.12)?)?;
-    // Half of the pictures stay as they are.
+    // Half of the pictures stay unchanged.
     let some = drawn.f_narrow(1, 4, 1)?.f_gt(0.5)?.f_to_kind(Kind::Float)?;
     let gain = gain.f_sub_scalar(1.0)?.f_mul(&some)?.f_add_scalar(1.0)?;
     let lit = pictures.f_mul(&gain)?.f_clamp(0.0, 1.0)?;

@@ -1,4 +1,4 @@
-//! What the trainings of encoder and detector share: the folder, the walk epoch by epoch, the errors.
+//! Shared by the trainings of encoder and detector: the folder, the loop over epochs, the errors.
 //!
 //! ```text
 //! out: config.json  checkpoint.safetensors (after each epoch)  the best network
@@ -20,33 +20,70 @@ use wad_see::perception::PerceptionError;
 use wad_see::weights::{Weights, WeightsError};
 use wad_sim::telemetry;
 
-/// Why training ended without its end.
+/// Why training failed.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
+    /// The dataset cannot be read.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
+    /// Images cannot be loaded.
     #[error(transparent)]
     Images(#[from] ImagesError),
+    /// Weights cannot be read or written.
     #[error(transparent)]
     Weights(#[from] WeightsError),
+    /// A network cannot be made.
     #[error(transparent)]
     Perception(#[from] PerceptionError),
+    /// libtorch fails.
     #[error("libtorch: {0}")]
     Torch(#[from] TchError),
+    /// A file cannot be written.
     #[error("could not write `{}`: {source}; the last checkpoint is kept", path.display())]
-    Write { path: PathBuf, source: std::io::Error },
-    #[error("`{}` holds a training already; go on with it by --resume, or name another folder with --out", path.display())]
-    Taken { path: PathBuf },
+    Write {
+        /// The file or folder.
+        path: PathBuf,
+        /// The cause.
+        source: std::io::Error,
+    },
+    /// The folder holds a training already.
+    #[error("`{}` holds a training already; continue it with --resume, or name another folder with --out", path.display())]
+    Taken {
+        /// The file or folder.
+        path: PathBuf,
+    },
+    /// There is no checkpoint to resume from.
     #[error("`{}` holds no training to resume: expected checkpoint.safetensors in it", path.display())]
-    NothingToResume { path: PathBuf },
-    #[error("the training in `{}` differs in {what}: it has {found}, asked for was {asked}", path.display())]
-    Differs { path: PathBuf, what: &'static str, found: String, asked: String },
+    NothingToResume {
+        /// The file or folder.
+        path: PathBuf,
+    },
+    /// The training to resume has another setting.
+    #[error("the training in `{}` differs in {what}: expected {asked}, found {found}", path.display())]
+    Differs {
+        /// The file or folder.
+        path: PathBuf,
+        /// The setting.
+        what: &'static str,
+        /// Its value in the folder.
+        found: String,
+        /// Its value in the call.
+        asked: String,
+    },
+    /// The loss is not finite.
     #[error(
         "the loss became {loss} at step {step}: training stopped, `{}` is the last good one; a smaller \
          --learning-rate may help",
         checkpoint.display()
     )]
-    NotFinite { loss: f64, step: u64, checkpoint: PathBuf },
+    NotFinite {
+        /// The loss.
+        loss: f64,
+        /// The step.
+        step: u64,
+        /// The last checkpoint.
+        checkpoint: PathBuf,
+    },
 }
 
 impl TrainError {
@@ -56,7 +93,7 @@ impl TrainError {
         move |source| Self::Write { path, source }
     }
 
-    /// Whether what was asked for is wrong, rather than this machine.
+    /// Whether the user's input is wrong, not this machine.
     pub fn is_input(&self) -> bool {
         match self {
             Self::Dataset(_)
@@ -71,15 +108,18 @@ impl TrainError {
     }
 }
 
-/// How far a training is; `V` is what validation says.
+/// A training's progress; `V` is the result of a validation.
 #[derive(Clone, Copy, Debug)]
 pub struct Progress<V> {
+    /// The epoch, from 0.
     pub epoch: u64,
-    /// Steps in all so far, and at the end.
+    /// Steps so far.
     pub step: u64,
+    /// Steps at the training's end.
     pub steps: u64,
+    /// The loss of the last steps.
     pub loss: f64,
-    /// At the end of an epoch.
+    /// The validation, at the end of an epoch.
     pub validation: Option<V>,
 }
 
@@ -88,7 +128,7 @@ pub(super) fn checkpoint(out: &Path) -> PathBuf {
     out.join("checkpoint.safetensors")
 }
 
-/// Whether `out` holds a training, as `resume` wants it, or none.
+/// Checks that `out` holds a training if `resume`, else none.
 pub(super) fn check(out: &Path, resume: bool) -> Result<(), TrainError> {
     match (resume, checkpoint(out).is_file()) {
         (true, false) => Err(TrainError::NothingToResume { path: out.to_path_buf() }),
@@ -97,27 +137,27 @@ pub(super) fn check(out: &Path, resume: bool) -> Result<(), TrainError> {
     }
 }
 
-/// Makes the folder where it is missing, and writes a JSON file of it.
+/// Makes the folder if it is missing, and writes a JSON file into it.
 pub(super) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), TrainError> {
     let folder = path.parent().unwrap_or(path);
     std::fs::create_dir_all(folder).map_err(TrainError::write(folder))?;
     telemetry::write_json(path, value).map_err(|e| TrainError::write(path)(e.source))
 }
 
-/// Under which a checkpoint's metadata say how far the training came.
+/// The key of the progress in a checkpoint's metadata.
 pub(super) const REACHED: &str = "reached";
 
-/// How far the training of this checkpoint came.
+/// The progress in a checkpoint.
 pub(super) fn reached<T: DeserializeOwned>(weights: &Weights) -> Result<T, TrainError> {
     let text = weights.metadata.get(REACHED).map_or("", String::as_str);
     let format = |e: serde_json::Error| WeightsError::Format {
         path: weights.path.clone(),
-        why: format!("it does not say how far the training came ({e})"),
+        why: format!("its metadata has no valid progress ({e})"),
     };
     Ok(serde_json::from_str(text).map_err(format)?)
 }
 
-/// Stops the training in `out` where the loss is no number.
+/// Fails if the loss is not finite.
 pub(super) fn require_finite(loss: f64, step: u64, out: &Path) -> Result<(), TrainError> {
     if loss.is_finite() {
         return Ok(());
@@ -125,7 +165,7 @@ pub(super) fn require_finite(loss: f64, step: u64, out: &Path) -> Result<(), Tra
     Err(TrainError::NotFinite { loss, step, checkpoint: checkpoint(out) })
 }
 
-/// How far a training is: what a checkpoint says beside its tensors.
+/// A training's progress in a checkpoint.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Reached<V> {
     pub epoch: u64,
@@ -141,22 +181,22 @@ impl<V> Default for Reached<V> {
     }
 }
 
-/// What one walk through the data came to.
+/// The result of one epoch's steps.
 pub(super) struct Pass {
     /// Mean loss.
     pub loss: f64,
-    /// Pictures that were shown.
+    /// Pictures used.
     pub shown: u64,
     /// When it began, and how long its steps took (s).
     pub began: Instant,
     pub seconds: f64,
     /// The learning rate of the last step.
     pub rate: f64,
-    /// Steps in all at the training's end, as far as is known.
+    /// Expected steps at the training's end.
     pub steps: u64,
 }
 
-/// A training that walks epoch by epoch. Each ends with validation, the best network exported, and a
+/// A training in epochs. Each ends with a validation, the export of the best network, and a
 /// checkpoint.
 pub(super) trait Training {
     type Validation: Copy;
@@ -165,42 +205,42 @@ pub(super) trait Training {
     /// `summary.json`.
     type Summary: Serialize;
 
-    /// Whether the wanted epochs or the time are over.
+    /// Whether all epochs are done or the time is up.
     fn is_over(&self) -> bool;
 
-    /// One walk through the data; None where `interrupt` became true: what was begun is lost.
+    /// The steps of one epoch; None if `interrupt` became true: the epoch is lost.
     fn pass(
         &mut self,
         interrupt: &AtomicBool,
         report: &mut dyn FnMut(Progress<Self::Validation>),
     ) -> Result<Option<Pass>, TrainError>;
 
-    /// How good the network is on what it was not trained on.
+    /// Scores the network on the validation data.
     fn validate(&self) -> Result<Self::Validation, TrainError>;
 
-    /// Whether a network that validation finds `new` replaces the best so far.
+    /// Whether `new` is better than the best validation so far.
     fn is_better(new: &Self::Validation, best: &Self::Validation) -> bool;
 
-    /// How far it is.
+    /// The progress.
     fn reached(&mut self) -> &mut Reached<Self::Validation>;
 
-    /// Writes the network, the best so far.
+    /// Exports the best network so far.
     fn export(&self, validation: &Self::Validation) -> Result<(), TrainError>;
 
-    /// Writes all that is needed to go on after `pass`.
+    /// Writes the checkpoint after `pass`.
     fn save(&mut self, pass: &Pass) -> Result<(), TrainError>;
 
-    /// The epoch for `metrics.jsonl`.
+    /// The epoch's line of `metrics.jsonl`.
     fn record(&self, pass: &Pass, validation: Self::Validation, best: bool) -> Self::Record;
 
-    /// An epoch's step and figures for TensorBoard.
+    /// An epoch's step and metrics for TensorBoard.
     fn figures(record: &Self::Record) -> (u64, Vec<(&'static str, f64)>);
 
-    /// What it came to.
+    /// The summary.
     fn summary(&self, interrupted: bool) -> Self::Summary;
 }
 
-/// Walks to the end, or until `interrupt` becomes true; writes metrics, events and summary to `out`.
+/// Trains to the end, or until `interrupt` becomes true; writes metrics, events and summary to `out`.
 pub(super) fn walk<T: Training>(
     mut training: T,
     out: &Path,

@@ -1,4 +1,4 @@
-//! Event files that TensorBoard reads: TFRecord framing, one scalar per event.
+//! Event files for TensorBoard: TFRecord framing, one scalar per event.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -13,8 +13,8 @@ pub struct EventWriter {
 }
 
 impl EventWriter {
-    /// Begins a new event file in `folder`. TensorBoard reads all of a folder in turn, so a resumed run
-    /// adds one.
+    /// Begins a new event file in `folder`. TensorBoard reads all files of a folder in order, so a resumed
+    /// run adds another file.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -63,7 +63,7 @@ impl EventWriter {
         self.record(&event)
     }
 
-    /// Hands what is buffered to the system.
+    /// Flushes the buffer.
     ///
     /// # Errors
     /// The file cannot be written.

@@ -1,24 +1,24 @@
 //! Makes pictures of the training weathers look like other days: haze, other light, rain, glass.
 //!
 //! The detector may be trained in three weathers only and is then driven in eleven others. Nothing here
-//! comes from the renderer: the haze knows a flat world and the boxes' depths, the rest knows pixels alone.
+//! comes from the renderer: haze uses a flat ground and the boxes' depths, everything else only pixels.
 //! Boxes stay where they are.
 
 use crate::dataset::BoxRecord;
 use rand::RngExt;
 
-/// Where a window lies in the camera's picture.
+/// A window of the camera's picture.
 #[derive(Clone, Copy, Debug)]
 pub struct View<'a> {
     /// Pixels.
     pub left: usize,
     pub top: usize,
     pub width: usize,
-    /// What the whole picture shows.
+    /// Facts about the whole picture.
     pub objects: &'a [BoxRecord],
 }
 
-/// Share of the pictures that each change is made to; what is left out of all keeps its weather.
+/// Share of the pictures that get each change; a picture without any keeps its weather.
 const HAZE: f64 = 0.35;
 const SHADE: f64 = 0.35;
 const RAIN: f64 = 0.35;
@@ -56,12 +56,12 @@ pub fn weather(rgb: &mut [u8], view: View, rng: &mut impl RngExt) {
 const HORIZON: f32 = 256.0;
 const FOCAL: f32 = 256.0;
 const UP: f32 = 1.4;
-/// What stands above the horizon is as far as this (m).
+/// Distance of everything above the horizon (m).
 const FAR: f32 = 90.0;
 /// Most light that haze takes per metre: a visual range of 200 m.
 const THICKEST: f32 = 0.014;
 
-/// Haze as thick as a flat world is deep; objects are as far as their boxes say.
+/// Haze by the depth of a flat ground; objects have the depth of their boxes.
 fn haze(rgb: &mut [u8], view: View, rng: &mut impl RngExt) {
     let grey = rng.random_range(60.0_f32..215.0);
     let colour: [u32; 3] = std::array::from_fn(|_| (grey * rng.random_range(0.9_f32..1.1)).min(255.0) as u32);
@@ -170,7 +170,7 @@ fn blur(rgb: &mut [u8], width: usize) {
     }
 }
 
-/// What contrast is varied about.
+/// The fixed point of contrast changes.
 const MIDDLE: f32 = 0.45;
 /// The most that noise changes a byte by.
 const NOISE: f32 = 12.0;

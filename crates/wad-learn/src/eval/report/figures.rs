@@ -64,7 +64,7 @@ pub fn distributions(section: &Section) -> [String; 2] {
     ]
 }
 
-/// A map per town: its roads, and where episodes ended. None where the net is not there any more.
+/// A map per town: its roads, and where episodes ended. None if the net is missing.
 pub fn maps(section: &Section) -> Vec<(String, Option<String>)> {
     let mut towns: Vec<String> = Vec::new();
     for (_, episode) in &section.episodes {

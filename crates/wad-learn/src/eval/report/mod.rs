@@ -1,4 +1,4 @@
-//! Reports: what evaluations found, as tables and figures, with the published numbers beside.
+//! Reports: results of evaluations as tables and figures, with the published numbers beside them.
 //!
 //! ```text
 //! Results... --gather--> Report --tables--> Markdown, CSV, LaTeX
@@ -22,36 +22,50 @@ pub use tables::tables;
 use super::{EpisodeRecord, Manifest, Results, Suite};
 use std::path::PathBuf;
 
-/// Why there is no report.
+/// Why a report cannot be made.
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
+    /// The run has no episodes.
     #[error("{} has no episodes yet", path.display())]
-    Empty { path: PathBuf },
+    Empty {
+        /// The file or folder.
+        path: PathBuf,
+    },
+    /// Two runs of the same suite differ in their settings.
     #[error(
         "{} and {} are results of the same suite, made otherwise: {}; report them apart", first.display(),
         second.display(), differences.join("; ")
     )]
-    Mixed { first: PathBuf, second: PathBuf, differences: Vec<String> },
+    Mixed {
+        /// The first run.
+        first: PathBuf,
+        /// The run that differs.
+        second: PathBuf,
+        /// What differs.
+        differences: Vec<String>,
+    },
 }
 
 /// One suite's results, of one run or several.
 #[derive(Clone, Debug)]
 pub struct Section {
+    /// The suite.
     pub suite: Suite,
-    /// Where they come from.
+    /// The settings of the runs.
     pub runs: Vec<(PathBuf, Manifest)>,
-    /// Each with the folder of its run.
+    /// The episodes, each with the folder of its run.
     pub episodes: Vec<(PathBuf, EpisodeRecord)>,
 }
 
-/// What is reported.
+/// The runs of a report.
 #[derive(Clone, Debug, Default)]
 pub struct Report {
+    /// One section per suite.
     pub sections: Vec<Section>,
 }
 
 impl Report {
-    /// Puts runs together: those of the same suite into one section.
+    /// Gathers runs: runs of the same suite make one section.
     ///
     /// # Errors
     /// A run is empty, or two of the same suite were made by other builds, settings, nets or weights.
@@ -90,7 +104,7 @@ impl Report {
     }
 }
 
-/// What must be equal in runs that are put together: all but what was selected.
+/// The settings that must be equal in gathered runs: all but the selection.
 fn comparable(manifest: &Manifest) -> Manifest {
     Manifest {
         selection: Default::default(),
@@ -101,8 +115,8 @@ fn comparable(manifest: &Manifest) -> Manifest {
 }
 
 impl Section {
-    /// Of an episode that was driven twice (SUMO died the first time) the last counts; the order is that
-    /// of the suite, not that in which episodes ended.
+    /// If an episode was driven twice (SUMO died the first time), the last record counts; the order is that
+    /// of the suite, not the order in which episodes ended.
     fn settle(&mut self) {
         let suite = &self.suite;
         let place = |e: &EpisodeRecord| {
@@ -122,7 +136,7 @@ impl Section {
         self.episodes = by_case.into_values().collect();
     }
 
-    /// The agents in the order in which they were asked for.
+    /// The agents in the order of the command line.
     pub fn agents(&self) -> Vec<String> {
         let mut agents: Vec<String> = Vec::new();
         let asked = self.runs.iter().flat_map(|(_, m)| m.selection.agents.iter().map(ToString::to_string));
@@ -136,7 +150,7 @@ impl Section {
         agents
     }
 
-    /// The conditions that were driven, in the suite's order; `other` last.
+    /// The driven conditions, in the suite's order; `other` last.
     pub fn conditions(&self) -> Vec<String> {
         let own = self.suite.conditions.iter().map(|c| c.name.clone());
         own.chain(["other".to_string()])
@@ -144,7 +158,7 @@ impl Section {
             .collect()
     }
 
-    /// The episodes of which `wanted` is true.
+    /// The episodes for which `wanted` is true.
     pub fn of(&self, wanted: impl Fn(&EpisodeRecord) -> bool) -> Vec<&EpisodeRecord> {
         self.episodes.iter().map(|(_, e)| e).filter(|e| wanted(e)).collect()
     }

@@ -1,11 +1,12 @@
-//! One HTML page that needs nothing else.
+//! One self-contained HTML page.
 
 use super::svg::escape;
 use super::{Report, Section, Table, Thumbnail, figures, tables};
 use std::path::Path;
 
-/// What goes into a page.
+/// The contents of a page.
 pub struct Page<'a> {
+    /// The report.
     pub report: &'a Report,
     /// The program's version.
     pub build: &'a str,
@@ -53,7 +54,7 @@ fn section_html(section: &Section, pictures: &[Thumbnail], folder: &Path) -> Str
     html += &provenance(section);
     let all = tables(section);
     let (published, own): (Vec<&Table>, Vec<&Table>) = all.iter().partition(|table| table.published);
-    // What was asked first, the published numbers right beside it, details after.
+    // Results first, with the published numbers beside them, then details.
     for (n, table) in own.iter().enumerate() {
         html += &table_html(table);
         if n == 0 {
@@ -93,7 +94,7 @@ fn section_html(section: &Section, pictures: &[Thumbnail], folder: &Path) -> Str
     html
 }
 
-/// Where the numbers come from.
+/// The runs that the numbers come from.
 fn provenance(section: &Section) -> String {
     let mut html = String::new();
     if !section.suite.source.is_empty() {
@@ -151,7 +152,7 @@ fn words(table: &Table, column: usize) -> bool {
     table.rows.iter().any(word)
 }
 
-/// `to` as seen from the folder `from`; as it is where there is no way between them.
+/// `to` relative to the folder `from`; unchanged if there is no relative path.
 fn relative(to: &Path, from: &Path) -> String {
     let (Ok(to_full), Ok(from)) = (std::fs::canonicalize(to), std::fs::canonicalize(from)) else {
         return to.display().to_string();

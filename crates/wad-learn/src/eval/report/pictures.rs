@@ -11,7 +11,9 @@ use wad_sim::replay::Recording;
 
 /// The last picture of a failure.
 pub struct Thumbnail {
+    /// Agent, town, task, weather and episode.
     pub title: String,
+    /// How and why it ended.
     pub cause: String,
     /// The episode's folder.
     pub folder: PathBuf,
@@ -21,11 +23,11 @@ pub struct Thumbnail {
 
 /// Size of a thumbnail (pixels).
 const SIZE: (usize, usize) = (384, 216);
-/// Ticks followed before the last, so that wheels and legs are where they were.
+/// Ticks applied before the last, so that wheels and legs have their positions.
 const BEFORE: usize = 8;
 
-/// At most `most` of a section's failures that were kept, taken evenly from all of them, as `chase` camera
-/// sees their last state.
+/// At most `most` of a section's kept failures, taken evenly from all of them: the `chase` camera's picture
+/// of their last state.
 ///
 /// # Errors
 /// The camera cannot be made. A recording that cannot be read is left out, with a warning.

@@ -1,4 +1,4 @@
-//! The paper's numbers and its baselines', as printed.
+//! Published numbers of the paper and its baselines, as printed.
 
 use super::table::Table;
 use serde::Deserialize;
@@ -7,7 +7,7 @@ use serde::Deserialize;
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Published {
-    /// What is to be said of all of them.
+    /// A note for all of them.
     pub note: String,
     pub tables: Vec<PublishedTable>,
 }
@@ -37,10 +37,10 @@ pub struct PublishedRow {
     pub task: String,
     pub training: Vec<Option<f64>>,
     pub new: Vec<Option<f64>>,
-    /// As printed, training then new, where that is no rate.
+    /// As printed, training then new, if it is not a rate.
     #[serde(default)]
     pub text: Vec<String>,
-    /// What the paper's text says where that is another number.
+    /// The number in the paper's text, if it differs from the table.
     #[serde(default)]
     pub text_new: std::collections::BTreeMap<String, f64>,
 }

@@ -1,18 +1,18 @@
-//! Figures as SVG, without a library.
+//! Figures as SVG.
 
 use std::fmt::Write;
 
-/// Colours that are told apart by those who see red and green alike (Okabe and Ito).
+/// Colours that people with red-green blindness can distinguish (Okabe and Ito).
 const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000"];
 
-/// A drawing under way.
+/// A drawing.
 pub struct Svg {
     width: f64,
     height: f64,
     body: String,
 }
 
-/// Text as SVG and HTML want it.
+/// Text escaped for SVG and HTML.
 pub fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
@@ -49,7 +49,7 @@ impl Svg {
         ));
     }
 
-    /// A filled rectangle that says `title` when pointed at.
+    /// A filled rectangle with the tooltip `title`.
     pub fn bar(&mut self, (x, y): (f64, f64), (width, height): (f64, f64), fill: &str, title: &str) {
         self.push(format_args!(
             "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" fill=\"{fill}\"><title>{}</title></rect>",
@@ -72,7 +72,7 @@ impl Svg {
         ));
     }
 
-    /// The drawing, to stand in a page.
+    /// The drawing as an element for a page.
     pub fn finish(self) -> String {
         format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {w:.0} {h:.0}\" width=\"{w:.0}\" height=\"{h:.0}\" \
@@ -135,15 +135,21 @@ pub fn distribution(title: &str, unit: &str, step: f64, lines: &[(String, Vec<u6
 
 /// A chart: lines over a common x axis.
 pub struct Chart {
+    /// The title.
     pub title: String,
+    /// Label of the x axis.
     pub x: String,
+    /// Label of the y axis.
     pub y: String,
+    /// The lines.
     pub lines: Vec<Line>,
 }
 
-/// A line and what it is called; points that are not finite leave a gap.
+/// A line with its name; points that are not finite leave a gap.
 pub struct Line {
+    /// Name in the legend.
     pub name: String,
+    /// Points (x, y).
     pub points: Vec<(f64, f64)>,
 }
 
@@ -209,7 +215,7 @@ struct Axis {
 }
 
 impl Axis {
-    /// Around all values; with `room` a little more than that.
+    /// The range of all values; with `room` a little more.
     fn around(values: impl Iterator<Item = f64>, room: bool) -> Self {
         let (mut low, mut high) =
             values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));

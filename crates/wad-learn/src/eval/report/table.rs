@@ -1,16 +1,19 @@
-//! Tables for people, papers and programs.
+//! Tables as Markdown, LaTeX and CSV.
 
 /// A table: rows of text below a head.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Table {
+    /// The title.
     pub title: String,
-    /// Above the head: what groups columns, with how many each.
+    /// Above the head: groups of columns, with the number of columns in each.
     pub groups: Vec<(String, usize)>,
+    /// The columns' names.
     pub head: Vec<String>,
+    /// The rows, each as long as the head.
     pub rows: Vec<Vec<String>>,
-    /// Below the table.
+    /// Notes below the table.
     pub notes: Vec<String>,
-    /// Not measured by this program.
+    /// Published numbers, not measured by this program.
     pub published: bool,
 }
 

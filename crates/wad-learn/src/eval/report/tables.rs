@@ -82,7 +82,7 @@ fn success(section: &Section) -> Table {
     let blind: Vec<String> = agents.iter().filter(|agent| blind(agent)).cloned().collect();
     if !blind.is_empty() && section.suite.conditions.iter().any(|c| c.weathers.len() > 1) {
         notes.push(format!(
-            "Without eyes, an episode is the same in every weather: the intervals of {} count it once per weather, \
+            "Blind agents drive the same in every weather: the intervals of {} count each episode once per weather, \
              and are narrower than they should be.",
             blind.join(", ")
         ));
@@ -91,20 +91,19 @@ fn success(section: &Section) -> Table {
     if lost > 0 {
         notes.push(format!("{lost} episodes in which SUMO died do not count."));
     }
-    let untrained: Vec<&str> = section
-        .suite
-        .conditions
-        .iter()
-        .filter(|c| c.name == "training")
-        .flat_map(|c| c.weathers.iter())
-        .filter(|w| !TRAINED_IN.contains(w))
-        .map(|w| w.name())
-        .collect();
+    let untrained = odd_weathers(section, "training", false);
     if !untrained.is_empty() {
         notes.push(format!(
-            "“training” is the benchmark's word: nothing of ours was trained in {} (town3 in {} only).",
+            "“training” is the benchmark's name: agents, encoder and detector were not trained in {} (only in town3 in {}).",
             untrained.join(", "),
             TRAINED_IN.map(Preset::name).join(", ")
+        ));
+    }
+    let trained = odd_weathers(section, "new", true);
+    if !trained.is_empty() {
+        notes.push(format!(
+            "“new” is the benchmark's name: agents, encoder and detector were trained in {}, though in another town.",
+            trained.join(", ")
         ));
     }
     Table {
@@ -115,6 +114,12 @@ fn success(section: &Section) -> Table {
         notes,
         published: false,
     }
+}
+
+/// The driven weathers of a condition that were (`trained`) or were not trained in.
+fn odd_weathers(section: &Section, condition: &str, trained: bool) -> Vec<&'static str> {
+    let own = section.suite.conditions.iter().filter(|c| c.name == condition).flat_map(|c| &c.weathers);
+    own.filter(|weather| TRAINED_IN.contains(weather) == trained).map(|weather| weather.name()).collect()
 }
 
 /// Groups by agent, condition and task, in that order, with their names.
@@ -188,7 +193,7 @@ fn infractions(section: &Section) -> Table {
         cells.extend(s.events.named().map(|(_, n)| {
             match s.distance_km {
                 _ if n == 0 => "0".to_string(),
-                // Who does not move has none per km.
+                // An agent that does not move has no rate per km.
                 km if km < 0.1 => format!("({n})"),
                 km => format!("{:.2} ({n})", n as f64 / km),
             }
@@ -220,7 +225,7 @@ fn ends(section: &Section) -> Table {
         title: format!("{}: how episodes ended", section.suite.title),
         head,
         rows: lines(section).into_iter().map(row).collect(),
-        notes: vec!["“error” is an external agent that died, hung or answered nonsense.".to_string()],
+        notes: vec!["“error” is an external agent that died, hung or gave an invalid answer.".to_string()],
         ..Table::default()
     }
 }
@@ -255,7 +260,7 @@ fn weathers(section: &Section) -> Table {
         title: format!("{}: success by weather", section.suite.title),
         head: head.collect(),
         rows,
-        notes: vec!["† a weather that nothing of ours was trained in.".to_string()],
+        notes: vec!["† agents, encoder and detector were not trained in this weather.".to_string()],
         ..Table::default()
     }
 }

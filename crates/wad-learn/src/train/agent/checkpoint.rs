@@ -1,4 +1,4 @@
-//! Checkpoints: everything that learning needs to go on as if it had never stopped.
+//! Checkpoints: the complete state of a training, for a resume without a difference.
 //!
 //! ```text
 //! OUT/checkpoints/000025000/state.json           counters, random generator, schedule; written last
@@ -6,7 +6,7 @@
 //! OUT/checkpoints/replay/chunk-*.bin             shared by checkpoints
 //! ```
 //!
-//! The last two are kept. One that is cut short or damaged is passed over for the one before it.
+//! The last two are kept. If the newest is damaged, the one before it is used.
 
 use super::TrainError;
 use super::schedule::ScheduleState;
@@ -22,13 +22,13 @@ use std::path::{Path, PathBuf};
 use tch::{Device, Tensor};
 use wad_see::observation::{RAW_MEANING, first_meaning};
 
-/// What a checkpoint says beside its tensors.
+/// A checkpoint's state beside its tensors.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct State {
     /// Environment steps of the agent.
     pub steps: u64,
     pub updates: u64,
-    /// What the raw states of its replay buffer mean, [`RAW_MEANING`] of its time.
+    /// Version of the meaning of its raw states: [`RAW_MEANING`] at its writing.
     #[serde(default = "first_meaning")]
     pub raw_meaning: u32,
     /// Steps of each optimiser.
@@ -49,9 +49,11 @@ pub struct State {
 /// The best actor's validation so far.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Best {
+    /// Environment steps at the validation.
     pub steps: u64,
-    /// Of all the curriculum's tasks; those not come to yet count as failed.
+    /// Success rate over all the curriculum's tasks; tasks of later stages count as failed.
     pub success_rate: f64,
+    /// Mean return of the validation's episodes.
     pub mean_return: f64,
 }
 
@@ -65,7 +67,7 @@ pub struct RngState {
 }
 
 impl RngState {
-    /// Of a generator.
+    /// The state of a generator.
     pub fn of(rng: &ChaCha8Rng) -> Self {
         Self { seed: rng.get_seed(), stream: rng.get_stream(), word: rng.get_word_pos().to_string() }
     }
@@ -83,7 +85,7 @@ impl RngState {
 #[derive(Debug)]
 pub struct Checkpoints {
     folder: PathBuf,
-    /// The newest that is known to be whole, and the one before it.
+    /// The newest complete one, and the one before it.
     kept: Vec<(PathBuf, ReplayManifest)>,
 }
 
@@ -91,7 +93,7 @@ pub struct Checkpoints {
 const KEEP: usize = 2;
 
 impl Checkpoints {
-    /// In a run's folder.
+    /// The checkpoints of the training in `out`.
     pub fn new(out: &Path) -> Self {
         Self { folder: out.join("checkpoints"), kept: Vec::new() }
     }
@@ -100,7 +102,7 @@ impl Checkpoints {
         self.folder.join("replay")
     }
 
-    /// Writes a checkpoint; `state` gets what only this knows. The oldest is removed afterwards.
+    /// Writes a checkpoint, and completes `state`. The oldest checkpoint is removed afterwards.
     ///
     /// # Errors
     /// A file cannot be written; the checkpoints before stay.
@@ -112,7 +114,7 @@ impl Checkpoints {
     ) -> Result<PathBuf, TrainError> {
         let path = self.folder.join(format!("{:09}", state.steps));
         let failed = |source| TrainError::Write { path: path.clone(), source };
-        // A checkpoint of the same step is rewritten only as a whole: without its state it counts as none.
+        // A checkpoint of the same step is rewritten completely: without its state it does not count.
         std::fs::create_dir_all(&path).map_err(failed)?;
         let state_file = path.join("state.json");
         if state_file.exists() {
@@ -140,10 +142,10 @@ impl Checkpoints {
         Ok(path)
     }
 
-    /// Restores the newest checkpoint that is whole into `learner` and `buffer`; says which ones are not.
+    /// Restores the newest complete checkpoint into `learner` and `buffer`; warns about damaged ones.
     ///
     /// # Errors
-    /// None is whole, or the folder cannot be read.
+    /// None is complete, or the folder cannot be read.
     pub fn restore(
         &mut self,
         learner: &mut Learner,
@@ -161,7 +163,7 @@ impl Checkpoints {
                         }
                     }
                     for (path, _) in &damaged {
-                        // It would be taken for the newest again.
+                        // Else it would be taken for the newest again.
                         let _: std::io::Result<()> = std::fs::remove_dir_all(path);
                     }
                     return Ok((state, buffer));
@@ -179,7 +181,7 @@ impl Checkpoints {
             folder: self.folder.clone(),
             why: match damaged.first() {
                 None => "there is none".to_string(),
-                Some((path, why)) => format!("none is whole; `{}`: {why}", path.display()),
+                Some((path, why)) => format!("none is complete; `{}`: {why}", path.display()),
             },
         })
     }
@@ -214,7 +216,7 @@ impl Checkpoints {
         if state.raw_meaning != RAW_MEANING {
             return Err(format!(
                 "the raw states in its replay buffer are of meaning {}, expected {RAW_MEANING}; \
-                 begin anew",
+                 start a new training",
                 state.raw_meaning
             ));
         }

@@ -22,22 +22,22 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 use wad_see::observation::{LATENT_SIZE, Observation};
 
-/// What collectors and learner share. Locks are held for an episode's begin or a pointer's copy only.
+/// State shared by collectors and learner. Locks are held only for an episode's begin or a pointer's copy.
 #[derive(Debug)]
 pub struct Shared {
     pub stop: AtomicBool,
-    /// Version of `actor`, so that looking costs no lock.
+    /// Version of `actor`, readable without a lock.
     pub version: AtomicU64,
     pub actor: Mutex<Arc<ActorCopy>>,
     pub schedule: Mutex<Schedule>,
 }
 
-/// A lock that a panic elsewhere does not spoil: all that is behind these is valid at any time.
+/// Locks, ignoring poison: the data behind these locks is valid at any time.
 pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// What collectors send.
+/// Messages of collectors.
 #[derive(Debug)]
 pub enum Message {
     Segment {
@@ -45,22 +45,24 @@ pub enum Message {
         autopilot: bool,
     },
     Episode(Box<Report>),
-    /// Where a collector's time went since it last said so (s).
+    /// A collector's time by stage since its last message (s).
     Times(Times),
     /// A collector gave up.
     Failed(super::TrainError),
 }
 
-/// Where a collector's time went (s).
+/// A collector's time by stage (s).
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Times {
+    /// The environment.
     pub env: Stages,
+    /// The actor's network.
     pub actor: f64,
-    /// Waiting for the learner to take what was collected.
+    /// Waiting for the learner to take experience.
     pub waiting: f64,
 }
 
-/// Why an episode was not driven to its end.
+/// Why an episode stopped before its end.
 enum Stop {
     /// Training is over.
     Over,
@@ -104,7 +106,7 @@ pub fn collect(
     while !shared.stop.load(Ordering::Relaxed) {
         let job = retry.take().unwrap_or_else(|| lock(&shared.schedule).next(config));
         match collector.drive(&job) {
-            // SUMO died on the way.
+            // SUMO died during the episode.
             Ok(report) if report.ending.end == End::Error => {
                 failures += 1;
                 if failures >= PATIENCE {
@@ -150,7 +152,7 @@ struct Collector<'a> {
     config: &'a TrainConfig,
     shared: &'a Shared,
     maker: &'a Maker,
-    /// Where episodes are kept with their images.
+    /// The folder for recorded episodes.
     record: Option<&'a Path>,
     out: &'a SyncSender<Message>,
     /// Running traffic, for training.
@@ -158,10 +160,10 @@ struct Collector<'a> {
     /// Fresh worlds, for validation.
     fresh: Option<Env>,
     actor: Actor,
-    /// What `actor` is a copy of.
+    /// The version that `actor` is a copy of.
     version: Option<u64>,
     times: Times,
-    /// What `env` had spent when that was last told.
+    /// The time that `env` had spent at the last report.
     told: Stages,
 }
 
@@ -215,10 +217,10 @@ impl Collector<'_> {
             let action = self.act(&job.purpose, shown, &segment, &mut noise, &mut rng)?;
             let step = env.step(action::to_control(action))?;
             if let Some(ending) = step.info.ending.as_ref().filter(|ending| ending.end == End::Error) {
-                // The transition that SUMO did not finish is not kept; what came before is.
+                // The unfinished transition is dropped; all before it are kept.
                 tracing::info!("the rest of an episode is lost: {}", ending.cause);
                 segment.truncated = true;
-                // A recording needs an end of its own.
+                // A recording needs its own end.
                 self.send(segment, &job.purpose)?;
                 return Ok(report(job, &step.info, steps, episodic_return, terms, env));
             }
@@ -329,7 +331,7 @@ impl Collector<'_> {
         Ok(())
     }
 
-    /// Hands experience to the learner; a validation's is not learned from.
+    /// Sends experience to the learner, except a validation's.
     fn send(&mut self, segment: Segment, purpose: &Purpose) -> Result<(), Stop> {
         if matches!(purpose, Purpose::Validate(_)) || segment.is_empty() {
             return Ok(());
@@ -385,7 +387,7 @@ fn report(
     }
 }
 
-/// Adds what is seen to a recording, where there is one.
+/// Adds the observation to the recording, if there is one.
 fn observe(
     recording: &mut Option<(&Path, Recording)>,
     env: &Env,

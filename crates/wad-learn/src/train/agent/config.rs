@@ -1,4 +1,4 @@
-//! What a training run is made of; saved as its `config.json`.
+//! A training's settings; saved as its `config.json`.
 
 use crate::agent::batch::Inputs;
 use crate::agent::exploration::ExplorationParams;
@@ -9,63 +9,69 @@ use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use wad_sim::tasks::Curriculum;
 
-/// Everything that decides what is learned. How long, with how many collectors, where and on what device
-/// is said apart ([`super::Limits`]), so that a run can go on elsewhere.
+/// Every setting that changes what is learned. Length, number of collectors, folder and device are in
+/// [`super::Limits`], so that a run can go on elsewhere.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrainConfig {
+    /// Algorithm and its constants.
     pub algorithm: Algorithm,
-    /// Which part of the observation the networks see.
+    /// The networks' inputs.
     pub inputs: Inputs,
-    /// Standard deviation that the latent's numbers are scaled to; less than 1 lets the raw states lead
-    /// where little has been seen yet.
+    /// Standard deviation to which the latent is scaled; less than 1 gives the raw states more weight
+    /// early in training.
     pub latent_gain: f64,
-    /// Share of the images that are shown as on other days, so that other weathers than the training's
-    /// are less new; never in validation.
+    /// Share of the images changed to other days, so that other weathers than the training's
+    /// are less unfamiliar; never in validation.
     #[serde(default)]
     pub other_days: f64,
-    /// Most of the difference between two other observations' latents that is added to a latent that is
-    /// learned from.
+    /// Largest share of the difference between two other latents of the batch that is added to each latent
+    /// in an update.
     #[serde(default)]
     pub latent_mixing: f64,
-    /// Everything random derives from it.
+    /// The seed of everything random.
     pub seed: u64,
+    /// The tasks in order.
     pub curriculum: Curriculum,
+    /// The environment's options.
     pub env: EnvOptions,
-    /// The encoder's name or file, and its hash.
+    /// The encoder's name or file.
     pub encoder: String,
+    /// Hash of the encoder's weights.
     pub encoder_hash: String,
+    /// Noise on the actions.
     pub exploration: ExplorationParams,
     /// Updates per environment step.
     pub update_ratio: f64,
     /// Transitions per update.
     pub batch_size: usize,
-    /// Rewards summed before the critic's word is taken; 1 as in the papers.
+    /// Rewards summed before the critic's estimate is used (n-step return); 1 as in the papers.
     pub n_step: usize,
-    /// Rewards are multiplied by it before anything learns from them.
+    /// Factor on the rewards.
     pub reward_scale: f64,
-    /// Transitions that the replay buffer holds.
+    /// Capacity of the replay buffer (transitions).
     pub buffer: usize,
     /// Environment steps before the first update.
     pub learning_starts: u64,
     /// Environment steps that the autopilot drives first, into the replay buffer; 0: none.
     pub demonstrations: u64,
-    /// Share of the autopilot's episodes that are driven with exploration's noise, so that the buffer
+    /// Share of the autopilot's episodes with exploration noise, so that the buffer
     /// holds ways back to the lane's middle as well.
     pub noisy_demonstrations: f64,
-    /// Folders of recorded episodes that are put into the replay buffer first.
+    /// Folders of recorded episodes that fill the replay buffer first.
     pub recorded: Vec<PathBuf>,
-    /// The trained agent, a name or file, whose actor and scale of inputs this training begins with.
+    /// The trained agent (name or file) whose actor and scale of inputs this training starts with.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub init: Option<String>,
-    /// Steps of behaviour cloning, the actor alone, before anything else is learned.
+    /// Steps of behaviour cloning before all other updates; trains only the actor.
     #[serde(default)]
     pub cloning: u64,
-    /// Adam's step where cloning begins; it falls in a straight line to a tenth.
+    /// Adam's initial learning rate for cloning; it falls linearly to a tenth.
     #[serde(default = "cloning_rate")]
     pub cloning_rate: f64,
     /// Updates on the demonstrations before the agent drives.
     pub pretrain: u64,
+    /// Choice of the best actor.
     pub validation: ValidationParams,
     /// Environment steps between checkpoints.
     pub checkpoint_every: u64,
@@ -75,7 +81,7 @@ fn cloning_rate() -> f64 {
     1e-3
 }
 
-/// How the best actor is picked.
+/// The choice of the best actor by validation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ValidationParams {
@@ -94,7 +100,7 @@ impl Default for ValidationParams {
 }
 
 impl TrainConfig {
-    /// The defaults for an algorithm, behind an encoder.
+    /// The defaults for an algorithm with an encoder.
     pub fn new(algorithm: Algorithm, curriculum: Curriculum, encoder: &str, encoder_hash: &str) -> Self {
         Self {
             algorithm,
@@ -126,7 +132,7 @@ impl TrainConfig {
         }
     }
 
-    /// Leaves a part of the observation out, in the networks and in what the environment computes.
+    /// Drops a part of the observation, in the networks and in the environment.
     pub fn set_inputs(&mut self, inputs: Inputs) {
         self.inputs = inputs;
         self.env.observation = match inputs {
@@ -141,7 +147,7 @@ impl TrainConfig {
         self.demonstrations > 0 || !self.recorded.is_empty()
     }
 
-    /// Whether the expert is asked at every tick what it would do.
+    /// Whether the expert's action is recorded at every tick.
     pub fn asks(&self) -> bool {
         match &self.algorithm {
             Algorithm::Td3(params) => params.imitation.weight > 0.0,
@@ -149,7 +155,7 @@ impl TrainConfig {
         }
     }
 
-    /// How batches are drawn.
+    /// How batches are sampled.
     pub fn sampling(&self) -> Sampling {
         Sampling {
             batch_size: self.batch_size,
@@ -159,7 +165,7 @@ impl TrainConfig {
         }
     }
 
-    /// What cannot be, if anything.
+    /// The first invalid setting, if there is one.
     pub fn problem(&self) -> Option<String> {
         let gamma = self.algorithm.gamma();
         if !(0.0..1.0).contains(&gamma) {

@@ -26,19 +26,19 @@ use std::time::{Duration, Instant};
 use sumo_network::seeds;
 use validation::Validation;
 
-/// Updates that are sampled and brought to the device together.
+/// Updates that are sampled and moved to the device together.
 const TOGETHER: usize = 8;
-/// Updates that the learner may be behind before it stops listening to collectors.
+/// Backlog of updates at which the learner stops receiving from collectors.
 const SLACK: u64 = 64;
 /// Updates between two copies of the actor for the collectors.
 const PUBLISH: u64 = 64;
-/// Between two lines of figures.
+/// Time between two lines of metrics.
 const FIGURES: Duration = Duration::from_secs(5);
-/// Observations that the inputs' scale is measured on.
+/// Observations used to measure the inputs' scale.
 const MEASURED: usize = 20_000;
 
-/// Trains, or goes on with `resume`. Ends at the limits, at `interrupt`, or on an error; what was learned
-/// is kept in each case.
+/// Trains, or continues with `resume`. Ends at the limits, at `interrupt`, or on an error; the state
+/// is saved in each case.
 ///
 /// # Errors
 /// Bad configuration, SUMO, the disk, or learning that diverges.
@@ -92,27 +92,27 @@ pub fn train(
         drop(out);
         let result = result.and_then(|()| learning.run(&messages, &shared, interrupt, &mut progress));
         shared.stop.store(true, Ordering::Relaxed);
-        // Collectors that wait to be heard find nobody there, and end.
+        // Closing the channel ends collectors that wait to send.
         drop(messages);
         result
     });
     learning.finish(&shared, result)
 }
 
-/// The trained agent that a training is to begin with.
+/// The trained agent of `--init`.
 fn begin_with(config: &TrainConfig, name: &str) -> Result<Policy, TrainError> {
     let (policy, path) = Policy::find(name)?;
     policy.check(&path, &config.encoder_hash, &config.env.camera.hash())?;
     let (agent, asked) = (policy.card.algorithm.agent_name(), config.algorithm.agent_name());
     if agent != asked {
         return Err(TrainError::Config(format!(
-            "expected a {asked} to begin with, found a {agent} in `{}`; name one of the same algorithm",
+            "expected a {asked} to start with, found a {agent} in `{}`; choose one of the same algorithm",
             path.display()
         )));
     }
     if policy.card.inputs != config.inputs {
         return Err(TrainError::Config(format!(
-            "expected an agent with the inputs {:?} to begin with, found {:?} in `{}`; train with the same",
+            "expected an agent with the inputs {:?} to start with, found {:?} in `{}`; train with the same inputs",
             config.inputs,
             policy.card.inputs,
             path.display()
@@ -134,7 +134,7 @@ struct Learning<'a> {
     checkpoints: Checkpoints,
     /// Steps of behaviour cloning so far.
     cloned: u64,
-    /// Environment steps of the agent, and those that the autopilot drove.
+    /// Environment steps of the agent, and of the autopilot.
     steps: u64,
     demonstrated: u64,
     version: u64,
@@ -143,7 +143,7 @@ struct Learning<'a> {
     validated_at: u64,
     saved_at: u64,
     validation: Option<Validation>,
-    /// The schedule of the checkpoint that was resumed.
+    /// The schedule of the resumed checkpoint.
     resumed: Option<super::schedule::ScheduleState>,
     returns: VecDeque<f64>,
     before_seconds: f64,
@@ -154,14 +154,14 @@ struct Learning<'a> {
     interrupted: bool,
 }
 
-/// What speed is measured on: from the first update on.
+/// Counts for the speed, from the first update on.
 #[derive(Default)]
 struct Rate {
     began: Option<Instant>,
     steps: u64,
     updates: u64,
     learning: f64,
-    /// Since the last figures.
+    /// Since the last metrics.
     last: (u64, u64),
     env: Stages,
     actor: f64,
@@ -222,7 +222,7 @@ impl<'a> Learning<'a> {
             rng: rng.clone(),
         };
         if let Some(state) = state {
-            // The checkpoint was found whole, its generator with it.
+            // The checkpoint was checked, including its generator.
             rng = state.rng.generator().unwrap_or(rng);
             learning.rng = rng;
             learning.steps = state.steps;
@@ -256,7 +256,7 @@ impl<'a> Learning<'a> {
         }
     }
 
-    /// Updates that should have been done by now.
+    /// Updates due by now.
     fn due(&self) -> u64 {
         let c = self.config;
         let start = if c.is_warm() { 0 } else { c.learning_starts };
@@ -284,7 +284,7 @@ impl<'a> Learning<'a> {
                 return Ok(());
             }
             if self.ready() && self.learner.updates() == 0 && self.cloned < self.config.cloning {
-                // Nobody is heard meanwhile: collectors wait rather than drive with what knows nothing yet.
+                // Collectors wait meanwhile, rather than drive with an untrained actor.
                 self.clone_expert(shared)?;
                 self.now_and_then(shared, progress)?;
                 continue;
@@ -322,7 +322,7 @@ impl<'a> Learning<'a> {
         Ok(())
     }
 
-    /// A few steps of behaviour cloning, at a rate that falls in a straight line to a tenth.
+    /// A few steps of behaviour cloning, at a rate that falls linearly to a tenth.
     fn clone_expert(&mut self, shared: &Shared) -> Result<(), TrainError> {
         let batches = self.sample(TOGETHER);
         for i in 0..TOGETHER {
@@ -364,7 +364,7 @@ impl<'a> Learning<'a> {
         batches
     }
 
-    /// Gives collectors the newest actor.
+    /// Publishes the newest actor for collectors.
     fn publish(&mut self, shared: &Shared) -> Result<(), TrainError> {
         self.published_at = self.learner.updates();
         self.version += 1;
@@ -389,7 +389,7 @@ impl<'a> Learning<'a> {
         }
     }
 
-    /// Takes what collectors sent; waits a little where there is nothing else to do.
+    /// Receives from collectors; waits a little if there is nothing else to do.
     fn listen(
         &mut self,
         messages: &Receiver<Message>,
@@ -482,10 +482,10 @@ impl<'a> Learning<'a> {
                         if state.progress.note(curriculum, report.task.kind, report.steps, success) {
                             news = Some(match curriculum.stages.get(state.progress.stage) {
                                 Some(stage) if !state.progress.done => format!(
-                                    "step {}: on to stage {}, {}",
+                                    "step {}: next stage {}, {}",
                                     self.steps, state.progress.stage, stage.task
                                 ),
-                                _ => format!("step {}: the last stage is passed", self.steps),
+                                _ => format!("step {}: the last stage is complete", self.steps),
                             });
                         }
                     }

@@ -1,4 +1,4 @@
-//! What a run writes about itself: `train.jsonl`, `validation.jsonl`, TensorBoard events, under cleanrl's
+//! A training's logs: `train.jsonl`, `validation.jsonl`, TensorBoard events, under cleanrl's
 //! names.
 
 use super::TrainError;
@@ -19,7 +19,7 @@ pub struct RunLog {
 }
 
 impl RunLog {
-    /// Opens the logs in `out`, and goes on with what is there.
+    /// Opens the logs in `out`, and appends to existing ones.
     ///
     /// # Errors
     /// They cannot be written.
@@ -41,7 +41,7 @@ impl RunLog {
         })
     }
 
-    /// A training episode.
+    /// Logs a training episode.
     ///
     /// # Errors
     /// The logs cannot be written.
@@ -80,7 +80,7 @@ impl RunLog {
         self.scalars(steps, scalars.iter().map(|(name, value)| (name.as_str(), *value)))
     }
 
-    /// Figures of the learning.
+    /// Logs metrics of the learning.
     ///
     /// # Errors
     /// The logs cannot be written.
@@ -92,7 +92,7 @@ impl RunLog {
         self.flush()
     }
 
-    /// One episode of a validation.
+    /// Logs one episode of a validation.
     ///
     /// # Errors
     /// The logs cannot be written.
@@ -112,7 +112,7 @@ impl RunLog {
         Ok(())
     }
 
-    /// Hands what is buffered to the system.
+    /// Flushes the buffers.
     ///
     /// # Errors
     /// The logs cannot be written.

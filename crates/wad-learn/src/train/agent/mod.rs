@@ -1,4 +1,5 @@
-//! Training of the driving agents: collectors drive, one learner learns, the curriculum moves on.
+//! Training of the driving agents: collectors drive, one learner updates the networks, a curriculum sets the
+//! tasks.
 //!
 //! ```text
 //! collector 1 (env, SUMO, actor's copy) --segments--\
@@ -7,8 +8,8 @@
 //! ```
 //!
 //! The channel between them is short: where the learner falls behind its fixed ratio of updates to
-//! steps, collectors wait; where it is ahead, it waits. So what is learned does not depend on how fast
-//! which of them is.
+//! steps, collectors wait; where it is ahead, it waits. So what is learned does not depend on
+//! the speed of either.
 
 mod checkpoint;
 mod collector;
@@ -37,105 +38,171 @@ use std::time::Duration;
 use tch::Device;
 use wad_see::latent::Encoder;
 
-/// How long a run goes on, with what and where: may change when it is resumed.
+/// Length, workers and folder of a training: they may change when it is resumed.
 #[derive(Clone, Debug)]
 pub struct Limits {
-    /// Environment steps of the agent, those before a resume included.
+    /// Environment steps of the agent, including those before a resume.
     pub steps: u64,
-    /// Wall time of this call.
+    /// Wall time limit of this call.
     pub time: Option<Duration>,
+    /// Environments in parallel.
     pub collectors: usize,
-    /// Where the learner computes; collectors act on the CPU.
+    /// The learner's device; collectors use the CPU.
     pub device: Device,
+    /// The training's folder.
     pub out: PathBuf,
-    /// Where episodes are kept with their images, if anywhere.
+    /// Folder for recorded episodes; None: they are not kept.
     pub record: Option<PathBuf>,
 }
 
-/// Makes an environment that sees through an encoder.
+/// Makes an environment with an encoder.
 type MakeEnv = dyn Fn(EnvOptions, Box<dyn Encoder>) -> Result<Env, EnvError> + Send + Sync;
 
-/// Makes environments, each on the thread that will use it.
+/// Makes environments, each on the thread that uses it.
 pub struct Maker {
+    /// Makes an environment with that encoder.
     pub env: Box<MakeEnv>,
-    /// The encoder that they see through.
+    /// Their encoder.
     pub encoder: Box<dyn Fn() -> Result<Box<dyn Encoder>, EnvError> + Send + Sync>,
 }
 
 /// Why training stopped.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
+    /// An environment cannot be made.
     #[error(transparent)]
     Env(#[from] EnvError),
+    /// The replay buffer cannot be made.
     #[error(transparent)]
     Buffer(#[from] BufferError),
+    /// An agent's file cannot be read or written.
     #[error(transparent)]
     Policy(#[from] PolicyError),
+    /// A saved state does not fit.
     #[error(transparent)]
     Misfit(#[from] Misfit),
-    #[error("the training cannot be: {0}")]
+    /// A setting is invalid.
+    #[error("the training's configuration is invalid: {0}")]
     Config(String),
+    /// A file cannot be written.
     #[error("could not write `{}`: {source}; what was written before stays", path.display())]
-    Write { path: PathBuf, source: std::io::Error },
+    Write {
+        /// The file or folder.
+        path: PathBuf,
+        /// The cause.
+        source: std::io::Error,
+    },
+    /// A file cannot be read.
     #[error("could not read `{}`: {source}", path.display())]
-    Read { path: PathBuf, source: std::io::Error },
-    #[error("`{}` is no training's configuration: {why}", path.display())]
-    ConfigFile { path: PathBuf, why: String },
-    #[error("`{}` already holds a training; go on with --resume, or name another folder with --out", path.display())]
-    Taken { path: PathBuf },
+    Read {
+        /// The file or folder.
+        path: PathBuf,
+        /// The cause.
+        source: std::io::Error,
+    },
+    /// A file is not a training's configuration.
+    #[error("`{}` is not a training's configuration: {why}", path.display())]
+    ConfigFile {
+        /// The file or folder.
+        path: PathBuf,
+        /// The cause.
+        why: String,
+    },
+    /// The folder holds a training already.
+    #[error("`{}` already holds a training; continue it with --resume, or name another folder with --out", path.display())]
+    Taken {
+        /// The file or folder.
+        path: PathBuf,
+    },
+    /// There is no checkpoint to resume from.
     #[error("nothing to resume in `{}`: {why}", folder.display())]
-    NoCheckpoint { folder: PathBuf, why: String },
+    NoCheckpoint {
+        /// The training's folder.
+        folder: PathBuf,
+        /// The cause.
+        why: String,
+    },
+    /// Learning diverged: a number is not finite.
     #[error(
         "learning diverged at step {steps}: {what} is not a number. {kept}; \
          go on from there with a smaller learning rate or another seed"
     )]
-    Diverged { steps: u64, what: String, kept: String },
+    Diverged {
+        /// Environment steps so far.
+        steps: u64,
+        /// The number.
+        what: String,
+        /// The rest of the message: which checkpoint is kept.
+        kept: String,
+    },
+    /// All collectors have failed.
     #[error("a collector failed: {0}")]
     Broken(String),
+    /// A thread cannot be started.
     #[error("cannot start a thread: {0}")]
     Thread(std::io::Error),
 }
 
-/// What a progress bar shows.
+/// Facts for a progress bar.
 #[derive(Clone, Debug)]
 pub struct Progress<'a> {
+    /// Environment steps of the agent.
     pub steps: u64,
+    /// Environment steps of the autopilot.
     pub demonstrated: u64,
+    /// Updates of the networks.
     pub updates: u64,
-    /// Task of the present stage, its number and how many there are.
+    /// Task of the present stage.
     pub task: &'a str,
+    /// The stage's number, from 0.
     pub stage: usize,
+    /// Number of stages.
     pub stages: usize,
-    /// Success of the stage's last episodes.
+    /// Success rate of the stage's last episodes.
     pub success_rate: f64,
+    /// Mean return of the stage's last episodes.
     pub mean_return: f64,
+    /// A validation is running.
     pub validating: bool,
-    /// Something worth a line of its own.
+    /// News for a line of its own.
     pub news: Option<String>,
 }
 
-/// What came of a training; `summary.json`.
+/// The result of a training; `summary.json`.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Trained {
+    /// The algorithm's name.
     pub algorithm: String,
+    /// The training's seed.
     pub seed: u64,
+    /// Environment steps of the agent.
     pub steps: u64,
+    /// Environment steps of the autopilot.
     pub demonstrated: u64,
+    /// Updates of the networks.
     pub updates: u64,
+    /// Episodes driven.
     pub episodes: u64,
+    /// The last stage's number, from 0.
     pub stage: usize,
+    /// The last stage's task.
     pub stage_task: String,
     /// The last stage's threshold has been passed.
     pub curriculum_done: bool,
+    /// The best actor's validation; None without a validation.
     pub best: Option<Best>,
-    /// Of this call, and of all calls together (s).
+    /// Wall time of this call (s).
     pub wall_seconds: f64,
+    /// Wall time of all calls together (s).
     pub total_seconds: f64,
-    /// While both collected and learned.
+    /// Environment steps per second while both collected and learned.
     pub env_steps_per_s: f64,
+    /// Updates per second while both collected and learned.
     pub updates_per_s: f64,
     /// Milliseconds per environment step, by stage, summed over collectors; `update` per update.
     pub stages: BTreeMap<&'static str, f64>,
+    /// The user interrupted.
     pub interrupted: bool,
+    /// The training's folder.
     pub out: PathBuf,
 }

@@ -1,17 +1,17 @@
-//! Transformed images of the training weathers as on other days: other light, tints, haze, wet roads, rain.
+//! Changes transformed images of the training weathers to other days: light, tints, haze, wet roads, rain.
 //!
-//! Agents learn in three weathers and are driven in eleven others, which move the latent. Nothing here comes
-//! from the renderer's weathers: pixels are changed by numbers drawn at random, what was painted stays.
+//! Agents train in three weathers and drive in eleven others, which shift the latent. Nothing here comes from
+//! the renderer's weathers: random numbers change the pixels, and paint stays.
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use wad_see::latent::{Encoder, LatentError};
 use wad_see::perception::{TRANSFORMED_SIZE, TransformedImage};
 
-/// An encoder that is shown a share of its images as on other days. A day lasts 30 to 300 images.
+/// An encoder that gets a share of its images changed to other days. A day lasts 30 to 300 images.
 pub struct OtherDays {
     inner: Box<dyn Encoder>,
-    /// Share of the days that are other ones.
+    /// Share of changed days.
     share: f64,
     rng: ChaCha8Rng,
     day: Option<Day>,
@@ -20,7 +20,7 @@ pub struct OtherDays {
 }
 
 impl OtherDays {
-    /// Before `inner`, with all that is random from `rng`; `inner` itself where `share` is 0.
+    /// Wraps `inner`, with randomness from `rng`; `inner` itself if `share` is 0.
     pub fn before(inner: Box<dyn Encoder>, share: f64, rng: ChaCha8Rng) -> Box<dyn Encoder> {
         if share == 0.0 {
             return inner;
@@ -47,14 +47,14 @@ impl Encoder for OtherDays {
     }
 }
 
-/// How a day differs from the one that the camera saw.
+/// The changes of a day to the camera's image.
 #[derive(Clone, Debug)]
 struct Day {
     /// Brightness by channel and byte, before the rest.
     light: [[f32; 256]; 3],
-    /// Share of its colour that a pixel keeps.
+    /// Share of its saturation that a pixel keeps.
     saturation: f32,
-    /// What stands above the horizon is mixed with this colour by this share, most at the top.
+    /// Pixels above the horizon are mixed with this colour by this share, most at the top.
     sky: ([f32; 3], f32),
     /// Share of the light that haze takes per metre, and its colour.
     haze: (f32, [f32; 3]),
@@ -69,7 +69,7 @@ const SIDE: usize = TRANSFORMED_SIZE;
 const HORIZON: usize = SIDE / 2;
 const FOCAL: f32 = SIDE as f32 / 2.0;
 const UP: f32 = 1.4;
-/// What stands above the horizon is as far as this (m).
+/// Distance of everything above the horizon (m).
 const FAR: f32 = 60.0;
 
 impl Day {
@@ -134,7 +134,7 @@ impl Day {
     }
 }
 
-/// Share of a pixel that was painted: how far one channel stands above the others. Nothing else in a town
+/// Share of paint in a pixel: how far one channel is above the others. Nothing else in a town
 /// is as saturated.
 fn painted(pixel: &[u8]) -> f32 {
     let [r, g, b] = [pixel[0], pixel[1], pixel[2]].map(f32::from);

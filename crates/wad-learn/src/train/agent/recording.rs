@@ -1,4 +1,4 @@
-//! Episodes on disk with their transformed images, so that what was driven once serves every encoder.
+//! Episodes on disk with their transformed images, so that a recorded episode serves every encoder.
 //!
 //! ```text
 //! DIR/SEED.episode   one line of JSON (Header), then per observation: length and bytes of a PNG, the raw
@@ -21,15 +21,15 @@ use wad_see::observation::{self, LATENT_SIZE, RAW_SIZE, RawState};
 use wad_see::perception::{TRANSFORMED_SIZE, TransformedImage};
 use wad_sim::tasks::TaskKind;
 
-/// What a file begins with.
+/// A file's first line.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Header {
     pub task: TaskKind,
     pub seed: u64,
-    /// What drove: `autopilot`, or the agent that was trained.
+    /// The driver: `autopilot`, or the trained agent's name.
     pub driver: String,
     pub camera_hash: String,
-    /// What its raw vectors mean, [`observation::RAW_MEANING`] of its time.
+    /// Version of the raw vectors' meaning: [`observation::RAW_MEANING`] at its recording.
     #[serde(default = "observation::first_meaning")]
     pub raw_meaning: u32,
     pub detector: String,
@@ -39,7 +39,7 @@ pub struct Header {
     pub terminated: bool,
 }
 
-/// An episode as it is driven.
+/// A growing recording of an episode.
 #[derive(Debug, Default)]
 pub struct Recording {
     observations: Vec<(Vec<u8>, [f32; RAW_SIZE])>,
@@ -58,7 +58,7 @@ impl Recording {
         Ok(())
     }
 
-    /// Adds what was done after the last observation, what the expert would have done, and the reward.
+    /// Adds the action after the last observation, the expert's action, and the reward.
     pub fn act(&mut self, action: Action, shown: Option<Action>, reward: f32) {
         self.transitions.push((action, shown, reward));
     }
@@ -71,7 +71,7 @@ impl Recording {
     /// Writes the episode into `folder`.
     ///
     /// # Errors
-    /// The disk.
+    /// The file cannot be written.
     pub fn write(&self, folder: &Path, header: &Header) -> Result<(), TrainError> {
         let path = folder.join(format!("{:016x}.episode", header.seed));
         let failed = |source| TrainError::Write { path: path.clone(), source };
@@ -106,16 +106,19 @@ pub fn list(folder: &Path) -> Result<Vec<PathBuf>, TrainError> {
         }
     }
     if found.is_empty() {
-        return Err(failed(Error::new(ErrorKind::NotFound, "it holds no recorded episode (*.episode)")));
+        return Err(failed(Error::new(
+            ErrorKind::NotFound,
+            "it holds no recorded episode (expected *.episode)",
+        )));
     }
     found.sort();
     Ok(found)
 }
 
-/// An episode as `encoder` sees it, in segments for the replay buffer.
+/// An episode with latents of `encoder`, in segments for the replay buffer.
 ///
 /// # Errors
-/// The file cannot be read, is damaged, or was seen by another camera; or the encoder fails.
+/// The file cannot be read, is damaged, or is of another camera; or the encoder fails.
 pub fn load(
     path: &Path,
     camera_hash: &str,
@@ -126,13 +129,13 @@ pub fn load(
     let (header, mut rest) = parse(&data).map_err(failed)?;
     if header.camera_hash != camera_hash {
         return Err(failed(invalid(format!(
-            "it was seen by the camera {}, and this one is {camera_hash}",
+            "it was recorded with the camera {}, and this one is {camera_hash}",
             header.camera_hash
         ))));
     }
     if header.raw_meaning != observation::RAW_MEANING {
         return Err(failed(invalid(format!(
-            "its raw states are of meaning {}, expected {}; record anew, or begin without --recorded",
+            "its raw states are of meaning {}, expected {}; record again, or train without --recorded",
             header.raw_meaning,
             observation::RAW_MEANING
         ))));

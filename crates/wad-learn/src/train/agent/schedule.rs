@@ -1,4 +1,4 @@
-//! Who drives what next: demonstrations first, then the curriculum, with validations between.
+//! The next episode: demonstrations first, then the curriculum, with validations between.
 
 use super::config::TrainConfig;
 use crate::agent::batch::InputScale;
@@ -20,7 +20,7 @@ pub struct ActorCopy {
     pub scale: InputScale,
 }
 
-/// What a collector is to drive.
+/// An episode for a collector.
 #[derive(Clone, Debug)]
 pub struct Job {
     pub purpose: Purpose,
@@ -28,20 +28,20 @@ pub struct Job {
     pub seed: u64,
 }
 
-/// What an episode is for.
+/// The purpose of an episode.
 #[derive(Clone, Debug)]
 pub enum Purpose {
-    /// The autopilot drives, on some days with noise on what it does.
+    /// A demonstration: the autopilot drives, in some episodes with noise.
     Demonstrate { noisy: bool },
-    /// Before learning starts.
+    /// Random actions before learning starts.
     Start,
-    /// The newest actor with noise.
+    /// Training: the newest actor with noise.
     Explore,
-    /// A certain actor without noise, in a fresh world.
+    /// Validation: a given actor without noise, in a fresh world.
     Validate(Arc<ActorCopy>),
 }
 
-/// What came of an episode.
+/// The result of an episode.
 #[derive(Clone, Debug)]
 pub struct Report {
     pub purpose: Purpose,
@@ -56,7 +56,7 @@ pub struct Report {
     pub distance: f64,
 }
 
-/// What the schedule must remember over a restart.
+/// The schedule's state for checkpoints.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ScheduleState {
     pub progress: Progress,
@@ -72,12 +72,12 @@ pub struct Schedule {
     pub state: ScheduleState,
     seed: u64,
     validations: VecDeque<Job>,
-    /// Environment steps of the agent so far, as far as the learner has told.
+    /// Environment steps of the agent so far, by the learner's last message.
     pub steps: u64,
 }
 
 impl Schedule {
-    /// Where training begins, or goes on.
+    /// The schedule of a new or resumed training.
     pub fn new(config: &TrainConfig, state: Option<ScheduleState>, steps: u64) -> Self {
         let fresh = ScheduleState { progress: Progress::default(), episodes: 0, demonstrated: 0 };
         Self { state: state.unwrap_or(fresh), seed: config.seed, validations: VecDeque::new(), steps }
@@ -92,7 +92,7 @@ impl Schedule {
         let seed = seeds::derive(self.seed, &format!("episode {}", self.state.episodes));
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         if self.state.demonstrated < config.demonstrations {
-            // Of all tasks alike, so that the first lessons of each are there.
+            // All tasks equally, so that the buffer has examples of each.
             let stages = &config.curriculum.stages;
             let everywhere = Progress { stage: rng.random_range(0..stages.len()), ..Progress::default() };
             let alone = wad_sim::tasks::Curriculum { replay: 0.0, ..config.curriculum.clone() };
@@ -106,7 +106,7 @@ impl Schedule {
         Job { purpose: if start { Purpose::Start } else { Purpose::Explore }, task, seed }
     }
 
-    /// Puts a validation of `actor` in front: every task that training has come to.
+    /// Queues a validation of `actor` first: every task of the stages so far.
     pub fn validate(&mut self, config: &TrainConfig, actor: &Arc<ActorCopy>) -> usize {
         let params = config.validation;
         let weathers = &config.curriculum.weathers;
@@ -127,7 +127,7 @@ impl Schedule {
         self.validations.len()
     }
 
-    /// Episodes that a validation of everything would have.
+    /// Episodes of a validation of all tasks.
     pub fn full_validation(config: &TrainConfig) -> usize {
         tasks(config, config.curriculum.stages.len()).len() * config.validation.episodes
     }

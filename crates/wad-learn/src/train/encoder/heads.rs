@@ -1,7 +1,7 @@
-//! Linear heads on the latent that learn with it to tell what the linear probes ask (`--label-weight`).
+//! Linear heads on the latent, trained with it on the labels of the linear probes (`--label-weight`).
 //!
-//! The reconstruction alone has no reason to keep apart what is small in the picture and large on the
-//! road: a pedestrian in the lane and one beside it. The heads are left behind when the training ends.
+//! The reconstruction loss hardly separates cases that differ by few pixels but matter on the road: a
+//! pedestrian in the lane and one beside it. The heads are dropped when the training ends.
 
 use crate::encoder_score::told::{LEAD, Told};
 use crate::optim::Adam;
@@ -11,12 +11,12 @@ use tch::{Device, Kind, TchError, Tensor};
 const QUESTIONS: i64 = 3;
 /// Numbers: the vehicle's gap, middle and slope of the painted boundaries.
 const NUMBERS: i64 = 3;
-/// Numbers to a frame.
+/// Numbers per frame.
 pub const LABELS: usize = (QUESTIONS + NUMBERS) as usize;
-/// A rarer yes weighs no more than one of this share.
+/// Positives rarer than this share get no more weight.
 const RAREST: f64 = 0.01;
 
-/// A frame's labels; no number where there is nothing to tell.
+/// A frame's labels; NaN where a label does not apply.
 pub fn labels(told: &Told) -> [f32; LABELS] {
     let yes = |is: bool| f32::from(u8::from(is));
     let number = |value: Option<f64>, unit: f64| value.map_or(f32::NAN, |value| (value / unit) as f32);
@@ -30,11 +30,12 @@ pub fn labels(told: &Told) -> [f32; LABELS] {
     ]
 }
 
-/// The heads, and how the labels of the training are spread.
+/// The heads, and the statistics of the training's labels.
 #[derive(Debug)]
 pub struct Heads {
     /// Weights (latent x [`LABELS`]), then biases, flat.
     pub theta: Tensor,
+    /// The heads' optimiser.
     pub adam: Adam,
     latent: i64,
     /// Share of yes ([`QUESTIONS`]); mean and deviation of the numbers ([`NUMBERS`]).
@@ -44,7 +45,7 @@ pub struct Heads {
 }
 
 impl Heads {
-    /// Heads that know nothing, for a latent of so many numbers, with the training's labels (n, 6).
+    /// Untrained heads for a latent of `latent` numbers, with the training's labels (n, 6).
     ///
     /// # Errors
     /// torch fails.
@@ -67,7 +68,7 @@ impl Heads {
         })
     }
 
-    /// How badly `theta`'s heads tell `labels` (n, 6) from raw latents (n, 200): cross entropy in which all
+    /// Loss of `theta`'s heads on `labels` (n, 6) from raw latents (n, 200): cross entropy in which all
     /// yes and all no weigh the same, and the numbers' errors in deviations (square up to one, then
     /// linear); the mean of both kinds.
     ///
@@ -145,7 +146,7 @@ mod tests {
             last = loss.double_value(&[]);
             heads.adam.step(&mut heads.theta, &gradient);
         }
-        // The red light cannot be told from these latents.
+        // These latents hold nothing about the red light.
         assert!(last < 0.15, "{last}");
         let weights = heads.theta.narrow(0, 0, 12).view([6, 2]);
         let at = |row: i64, column: i64| weights.double_value(&[row, column]);

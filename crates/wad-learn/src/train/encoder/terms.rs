@@ -1,44 +1,51 @@
-//! What an encoder's training is asked for and answers: options, progress, figures.
+//! An encoder training's options, progress and metrics.
 
 use crate::train::run;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// How to train.
+/// Options of an encoder's training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TrainOptions {
+    /// The dataset's folder.
     pub data: PathBuf,
+    /// The training's folder.
     pub out: PathBuf,
+    /// Epochs in total.
     pub epochs: u64,
+    /// Images per step.
     pub batch: usize,
-    /// Most batches to an epoch.
+    /// Most batches per epoch.
     pub epoch_steps: usize,
-    /// Adam's; the paper's is 1e-4.
+    /// Adam's learning rate; the paper's is 1e-4.
     pub learning_rate: f64,
-    /// Over this last share of the training the learning rate falls to 0.
+    /// Last share of the training, over which the learning rate falls to 0.
     pub decay: f64,
     /// L2 regularization: Adam's weight decay.
     pub weight_decay: f64,
+    /// Share of channels dropped after the second and the fifth layer.
     pub dropout: f64,
-    /// Weight of the divergence of a variational encoder, per pixel's square error; 0: not variational.
+    /// Weight of a variational encoder's KL divergence, per pixel's square error; 0: not variational.
     pub beta: f64,
-    /// How much more painted pixels count, and how much more of that small objects.
+    /// Additional weight of painted pixels.
     pub paint_weight: f64,
+    /// Additional weight of small painted objects.
     pub small_weight: f64,
-    /// Weight of heads on the latent that tell what the linear probes ask; 0: none.
+    /// Weight of the linear heads that predict the probes' labels from the latent; 0: none.
     #[serde(default)]
     pub label_weight: f64,
     /// Convolutions in bfloat16; parameters and optimiser stay in single precision.
     #[serde(default)]
     pub bfloat16: bool,
-    /// Vary the light of the training images.
+    /// Augment the light of the training images.
     pub augment: bool,
+    /// The seed of everything random.
     pub seed: u64,
-    /// Use a dataset that was not collected to its end.
+    /// Accept an unfinished dataset.
     pub partial: bool,
-    /// Images that may be resident (GB); more take turns, epoch by epoch.
+    /// Memory for resident images (GB); if there are more, they take turns, epoch by epoch.
     pub resident_gb: f64,
-    /// Ends the training, with its last epoch cut short (s).
+    /// Time limit of the training (s); the last epoch is cut short.
     pub time_limit: Option<f64>,
 }
 
@@ -69,17 +76,18 @@ impl TrainOptions {
     }
 }
 
-/// What validation says.
+/// The result of a validation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Validation {
     /// The training's loss.
     pub loss: f64,
-    /// Mean over images (dB).
+    /// PSNR, mean over images (dB).
     pub psnr: f64,
-    /// Of painted pixels: intersection over union of wanted and made, over all images.
+    /// Painted pixels: intersection over union of image and reconstruction, over all images.
     pub painted_iou: f64,
+    /// KL divergence of a variational encoder; 0 of others.
     pub divergence: f64,
-    /// How badly the heads tell the labels; 0 without heads.
+    /// The heads' loss on the labels; 0 without heads.
     #[serde(default)]
     pub labels: f64,
 }
@@ -87,33 +95,52 @@ pub struct Validation {
 /// A line of `metrics.jsonl`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EpochRecord {
+    /// The epoch, from 1.
     pub epoch: u64,
+    /// Steps so far.
     pub step: u64,
+    /// Training images so far.
     pub images: u64,
+    /// Mean loss over the epoch.
     pub train_loss: f64,
+    /// Validation after the epoch.
     pub validation: Validation,
+    /// The learning rate of the epoch's last step.
     pub learning_rate: f64,
+    /// It is the best so far.
     pub best: bool,
+    /// Wall time so far (s).
     pub wall_seconds: f64,
+    /// Images per second of training.
     pub images_per_second: f64,
 }
 
-/// What a training came to; `summary.json`.
+/// The result of a training; `summary.json`.
 #[derive(Clone, Debug, Serialize)]
 pub struct Trained {
+    /// The training's folder.
     pub out: PathBuf,
     /// The best network's file.
     pub encoder: PathBuf,
+    /// Epochs trained.
     pub epochs: u64,
+    /// Steps trained.
     pub steps: u64,
+    /// The epoch of the best network.
     pub best_epoch: u64,
+    /// The best network's validation.
     pub best: Validation,
+    /// Training images.
     pub images: usize,
+    /// Validation images.
     pub validation_images: usize,
+    /// Wall time (s).
     pub wall_seconds: f64,
+    /// Images per second of training.
     pub images_per_second: f64,
+    /// The user interrupted.
     pub interrupted: bool,
 }
 
-/// How far it is.
+/// The training's progress.
 pub type Progress = run::Progress<Validation>;

@@ -1,4 +1,4 @@
-//! What was driven before, into the replay buffer.
+//! Loads recorded episodes into the replay buffer.
 
 use super::{Learning, Maker, Progress, TrainError};
 use crate::train::agent::other_days::OtherDays;
@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use sumo_network::seeds;
 
 impl Learning<'_> {
-    /// Fills the buffer with what was recorded, as this training's encoder sees it.
+    /// Fills the buffer with recorded episodes, with latents of this training's encoder.
     pub(super) fn recall(
         &mut self,
         interrupt: &AtomicBool,

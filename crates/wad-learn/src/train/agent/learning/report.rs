@@ -1,4 +1,4 @@
-//! What is said of a training: lines of figures, progress, the summary at the end.
+//! A training's reports: metrics, progress, the summary at the end.
 
 use super::{Learning, Progress, TrainError, Trained, lock, write_whole};
 use crate::train::agent::collector::Shared;
@@ -51,7 +51,7 @@ impl Learning<'_> {
         });
     }
 
-    /// The last checkpoint and the summary; after an error only what is there is kept.
+    /// Writes the last checkpoint and the summary; after an error only the summary.
     pub(super) fn finish(
         mut self,
         shared: &Shared,

@@ -1,4 +1,4 @@
-//! Validation: the episodes that decide which actor is the best.
+//! Validation: the episodes that choose the best actor.
 
 use super::{Best, Learning, Progress, TrainError};
 use crate::train::agent::collector::{Shared, lock};
@@ -7,7 +7,7 @@ use serde_json::json;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// A validation under way.
+/// A running validation.
 pub(super) struct Validation {
     pub(super) steps: u64,
     pub(super) actor: Arc<ActorCopy>,
@@ -17,7 +17,7 @@ pub(super) struct Validation {
 
 impl Learning<'_> {
     pub(super) fn start_validation(&mut self, shared: &Shared) {
-        // A version of its own: what is validated is exactly what a file would hold.
+        // Validates exactly the parameters that a file would hold.
         self.version += 1;
         let policy = self.policy(serde_json::Value::Null, &self.learner.actor_values(), self.steps);
         let actor = Arc::new(ActorCopy { version: self.version, values: policy.values, scale: policy.scale });
