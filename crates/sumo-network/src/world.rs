@@ -115,7 +115,7 @@ impl SignalState {
         }
     }
 
-    /// Red, or red with yellow: nobody may pass.
+    /// Red, or red with yellow: passing is forbidden.
     pub fn is_red(self) -> bool {
         matches!(self, Self::Red | Self::RedYellow)
     }

@@ -40,7 +40,7 @@ pub enum Error {
         /// The system's error.
         source: io::Error,
     },
-    /// The other side does not speak TraCI as it should.
+    /// The server's answer is not valid TraCI.
     #[error("not a TraCI reply to {pending}: {what}. Is the other side SUMO 1.28 or newer?")]
     Protocol {
         /// The commands of the message, in words.
@@ -50,7 +50,7 @@ pub enum Error {
     },
     /// No answer within the time limit.
     #[error(
-        "SUMO hangs: no answer within {:.1} s to {pending}. A larger time limit helps where a step may take longer",
+        "SUMO hangs: no answer to {pending} within {:.1} s. If a step may take longer, raise the time limit",
         limit.as_secs_f64()
     )]
     Timeout {
@@ -71,8 +71,8 @@ pub enum Error {
         /// What the server calls itself.
         server: String,
     },
-    /// An earlier message failed or was cancelled half way: replies can no longer be told apart.
-    #[error("this TraCI connection broke off in the middle of an earlier message: connect anew")]
+    /// An earlier message failed or was cancelled half way: replies can no longer be matched to messages.
+    #[error("this TraCI connection failed in the middle of an earlier message: open a new connection")]
     Unusable,
     /// The batch asks for what would crash SUMO or give stale answers. Nothing was sent.
     #[error("batch not sent: {0}")]

@@ -64,7 +64,7 @@ impl SumoInstall {
             found.then_some(Self { home })
         };
         if let Some(home) = variable("WAD_COSIM_SUMO_HOME") {
-            // Who sets it means it: nothing else is tried.
+            // If it is set, nothing else is tried.
             let found = candidate(home.into(), "WAD_COSIM_SUMO_HOME");
             return found.ok_or(InstallError::NotFound { looked });
         }

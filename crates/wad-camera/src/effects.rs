@@ -144,7 +144,7 @@ lanes! {
 /// The border between two neighbours really lies `shift` beyond the middle between them.
 #[inline(always)]
 fn blend(first: &mut u32, second: &mut u32, shift: f32) {
-    // The one that loses changes; which one it is is hard to foretell, so both are worked out.
+    // Only the loser changes. Which one it is is hard to predict, so both are computed.
     let t = (shift.abs().min(0.5) * 256.0) as u32;
     let (gains_first, gains_second) = if shift > 0.0 { (0, t) } else { (t, 0) };
     let (a, b) = (*first, *second);
@@ -184,8 +184,8 @@ impl Outline<'_> {
     }
 }
 
-/// Where an edge of an outline crosses the pixel's length from `x`, `y` along `axis`. All four at once: what
-/// becomes of each is hard to foretell.
+/// Where an edge of an outline crosses the pixel's length from `x`, `y` along `axis`. All four are computed
+/// at once, because a branch is hard to predict.
 #[inline(always)]
 fn crossing(corners: &[[f32; 4]; 2], axis: usize, (x, y): (f32, f32)) -> Option<f32> {
     let next = |v: &[f32; 4]| [v[1], v[2], v[3], v[0]];

@@ -97,7 +97,7 @@ impl Camera {
     /// A camera that renders on the processor.
     ///
     /// # Errors
-    /// A size or a field of view that cannot be.
+    /// The size or the field of view is out of range.
     pub fn new(config: CameraConfig) -> Result<Self, CameraError> {
         Self::with_renderer(config, Box::<CpuRenderer>::default())
     }

@@ -6,7 +6,7 @@
 //! | [`eyes`] | camera, perception, encoder and decoder of one ego: the only place where an ego looks |
 //! | [`perception`] | detections, lanes, light, vehicle in front, the transformed image |
 //! | [`latent`] | the encoder-decoder: the transformed image as 200 numbers |
-//! | [`observation`] | what an agent is given each tick |
+//! | [`observation`] | an agent's inputs of each tick |
 //! | [`record`] | a drive as a film |
 //! | `weights` | files of weights |
 

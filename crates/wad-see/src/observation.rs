@@ -11,8 +11,8 @@ pub const LATENT_SIZE: usize = 200;
 /// Numbers in the raw vector.
 pub const RAW_SIZE: usize = 15;
 
-/// What the fifteen numbers mean: 1 scaled distances in a straight line, 2 by [`nearness`], 3 gives rotation as
-/// bearings. Agents, checkpoints and recordings carry it; those of another meaning are refused.
+/// Version of the raw vector: 1 scaled distances linearly, 2 scales them by [`nearness`], 3 gives rotation as
+/// bearings. Agents, checkpoints and recordings store it; other versions are refused.
 pub const RAW_MEANING: u32 = 3;
 
 /// Files that do not say what their raw states mean are of the first meaning.
@@ -92,7 +92,7 @@ impl RawState {
         stop_light: None,
     };
 
-    /// Of an ego on its route, with what was perceived of the vehicle in front and of the light.
+    /// The raw state of an ego on its route, with the perceived vehicle in front and light.
     ///
     /// The waypoint ahead is the route's point [`WAYPOINT_AHEAD`] + [`WAYPOINT_TIME`] x speed before the
     /// ego's centre; its road option is the one given.
@@ -108,7 +108,7 @@ impl RawState {
         let error = |heading: f64| wrap_angle(heading - state.pose.heading);
         let bearing = |point: &Pose| {
             let way = point.xy() - state.pose.xy();
-            // Beyond the route's end there is no direction left to point in.
+            // Beyond the route's end no waypoint gives a direction.
             let heading = if way.norm() > 1.0 { way.y.atan2(way.x) } else { point.heading };
             error(heading)
         };

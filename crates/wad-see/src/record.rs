@@ -72,7 +72,7 @@ pub enum RecordError {
     #[error("cannot write {path}: {source}")]
     Write { path: PathBuf, source: std::io::Error },
     #[error(
-        "{path} is no place for a film: expected a .mp4 file, a folder that ends with `/` or a .png name for \
+        "cannot write a film to {path}: expected a .mp4 file, a folder that ends with `/` or a .png name for \
          numbered pictures"
     )]
     Kind { path: PathBuf },

@@ -9,7 +9,7 @@ use tch::{Kind, TchError, Tensor};
 pub enum WeightsError {
     #[error("could not {what} `{}`: {source}", path.display())]
     Io { what: &'static str, path: PathBuf, source: std::io::Error },
-    #[error("`{}` is no weights file: {why}; expected safetensors as `wad-cosim train` writes them", path.display())]
+    #[error("`{}` is not a weights file: {why}; expected safetensors written by `wad-cosim train`", path.display())]
     Format { path: PathBuf, why: String },
     #[error("`{}`: no tensor `{name}`, expected one of shape {expected:?}; the weights are of another network", path.display())]
     Missing { path: PathBuf, name: String, expected: Vec<i64> },

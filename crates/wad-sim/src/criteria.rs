@@ -220,7 +220,7 @@ impl Criteria {
     }
 }
 
-/// Whether a red light or somebody in the ego's path is a reason to stand.
+/// Whether a red light or a road user in the ego's path is a reason to stand.
 fn is_held(now: &Situation<'_>) -> bool {
     const LOOK_AHEAD: f64 = 20.0;
     let red = now.route.next_link(now.after.front_s - 1.0).is_some_and(|link| {

@@ -80,7 +80,7 @@ pub struct TickRecord {
     /// What people asked of the run before this tick.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub wishes: Vec<Wish>,
-    /// Who drove, where somebody took the wheel from the run's own driver.
+    /// The tick's driver, if it was not the run's own.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub driver: Option<String>,
 }

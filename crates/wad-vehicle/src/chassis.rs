@@ -27,7 +27,7 @@ const YAW_RATE_TOUCHING: f32 = 3.0;
 /// A body slower than this (m/s) counts as standing: touching it never adds energy.
 const STANDING: f32 = 0.05;
 
-/// A squeeze between two bodies that reports still believe, as a share of the ego's weight.
+/// Largest squeeze between two bodies that reports count, as a multiple of the ego's weight.
 const SQUEEZE: f64 = 2.0;
 
 /// One pair of touching colliders in one sub-step.

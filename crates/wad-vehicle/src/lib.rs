@@ -1,16 +1,16 @@
 //! The ego vehicle: a rapier raycast vehicle, its actuators and its contacts.
 //!
 //! [`EgoVehicle::tick`] takes a [`Control`] and the road users near by, and gives the [`Contact`]s;
-//! [`EgoVehicle::state`] is the motion that came of it. Each ego has a physics world of its own.
+//! [`EgoVehicle::state`] is the resulting motion. Each ego has a physics world of its own.
 //! Contacts follow these rules:
 //!
 //! - A background vehicle is a moving body of infinite mass: hitting a standing one at v takes the
 //!   ego's whole momentum, m v; being hit takes the ego along, never faster than the other drives.
-//! - A pedestrian is no obstacle: both get the plastic blow between the ego and 75 kg, once until
-//!   they have been apart.
+//! - A pedestrian is not an obstacle: both get the plastic impulse between the ego and 75 kg, once per
+//!   contact.
 //! - A moving body that presses the ego against something else is let through until they are apart.
 //! - Standing bodies never add energy, and no collision lifts, tips or spins the ego beyond bounds.
-//! - Kerbs are climbed by the wheels, which costs speed and jolts, and are no contact.
+//! - Wheels climb kerbs, which costs speed and jolts; a kerb is not a contact.
 
 mod actuators;
 mod chassis;
@@ -110,7 +110,7 @@ impl MovingBody {
     /// Where it is `elapsed` (s) after the tick's begin.
     pub fn at(&self, elapsed: f64) -> Pose {
         let (v, a) = (self.speed, self.acceleration);
-        // Who brakes stands, and does not go backward.
+        // A braking vehicle stops; it does not go backward.
         let slows = v >= 0.0 && a < 0.0 || v < 0.0 && a > 0.0;
         let moving = if slows { elapsed.min(-v / a) } else { elapsed };
         let way = (v + 0.5 * a * moving) * moving;

@@ -117,10 +117,10 @@ impl Default for EgoParams {
     }
 }
 
-/// Measures that no vehicle can have.
+/// A vehicle parameter out of range.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error(
-    "the ego's {name} cannot be {found}: expected {low} to {high}{unit}; correct it, or leave it out for {usual}"
+    "the ego's {name}: expected {low} to {high}{unit}, found {found}; correct it, or leave it out for {usual}"
 )]
 pub struct ParamsError {
     /// Which measure.

@@ -84,9 +84,9 @@ pub struct Lane {
     pub width: f64,
     /// Who may drive (or walk) on it.
     pub permissions: Permissions,
-    /// Who may change from here to the lane with the next higher index (SUMO's `changeLeft`).
+    /// Classes that may change from here to the lane with the next higher index (SUMO's `changeLeft`).
     pub change_up: Permissions,
-    /// Who may change from here to the lane with the next lower index (SUMO's `changeRight`).
+    /// Classes that may change from here to the lane with the next lower index (SUMO's `changeRight`).
     pub change_down: Permissions,
     /// Centre line (m); for a walkingarea its outline.
     pub shape: Polyline,

@@ -13,7 +13,7 @@ const JUNCTION: f64 = 10.0;
 /// walkingareas, the crossings between them, and the ends of the sidewalks that lead there.
 #[derive(Clone, Debug, Default)]
 pub(super) struct PedestrianNetwork {
-    /// For each edge of the network its nodes at its begin and end; None where nobody walks.
+    /// For each edge of the network the nodes at its begin and end; None without a sidewalk.
     ends: Vec<Option<[usize; 2]>>,
     /// For each node the edges that end there, with the end (0 begin, 1 end).
     at_node: HashMap<usize, Vec<(EdgeId, usize)>>,

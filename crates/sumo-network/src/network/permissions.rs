@@ -87,7 +87,7 @@ impl Permissions {
     }
 }
 
-/// SUMO's abstract vehicle classes that the bridge tells apart.
+/// SUMO's abstract vehicle classes that the bridge distinguishes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum VehicleClass {
     /// Cars.

@@ -195,12 +195,12 @@ setters! { Vehicle:
     SET_LATERAL_ALIGNMENT: String = 0xb9;
 }
 
-/// Who drives ahead on the route within `distance` (m; 0 looks as far as the vehicle brakes).
+/// The leader on the route within `distance` (m; 0: the braking distance).
 pub const fn leader(distance: f64) -> Query<Vehicle, Option<Leader>, f64> {
     Variable::new(0x68, "leader").with(distance)
 }
 
-/// Who drives behind within `distance` (m).
+/// The follower within `distance` (m).
 pub const fn follower(distance: f64) -> Query<Vehicle, Option<Leader>, f64> {
     Variable::new(0x78, "follower").with(distance)
 }

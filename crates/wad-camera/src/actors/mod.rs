@@ -154,7 +154,7 @@ impl Cast {
         .unwrap_or(self.bus)
     }
 
-    /// Who rides `actor`, and how far it goes (m) in a turn of what moves them.
+    /// The rider's figure for `actor`; None for what is not a cycle.
     fn rider(&self, actor: &Actor) -> Option<Figure> {
         match actor.actor_type.kind {
             ActorKind::Motorcycle => Some(self.motorcycle.1),
@@ -260,7 +260,7 @@ fn thing(library: &mut Library, palette: &ObjectPalette, barrier: bool) -> Figur
     Figure { model: library.model(made), length, width, height, turn: 1.0 }
 }
 
-/// A cycle, and who rides it: apart, since detectors tell them apart.
+/// A cycle and its rider, as separate objects, because detectors separate them.
 fn cycle(
     library: &mut Library,
     name: &str,
@@ -471,7 +471,7 @@ fn vehicle(cast: &Cast, actor: &Actor, gone: f64, id: u32) -> Instance {
     instance
 }
 
-/// Who rides `actor`: a person, as COCO counts them.
+/// The rider of `actor`: a person, as in COCO.
 fn rider(cast: &Cast, figure: Figure, actor: &Actor, gone: f64, id: u32) -> Instance {
     let mut instance = vehicle(cast, actor, gone, id);
     instance.model = figure.model;

@@ -17,7 +17,7 @@ pub const MIN_SCORE: f32 = 0.3;
 /// The detector called `name`; detections with a score below `min_score` (0 to 1) are dropped.
 ///
 /// # Errors
-/// No such name, its file or weights cannot be used, or this program was built without what it needs.
+/// The name is unknown, its file or weights cannot be used, or this build lacks a feature that it needs.
 pub fn detector(name: &str, min_score: f32) -> Result<Box<dyn Detector>, PerceptionError> {
     let unknown = || failed(name, format!("no detector has this name. Known: {DETECTORS}"));
     let (kind, file) = name.split_once(':').map_or((name, None), |(kind, file)| (kind, Some(file)));

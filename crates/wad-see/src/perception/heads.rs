@@ -1,4 +1,4 @@
-//! What detectors' output tensors mean, told by their shapes.
+//! The meaning of detectors' output tensors, found by their shapes.
 //!
 //! | head | tensors (batch 1) | how it is read |
 //! |---|---|---|
@@ -35,7 +35,7 @@ pub enum Head {
 
 /// Boxes of one class that overlap by more are one object.
 const SUPPRESSION_IOU: f32 = 0.5;
-/// Numbers of classes that can be told.
+/// Numbers of classes that are recognised.
 const CLASS_COUNTS: [usize; 2] = [80, 8];
 
 /// The head that outputs of these names and shapes (without the batch) belong to.

@@ -62,7 +62,7 @@ fn locate(
     if f64::from(near) > SIGHT + facts.length {
         return None;
     }
-    // Its place on the route: the middle, and the ends of what is seen of its breadth.
+    // Its place on the route: the middle and both ends of its visible width.
     let state = &facts.on_route.state;
     let reach = f64::from(near) + 10.0;
     let offset = |y: f32| {
@@ -105,7 +105,7 @@ const ACCELERATION: f64 = 2.0;
 /// Error of a projected gap that does not come from the pixels (m), and of a box's lower edge (rows).
 const GAP_NOISE: f64 = 0.25;
 const ROW_NOISE: f64 = 0.5;
-/// What is not known of the speed of something new (m/s).
+/// Standard deviation of a new vehicle's speed (m/s).
 const SPEED_DOUBT: f64 = 4.0;
 
 impl LeadTracker {

@@ -32,7 +32,7 @@ pub struct Scored {
     pub found: Vec<Found>,
 }
 
-/// What became of a detection.
+/// How a detection is counted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fate {
     /// It found this truth (index).

@@ -1,4 +1,4 @@
-//! Watch: what the agent sees in the camera's picture (paper, section "Detection Module").
+//! Perception: from the camera's picture to the agent's percept (paper, section "Detection Module").
 //!
 //! ```text
 //! Frame --Detector--> detections --\
@@ -94,7 +94,7 @@ pub trait Detector: Send {
         Outputs::RGB
     }
 
-    /// Begins an episode: forgets what it remembers, draws its faults anew from `seed`.
+    /// Begins an episode: clears its memory and draws its faults from `seed`.
     fn reset(&mut self, seed: u64) {
         let _ = seed;
     }

@@ -32,7 +32,7 @@ impl OnnxDetector {
     /// Loads a file and tries it on an empty picture. Detections below `min_score` (0 to 1) are dropped.
     ///
     /// # Errors
-    /// The file cannot be read, is no ONNX, or is no detector that [`heads`] knows; OpenCV cannot load it.
+    /// The file cannot be read, is not ONNX, has no head that [`heads`] knows, or OpenCV cannot load it.
     pub fn load(path: &Path, min_score: f32) -> Result<Self, PerceptionError> {
         let name = format!("onnx:{}", path.display());
         let failed = |why: String| PerceptionError::Detector { name: name.clone(), why };

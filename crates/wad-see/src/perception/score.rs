@@ -1,12 +1,12 @@
-//! Detectors judged by the camera's ground truth: the score of docs/detector.md.
+//! Scores detectors against the camera's ground truth (docs/detector.md).
 //!
-//! Two judgements over the same frames. The *realism score* asks how much of our pictures a detector
-//! trained elsewhere believes: recall at a score of 0.3 in groups of classes, since a van is a car to one
+//! Two scores over the same frames. The *realism score* measures how much of our pictures a detector
+//! trained elsewhere finds: recall at a score of 0.3 in groups of classes, since a van is a car to one
 //! and a truck to another. *Average precision* is COCO's, class by class, for any detector.
 //!
-//! A hit overlaps the box of an object's visible pixels by an IoU of 0.5 or more. Objects of which less
-//! than [`LEAST_VISIBLE`] shows, and those lower than the wanted height, are neither to be found nor wrong
-//! to find: detections that lie in their box by half or more do not count.
+//! A hit overlaps the box of an object's visible pixels by an IoU of 0.5 or more. Objects with less than
+//! [`LEAST_VISIBLE`] visible, or lower than the wanted height, count neither as misses nor as false alarms:
+//! detections that lie in their box by half or more do not count.
 
 use super::Detection;
 use super::coco::{CLASSES, class_index, class_name};
@@ -16,9 +16,9 @@ use std::collections::BTreeMap;
 use wad_camera::model::ObjectClass;
 use wad_camera::{Frame, ObjectTruth, Preset};
 
-/// Least share of an object that must be seen for it to be judged.
+/// Least visible share of an object that counts.
 pub const LEAST_VISIBLE: f32 = 0.3;
-/// Score from which a detection is believed.
+/// Score from which a detection counts.
 pub const BELIEVED: f32 = 0.3;
 /// Lowest box in the range that training is judged by, and in the range reported apart (pixels).
 pub const TALL: f32 = 24.0;
@@ -126,7 +126,7 @@ pub struct Realism {
     pub frames: usize,
     /// By the names of [`GROUPS`].
     pub groups: BTreeMap<&'static str, GroupScore>,
-    /// By the class of what is there, found as any class of its group.
+    /// By true class; any class of its group counts as found.
     pub classes: BTreeMap<&'static str, ClassScore>,
     pub false_alarms_per_frame: f64,
 }

@@ -1,4 +1,4 @@
-//! The detector that asks the renderer: boxes of what is visible, if wanted with a real detector's faults.
+//! The detector `truth`: the renderer's boxes of visible objects, optionally with a real detector's faults.
 
 use super::{Detection, Detector, PerceptionError};
 use rand::RngExt;
@@ -18,7 +18,7 @@ pub struct Faults {
     pub half_size: f64,
     /// Half of the objects of which this share is visible are missed; 0: occlusion does not matter.
     pub half_visible: f64,
-    /// How alike a miss is from one tick to the next: 0 each tick anew, 1 for ever.
+    /// How long a miss lasts: 0 is drawn again each tick, 1 lasts for ever.
     pub persistence: f64,
     /// Standard deviation of each side of a box, as a share of the box's size, and at least in pixels.
     pub jitter: f64,
@@ -66,7 +66,7 @@ pub struct TruthDetector {
     ghosts: Vec<Detection>,
 }
 
-/// Objects that show fewer pixels than this in a picture of 512 x 512 are nobody's to see.
+/// Objects with fewer visible pixels than this in a picture of 512 x 512 are never detected.
 const LEAST_PIXELS: f32 = 12.0;
 
 impl Default for TruthDetector {

@@ -1,5 +1,5 @@
-//! Vehicles in the ego's way: those whose footprint lies in the swept corridor, and those that are
-//! about to move into it.
+//! Vehicles in the ego's way: their footprint lies in the swept corridor, or they are about to move
+//! into it.
 
 use super::params::{AutopilotParams, EgoModel};
 use super::path::Path;
@@ -173,7 +173,7 @@ fn clear_time(path: &Path, v: &Located, actor: &Actor, hint: usize, margin: f64)
 
 /// A vehicle beside the path that drifts into it within the next seconds.
 fn cut_in(path: &Path, v: &Located, actor: &Actor, ego_s: f64, ego: &EgoModel) -> Option<Obstacle> {
-    // Only those that go the ego's way, whose front is ahead of the ego's centre by half a car.
+    // Only vehicles in the ego's direction whose front is half a car ahead of the ego's centre.
     let rear = v.s - v.half_along;
     if v.along < 0.5 || rear < ego_s - 0.1 * ego.length || v.across.abs() < 0.2 {
         return None;

@@ -53,8 +53,8 @@ impl Lights {
             None if distance < params.unknown_light_distance => Verdict::Stop,
             None => by_rules,
             Some(SignalState::Red | SignalState::RedYellow) => {
-                // Whoever was to stop brakes to the last, though it be too late; only one that the light
-                // took by surprise drives on.
+                // An ego that planned to stop brakes even if it is too late. Only an ego that the light
+                // surprised drives on.
                 let late = needed >= params.emergency_deceleration && speed >= 2.0;
                 if late && self.stopping_for != Some(plan.link) {
                     by_rules

@@ -168,7 +168,7 @@ pub fn judge(
                 if approach.beyond == 0.0 && !approach.certain && turns_elsewhere(actor, conflict.direction) {
                     continue;
                 }
-                // A red or yellow light holds those who can still stop.
+                // A red or yellow light holds vehicles that can still stop.
                 let needed = actor.speed * actor.speed / (2.0 * ((-x).max(0.0) + LINE_SLACK));
                 if stopped_by_light && needed < 4.8 {
                     continue;
@@ -215,15 +215,15 @@ fn consider(
     // Once in the junction it clears it rather than stand in the next one's way.
     let entered = ego.front_s > plan.stop_s + 1.0
         && plan.wait_s.is_none_or(|w| w > conflict.enter_s + 0.3 || ego.front_s > w + 0.3);
-    // Without a light SUMO's vehicles wait for those who are in the junction, whoever has right of way:
-    // one who stands before the ego's path waits for the ego.
+    // Without a light SUMO's vehicles wait for vehicles inside the junction, even with right of way: a
+    // vehicle that stands before the ego's path waits for the ego.
     let committed = entered && !ego.signalled;
     if committed && standing && (!in_zone || conflict.merge && ego.ends_standoff) {
         // What stands in the path itself is a leader.
         return;
     }
 
-    // At a merge, whoever is ahead on the common stretch leads.
+    // At a merge, the vehicle ahead on the common stretch leads.
     if conflict.merge && (in_zone || foe.inside && foe.x > 0.0) {
         let ours = conflict.leave_s - ego.front_s;
         let theirs = conflict.foe_leave - foe.x;

@@ -1,4 +1,4 @@
-//! Background traffic by hand: how much there is, and whether a place is free.
+//! Requests about background traffic: its size, and whether a place is free.
 
 use super::{Bridge, BridgeError, OBSTACLE};
 use crate::traffic::{self, Counts, Population};

@@ -1,4 +1,4 @@
-//! Who acts in SUMO beside the egos, with the same message.
+//! A director: commands to SUMO beside the egos', in the same message.
 
 use super::Ego;
 use sumo_network::network::Network;

@@ -35,20 +35,20 @@ pub struct Ego {
     pub(super) world: WorldState,
     /// The world before the last step.
     pub(super) previous: WorldState,
-    /// Road users that it meets and SUMO knows nothing of.
+    /// Road users in its world that SUMO does not know.
     pub(super) extras: Vec<Actor>,
     /// Its centre and front bumper on the route.
     s: f64,
     d: f64,
     front_s: f64,
     lamps: Lamps,
-    /// The route has changed since SUMO heard of it.
+    /// The route has changed since it was last sent to SUMO.
     route_is_news: bool,
-    /// It has been put down where SUMO's route of it does not lead.
+    /// It was moved to a place that its route in SUMO does not lead to.
     is_elsewhere: bool,
     /// Reports in a row in which SUMO refused the route.
     refusals: u32,
-    /// How many of the route's edges SUMO has been told of.
+    /// How many of the route's edges SUMO knows.
     told_edges: usize,
     /// Names of the stretches that SUMO has: it forgets none.
     known_routes: HashSet<String>,
@@ -61,7 +61,7 @@ pub(super) struct Reported {
     pose: Ticket<()>,
 }
 
-/// Edges of the route that SUMO is told of at once, and how many ahead of the ego it always knows.
+/// Edges of the route that one message sends to SUMO, and how many ahead of the ego SUMO always knows.
 const TOLD_EDGES: usize = 5;
 const KEPT_EDGES: usize = 3;
 
@@ -116,7 +116,7 @@ impl Ego {
         self.is_elsewhere = true;
     }
 
-    /// Forgets all but what it is made of: for another SUMO. To be followed by a respawn.
+    /// Forgets everything but its parameters, for another SUMO. Call respawn afterwards.
     pub fn forget(&mut self) {
         (self.world, self.previous) = Default::default();
         self.extras.clear();
@@ -125,8 +125,8 @@ impl Ego {
         self.known_routes.clear();
     }
 
-    /// Road users that stand in its world from the next step on, and that SUMO knows nothing of: it has
-    /// no persons who stand in a lane.
+    /// Adds road users to its world from the next step on that SUMO does not know: SUMO has no persons
+    /// who stand in a lane.
     pub fn set_extras(&mut self, extras: Vec<Actor>) {
         self.extras = extras;
     }
@@ -206,7 +206,7 @@ impl Ego {
             let last = before.and_then(|all| Some(&all[all.binary_search_by(|a| a.id.cmp(&actor.id)).ok()?]));
             going_on(body(actor, PartnerKind::Vehicle), last, duration)
         });
-        // Walkers start and stop at once: how they did so last says nothing of the next tick.
+        // Walkers start and stop at once: the last change does not predict the next tick.
         let pedestrians = self.world.pedestrians.iter().map(|actor| body(actor, PartnerKind::Pedestrian));
         let moving: Vec<MovingBody> = vehicles.chain(pedestrians).collect();
         let contacts = self.vehicle.tick(control, duration, &moving);
@@ -246,7 +246,7 @@ impl Ego {
             &vehicle::Add { route: &route_id, vehicle_type: &type_id, ..vehicle::Add::default() },
         );
         batch.set(vehicle::SET_COLOR, &self.id, Color::rgb(220, 30, 30));
-        // All checks off: its motion is ours, SUMO is only told of it.
+        // All of SUMO's checks off: we compute the motion, SUMO only receives it.
         batch.set(vehicle::SET_SPEED_MODE, &self.id, 0);
         batch.set(vehicle::SET_LANE_CHANGE_MODE, &self.id, 0);
         self.route_is_news = false;
@@ -255,8 +255,8 @@ impl Ego {
 
     /// Appends its pose and lamps, and its route where that changed, to the next step's message.
     pub(super) fn report(&mut self, network: &Network, batch: &mut Batch) -> Reported {
-        // On a route that does not lead where it is SUMO keeps it off the road, where nobody sees it, and
-        // refuses every route that does. So first it is put on its edge, which becomes all of its route.
+        // If its route does not lead to its place, SUMO keeps it off the road, invisible to traffic, and
+        // refuses every route that does. So it is first put on its edge, which becomes its whole route.
         let elsewhere = std::mem::take(&mut self.is_elsewhere);
         let mut route = None;
         if !elsewhere && (self.route_is_news || self.needs_more_edges()) {
@@ -310,7 +310,7 @@ impl Ego {
         replies.get(reported.pose)
     }
 
-    /// Whether SUMO must hear of more edges: the told ones end within [`KEPT_EDGES`].
+    /// Whether SUMO needs more edges: the ones that it knows end within [`KEPT_EDGES`].
     fn needs_more_edges(&self) -> bool {
         let end = self.route.edges.len();
         self.told_edges < end && self.told_edges < self.route.edge_index_at(self.front_s) + KEPT_EDGES
@@ -327,7 +327,7 @@ impl Ego {
         name
     }
 
-    /// The edges that SUMO is told of: some way along the route, so that others notice the ego at a
+    /// The edges sent to SUMO: the next part of the route, so that others notice the ego at a
     /// junction, which they do only while its route goes on beyond it (eclipse-sumo/sumo issue 6140).
     /// Beyond the route's end one more edge is added for the same reason. No more than that: the
     /// cost of each tick's move_to_xy grows with the route.

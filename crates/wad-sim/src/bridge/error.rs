@@ -1,4 +1,4 @@
-//! What can stop a co-simulation.
+//! Errors that end a co-simulation.
 
 use crate::sumo_config::ConfigError;
 use std::path::PathBuf;

@@ -57,7 +57,7 @@ pub struct BridgeOptions {
     pub tick_timeout: f64,
     /// Folder for SUMO's files: effective config, log, redirected outputs.
     pub output_dir: PathBuf,
-    /// The config is a scenario: what it has drawn stays beside the background population, but for its ego.
+    /// The config is a scenario: its own road users stay beside the background population, except its ego.
     #[serde(default)]
     pub scenario: bool,
     /// Lanes that the scenario closes: the background population keeps off them from the start.
@@ -96,7 +96,7 @@ pub const OBSTACLE: &str = "obstacle";
 /// A running co-simulation.
 pub struct Bridge {
     client: TcpClient,
-    /// None where attached to somebody else's SUMO.
+    /// None where attached to a SUMO that is not ours.
     process: Option<SumoProcess>,
     _core: Option<SharedCore>,
     network: Arc<Network>,
@@ -107,11 +107,11 @@ pub struct Bridge {
     /// Where background traffic drives: the network less the lanes that are closed.
     traffic_roads: Arc<Network>,
     traffic_seed: u64,
-    /// Those that the config brings are taken out.
+    /// The config's own traffic is removed.
     traffic_alone: bool,
     /// Ids of the egos.
     egos: Vec<String>,
-    /// Vehicles have been taken out by hand: arrivals no longer tell how many there are.
+    /// Vehicles were removed by a request: departures and arrivals no longer give their number.
     resized: bool,
     director: Option<Box<dyn Director>>,
     batch: Batch,
@@ -274,7 +274,7 @@ impl Bridge {
         self.process.as_ref().map(SumoProcess::id)
     }
 
-    /// Has somebody act beside the egos from the first spawn on: a scenario's events. To be set before it.
+    /// Sets the director that plays a scenario's events. Call it before the first spawn.
     pub fn set_director(&mut self, director: Box<dyn Director>) {
         self.director = Some(director);
     }
@@ -383,7 +383,7 @@ impl Bridge {
         let events = StepEvents::read(&replies).map_err(sumo_traci::Error::from)?;
         self.in_network = (self.in_network + events.departed.len()).saturating_sub(events.arrived.len());
         self.counts.0 = self.in_network.saturating_sub(egos.len());
-        // SUMO's own number of persons counts those who have yet to depart.
+        // SUMO's own number of persons also counts persons who have not departed yet.
         self.counts.1 =
             (self.counts.1 + events.departed_persons.len()).saturating_sub(events.arrived_persons.len());
         for ego in egos.iter_mut() {
@@ -415,7 +415,7 @@ impl Bridge {
                 .collect();
             let pose = ego.map(|ego| ego.state().pose);
             population.update(&events, &replies, pose, &near, &mut self.batch);
-            // Those that the population itself took out do not arrive.
+            // Road users that the population removed do not arrive.
             self.counts.1 = population.alive().pedestrians;
             if self.resized {
                 self.counts.0 = population.alive().vehicles;

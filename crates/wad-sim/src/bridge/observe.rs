@@ -85,7 +85,7 @@ impl ActorCatalog {
     }
 
     /// Vehicles (without the ego `id` itself) and pedestrians round the ego after a tick of `tick` s,
-    /// each ordered by id. Those who come into sight are asked about, which costs a message.
+    /// each ordered by id. New ones in sight are queried, which costs a message.
     pub async fn observe(
         &mut self,
         client: &mut TcpClient,

@@ -59,7 +59,7 @@ const TOWN: f64 = 19.5;
 /// Writes the net of `from` with what is `wanted` to `to`.
 ///
 /// # Errors
-/// netconvert fails, a lane would leave its line, or SUMO does not read what came of it; nothing is written then.
+/// netconvert fails, a lane would leave its line, or SUMO cannot read the new net; nothing is written then.
 pub fn enrich(from: &Path, to: &Path, wanted: Wanted) -> Result<Enriched, NetError> {
     let install = SumoInstall::find()?;
     let old = Network::load(from)?;

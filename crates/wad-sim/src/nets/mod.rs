@@ -4,8 +4,8 @@
 //! plain XML, OpenDRIVE, OSM, a bare net --build, import, enrich--> NAME.net.xml, NAME.poly.xml, NAME.sumocfg
 //! ```
 //!
-//! The work is netconvert's and polyconvert's, those of the SUMO that drives too; what is ours is which
-//! options they get, and to see to it that lanes stay where they were.
+//! netconvert and polyconvert of the SUMO that drives do the work. This module chooses their options and
+//! checks that lanes stay in place.
 
 mod enrich;
 mod info;
@@ -35,7 +35,7 @@ pub enum NetError {
     Write { path: PathBuf, source: std::io::Error },
     #[error("{} is there already: name another folder with --out, or remove it first", path.display())]
     Taken { path: PathBuf },
-    #[error("`{}` is no source of a net: expected {expected}", path.display())]
+    #[error("`{}` is not a source of a net: expected {expected}", path.display())]
     Source { path: PathBuf, expected: &'static str },
     #[error("{tool} failed on {}: {said}", path.display())]
     Tool { tool: &'static str, path: PathBuf, said: String },

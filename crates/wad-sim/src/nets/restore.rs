@@ -1,6 +1,6 @@
-//! Lanes kept on their line. netconvert computes all geometry anew when it reads a net: lanes end elsewhere
-//! where a junction grows for a crossing, which is meant, and shift sideways where the net was built with
-//! other options, which is not. Here each lane is put back onto the line that it had, between the new ends.
+//! Keeps lanes on their lines. netconvert computes all geometry again when it reads a net. Lanes end earlier
+//! where a junction grows for a crossing, which is wanted. They also shift sideways if the net was built with
+//! other options, which is not wanted. So each lane is put back onto its old line, between the new ends.
 
 use super::NetError;
 use nalgebra::Point3;

@@ -40,7 +40,7 @@ pub enum ReplayError {
     #[error("cannot {what} the recording {}: {source}", path.display())]
     File { what: &'static str, path: PathBuf, source: std::io::Error },
     #[error(
-        "{} is no recording: {why}; expected a folder with {FILE}, as `eval` keeps of each failure, or that file",
+        "{} is not a recording: {why}; expected a folder with {FILE}, as `eval` keeps of a failure, or that file",
         path.display()
     )]
     Format { path: PathBuf, why: String },

@@ -1,4 +1,4 @@
-//! Records a drive, in memory until it is known whether anybody wants it.
+//! Records a drive in memory, until it is clear whether to keep it.
 
 use super::ReplayError;
 use super::format::{ActorLine, Header, Line, NewLine, TypeLine, ego_numbers};
@@ -121,7 +121,7 @@ fn line(actor: &Actor) -> ActorLine {
     ActorLine(actor.key, x, y, z, heading, rounded(actor.speed, 1e2), actor.signals.0)
 }
 
-/// 64 bits that stand for every bit of a state (FNV-1a): the control, the ego's motion, everybody in its
+/// A 64-bit hash (FNV-1a) over every bit of a state: the control, the ego's motion, all road users in its
 /// sight with id, pose, speed and lamps, and the lights.
 pub fn digest(moment: &Moment<'_>) -> u64 {
     let mut hash = 0xcbf2_9ce4_8422_2325_u64;

@@ -1,4 +1,4 @@
-//! Makes a scenario happen in SUMO: puts its things there, and plays its events as the ego comes near.
+//! Plays a scenario in SUMO: adds its obstacles, and starts its events as the ego comes near.
 
 use super::Scenario;
 use super::actors::{Held, PREFIX, Stage};
@@ -164,7 +164,7 @@ impl bridge::Director for Director {
                 }
                 Kind::Person(walker) => {
                     let Some(id) = self.person(scene, thing, walker, batch) else { continue };
-                    // Turned to whoever comes.
+                    // Faces the traffic.
                     let heading = thing.pose.heading + std::f64::consts::PI;
                     let (from, trigger) = (thing.point, NEVER);
                     self.acts.push(Act::Walk {

@@ -64,7 +64,7 @@ pub fn find<'a>(
     Some(ego)
 }
 
-/// Reads it; None where it cannot be driven, and the problems say why.
+/// Reads the ego; None if it cannot be driven, with the reason in `problems`.
 pub fn read(
     element: &Element,
     elements: &[Element],
@@ -91,7 +91,7 @@ pub fn read(
             Preset::default()
         }
     };
-    // What is drawn is there anyway: as-is is nobody beside it.
+    // Drawn road users are there anyway: as-is adds no others.
     let traffic = match element.param("wad.traffic").map(str::parse::<TrafficSpec>) {
         None => kind.traffic(),
         Some(Ok(TrafficSpec::AsIs)) => TrafficSpec::Empty,

@@ -139,7 +139,7 @@ pub fn inspect_on(config: &SumoConfig, network: &Network) -> Inspection {
     Inspection { scenario, problems }
 }
 
-/// Whether a configuration is a scenario: one of its route files has somebody of type `ego`.
+/// Whether a configuration is a scenario: one of its route files has a trip or vehicle of type `ego`.
 pub fn has_ego(config: &SumoConfig) -> bool {
     elements(config, &mut Vec::new())
         .iter()

@@ -1,4 +1,4 @@
-//! What is wrong with a scenario: file, element, and what to do.
+//! A scenario's mistakes: file, element, and what to do.
 
 use serde::Serialize;
 use std::fmt;
@@ -56,7 +56,7 @@ fn list(problems: &[Problem]) -> String {
     }
 }
 
-/// Those of `names` that `found` may have been meant for, nearest first: the end of a fix.
+/// The entries of `names` nearest to `found`, nearest first, for "did you mean".
 pub fn near<'a>(found: &str, names: impl IntoIterator<Item = &'a str>) -> Vec<&'a str> {
     let folded = |s: &str| s.replace(['-', '_', '.', ' '], "").to_ascii_lowercase();
     let wanted = folded(found);

@@ -1,4 +1,4 @@
-//! What an author puts beside the ego: obstacles and events, as points and polygons by type.
+//! A scenario's obstacles and events: points and polygons by type.
 
 use super::params::{PREFIX, Reader};
 use super::problem::{Problem, meant, near};
@@ -119,7 +119,7 @@ impl ObjectShape {
         }
     }
 
-    /// Length and height (m), and the width of one that is not told.
+    /// Length, height and default width (m).
     pub fn sizes(self) -> (f64, f64, f64) {
         match self {
             Self::Barrier => (0.5, 1.0, 2.4),
@@ -229,7 +229,7 @@ fn stranger(element: &Element, kind: &str, own: &[&str], other: &[&str], problem
     {
         problems.push(element.problem(format!("unknown type `{kind}`"), meant(kind, own)));
     } else if element.params.iter().any(|p| p.key.starts_with(PREFIX)) {
-        let what = format!("it has parameters of ours, but its type `{kind}` means nothing");
+        let what = format!("it has wad.* parameters, but its type `{kind}` is unknown");
         problems.push(element.problem(what, meant(kind, own)));
     }
 }

@@ -14,7 +14,7 @@ use wad_camera::Preset;
 pub enum CurriculumError {
     #[error("cannot read the curriculum {}: {source}", path.display())]
     Read { path: PathBuf, source: std::io::Error },
-    #[error("{} is no curriculum: {problem}; scenarios/curriculum.json is one", path.display())]
+    #[error("{} is not a curriculum: {problem}; scenarios/curriculum.json is an example", path.display())]
     Malformed { path: PathBuf, problem: String },
     #[error("{}: {problem}", path.display())]
     Value { path: PathBuf, problem: String },
@@ -54,7 +54,7 @@ impl Curriculum {
     /// Reads a curriculum.
     ///
     /// # Errors
-    /// The file cannot be read, has a field that is not known or lacks one, or a value that cannot be.
+    /// The file cannot be read, has an unknown or a missing field, or a value out of range.
     pub fn load(path: &Path) -> Result<Self, CurriculumError> {
         let text = std::fs::read_to_string(path)
             .map_err(|source| CurriculumError::Read { path: path.to_path_buf(), source })?;

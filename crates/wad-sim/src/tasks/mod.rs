@@ -1,7 +1,7 @@
 //! The driving tasks: the paper's five in rising difficulty, composite, and navigation.
 //!
-//! A [`TaskSpec`] says what is to be driven; [`Places`] finds one of the many places on a net where that
-//! can be done, from a seed; a [`Placement`] is such a place, and enough to drive it again.
+//! A [`TaskSpec`] describes a task. [`Places`] draws a place for it on a net, from a seed. A [`Placement`] is
+//! such a place, and has everything to drive it again.
 //!
 //! | task | route | traffic | tick limit | success |
 //! |---|---|---|---|---|

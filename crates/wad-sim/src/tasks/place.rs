@@ -35,7 +35,7 @@ pub enum ObstacleKind {
 }
 
 impl ObstacleKind {
-    /// All of them: of the paper's eight classes those that can stand on a road.
+    /// All of them: the paper's classes that can stand on a road.
     pub const ALL: [Self; 6] =
         [Self::Car, Self::Truck, Self::Bus, Self::Motorcycle, Self::Bicycle, Self::Person];
 }
@@ -105,7 +105,7 @@ impl Placement {
     }
 }
 
-/// Random draws before a task counts as one that cannot be placed.
+/// Random draws before placing a task fails.
 const DRAWS: usize = 200;
 /// Random routes (m).
 const ROUTE_LENGTH: std::ops::Range<f64> = 500.0..1600.0;

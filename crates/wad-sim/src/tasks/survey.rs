@@ -1,4 +1,4 @@
-//! The ways on a net where the tasks can be driven, found once per net.
+//! The routes of a net that suit each task, found once per net.
 
 use super::{TaskError, TaskKind};
 use crate::destination::EGO_CLASS;

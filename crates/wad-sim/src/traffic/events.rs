@@ -1,15 +1,15 @@
-//! Who came and went in a step.
+//! Departures and arrivals of a step.
 
 use sumo_traci::simulation::{self, Simulation};
 use sumo_traci::subscription::Subscribed;
 use sumo_traci::{Batch, CommandError, Replies, Ticket, VariableId};
 
-/// Who came and went in the last step, as SUMO says.
+/// SUMO's departures and arrivals of the last step.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StepEvents<'a> {
     /// Simulation time after the step (s).
     pub time: f64,
-    /// Vehicles that SUMO put on the road, and those that reached their end.
+    /// Vehicles that departed, and vehicles that arrived.
     pub departed: Vec<&'a str>,
     pub arrived: Vec<&'a str>,
     /// The same of persons.

@@ -61,7 +61,7 @@ use vehicles::{Scene, Vehicles};
 /// How a population behaves.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Options {
-    /// Where nobody is put.
+    /// Areas where no road user is added.
     pub avoid: Avoid,
     /// Length of a vehicle's trip, drawn between these (m), 500 at the least. The longer, the rarer
     /// are vehicles replaced.
@@ -70,8 +70,8 @@ pub struct Options {
     pub walk_length: (f64, f64),
     /// A vehicle that has stood still for longer (s), out of the ego's sight, is replaced.
     pub stuck_after: f64,
-    /// Takes out vehicles and persons that are neither the population's nor in `keep`, in the tick
-    /// after they departed: those that a config's additional files bring.
+    /// Removes vehicles and persons of a config's additional files, in the tick after they departed: all
+    /// that are neither in the population nor in `keep`.
     pub alone: bool,
     /// Ids of others who stay: the ego's.
     pub keep: Vec<String>,
@@ -130,7 +130,7 @@ impl Population {
         fleet::define(batch);
     }
 
-    /// Puts everybody into the town, to depart with the next step: the caller sends the batch with
+    /// Adds the whole population to the town, to depart with the next step: the caller sends the batch with
     /// a step. Returns how many found a place: fewer than asked for where the town is full, or has
     /// no sidewalks; a warning says so, and the population is kept at that number.
     pub fn populate(&mut self, batch: &mut Batch, ego: Option<Pose>) -> Counts {
@@ -182,7 +182,7 @@ impl Population {
         self.pedestrians.update(events, replies, scene, batch);
     }
 
-    /// Keeps `counts` alive from now on. Those who are too many go with the caller's next message; more
+    /// Keeps `counts` alive from now on. Surplus ones are removed with the caller's next message; more
     /// come, out of the ego's sight, with the next updates. A net without sidewalks gets no pedestrians.
     pub fn resize(&mut self, counts: Counts, batch: &mut Batch) {
         self.wanted = counts;

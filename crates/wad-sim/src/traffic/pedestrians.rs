@@ -1,4 +1,4 @@
-//! The background pedestrians: where they start, how far they walk, and what becomes of them.
+//! The background pedestrians: where they start, how far they walk, and when they are replaced.
 
 use super::Options;
 use super::draw::between;

@@ -6,7 +6,7 @@ use std::collections::VecDeque;
 use sumo_network::network::{EdgeId, Network};
 use sumo_traci::{Batch, Replies, Ticket, edge};
 
-/// An answer older than this (s) says nothing any more.
+/// An answer older than this (s) is out of date.
 const FRESH: f64 = 2.0;
 /// Enough answers at hand.
 const ENOUGH: usize = 6;
@@ -59,12 +59,12 @@ impl Reserve {
         self.empty.iter().rev().filter(usable).copied().collect()
     }
 
-    /// Notes that somebody was put on an edge.
+    /// Notes that a vehicle was added on an edge.
     pub fn used(&mut self, edge: EdgeId, time: f64) {
         self.used[edge.index()] = time;
     }
 
-    /// Whether somebody was put there a moment ago.
+    /// Whether a vehicle was added there recently.
     pub fn is_used(&self, edge: EdgeId, time: f64) -> bool {
         time - self.used[edge.index()] < REST
     }

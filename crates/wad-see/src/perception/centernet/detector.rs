@@ -40,7 +40,7 @@ impl CenterNetDetector {
         Ok(Self::new(name, network, Device::Cpu, min_score)?)
     }
 
-    /// Of a network, which is made ready for use.
+    /// Makes a detector of a network, ready for inference.
     ///
     /// # Errors
     /// torch fails.

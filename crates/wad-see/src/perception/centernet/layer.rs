@@ -89,7 +89,7 @@ impl Conv {
         }
     }
 
-    /// Sets weights and bias anew: a head that begins with small answers.
+    /// Initialises weights and bias again: a head whose first outputs are small.
     ///
     /// # Errors
     /// torch fails.
@@ -118,7 +118,7 @@ impl Conv {
         self.norm.as_ref().map_or(Ok(x.shallow_clone()), |norm| norm.forward(&x, train))
     }
 
-    /// Draws batch norm into weight and bias. The layer cannot be trained any more.
+    /// Folds batch norm into weight and bias. The layer cannot be trained after that.
     ///
     /// # Errors
     /// torch fails.

@@ -39,7 +39,7 @@ impl Backbone {
 
     /// The rows of a picture of `height` rows that the network sees: first, and how many.
     ///
-    /// The light one leaves out the sky and the bonnet: what is higher or lower by more than 32 degrees is
+    /// The light one leaves out the sky and the bonnet: objects more than 32 degrees above or below are
     /// nearer than 6 m or higher than 8 m.
     pub fn rows(self, height: usize) -> (usize, usize) {
         match self {

@@ -1,9 +1,9 @@
 //! From pieces of lines on the ground to the ego lane's two boundaries.
 //!
 //! All boundaries of a road share slope and bend, so each choice of the two sorts the pieces by the
-//! offset at which they meet the ego's side; the choice that piles them up highest wins. The piles next to
-//! the ego on either side are its lane's boundaries. Least squares over the stripes' pixels then give the
-//! numbers.
+//! offset at which they meet the ego's side; the choice with the highest peaks in the histogram of offsets
+//! wins. The peaks next to the ego on either side are its lane's boundaries. Least squares over the stripes'
+//! pixels give the parameters.
 
 use super::{LaneBoundary, Pieces};
 

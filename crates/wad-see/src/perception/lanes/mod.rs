@@ -4,8 +4,8 @@
 //! picture --region of interest, Canny, threshold, Hough--> pieces of lines --on the ground--> fit --> boundaries
 //! ```
 //!
-//! Inside junctions there are no lines to detect (as in the paper), and before a stop line only what lies
-//! before it is looked at; where those are is known from the waypoints.
+//! Inside junctions there are no lines to detect (as in the paper), and the region of interest ends at a
+//! stop line. The waypoints say where junctions and stop lines are.
 
 #[cfg(feature = "vision")]
 mod edges;
@@ -48,7 +48,7 @@ impl LaneBoundary {
     }
 }
 
-/// What is seen of the ego's lane. Nothing inside junctions, where there are no lines.
+/// The detected boundaries of the ego's lane; none inside junctions, where there are no lines.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LaneEstimate {
     pub left: Option<LaneBoundary>,
@@ -69,7 +69,7 @@ const NEAR: f32 = 4.0;
 const FAR: f32 = 28.0;
 /// With less road than this before the stop line (m), nothing is looked for.
 const LEAST_ROAD: f32 = 5.0;
-/// Ticks that a boundary is believed to be there without being seen.
+/// Ticks that a boundary is kept without being detected.
 const COAST: u32 = 3;
 
 /// Finds the boundaries, tick by tick.
