@@ -22,10 +22,13 @@ use wad_sim::assets::Assets;
 /// Why the ego sees nothing.
 #[derive(Debug, thiserror::Error)]
 pub enum EyesError {
+    /// The camera's configuration is invalid.
     #[error(transparent)]
     Camera(#[from] CameraError),
+    /// The detector cannot be made or used, or a frame does not fit.
     #[error(transparent)]
     Perception(#[from] PerceptionError),
+    /// The encoder cannot be made or used.
     #[error(transparent)]
     Latent(#[from] LatentError),
 }
@@ -33,12 +36,17 @@ pub enum EyesError {
 /// Wall time of the parts of a look (s).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LookTimes {
+    /// Rendering the frame.
     pub camera: f64,
+    /// Detecting objects.
     pub detect: f64,
+    /// Detecting lanes.
     pub lanes: f64,
     /// Light, vehicle in front, raw states.
     pub judge: f64,
+    /// Drawing the transformed image.
     pub transform: f64,
+    /// Encoding it.
     pub encode: f64,
 }
 
@@ -52,7 +60,9 @@ impl LookTimes {
 /// What a look found, to be shown elsewhere.
 #[derive(Clone, Debug)]
 pub struct Look {
+    /// The camera's frame.
     pub frame: Frame,
+    /// What was perceived in it.
     pub percept: Percept,
 }
 

@@ -21,25 +21,30 @@ pub fn first_meaning() -> u32 {
     1
 }
 
-/// Places in the raw vector of how near a vehicle in front, and a stop line that binds, are.
+/// Index in the raw vector of the vehicle in front's [`nearness`].
 pub const LEAD_NEARNESS: usize = 11;
+/// Index in the raw vector of the stop line's [`nearness`], 0 where no light requires to stop.
 pub const LIGHT_NEARNESS: usize = 14;
 
 /// The paper's six raw states by name, in units; [`RawState::vector`] scales them.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RawState {
-    /// Speed (m/s), and the speed limit here (m/s).
+    /// Speed (m/s).
     pub speed: f64,
+    /// Speed limit here (m/s).
     pub speed_limit: f64,
     /// Distance from the lane's centre (m), left positive.
     pub lateral: f64,
+    /// The turn instruction of the route here.
     pub option: RoadOption,
-    /// Heading of the waypoint ahead less the ego's (rad, left positive), and of the one 10 m further.
+    /// Heading of the waypoint ahead less the ego's (rad, left positive).
     pub heading_error: f64,
+    /// The same of the waypoint 10 m further.
     pub heading_error_far: f64,
-    /// Direction from the ego's centre to those two waypoints less the ego's heading (rad, left positive).
+    /// Direction from the ego's centre to the waypoint ahead less the ego's heading (rad, left positive).
     #[serde(default)]
     pub bearing: f64,
+    /// The same to the waypoint 10 m further.
     #[serde(default)]
     pub bearing_far: f64,
     /// Gap to the detected vehicle in the ego's path (m) and closing speed (m/s, positive when nearing).
@@ -65,8 +70,9 @@ const ANGLE: f64 = std::f64::consts::FRAC_PI_4;
 const SIGHT: f64 = 50.0;
 const CLOSING: f64 = 10.0;
 
-/// The waypoint ahead is this far before the ego's centre (m), and this much further for its speed (s).
+/// Distance of the waypoint ahead from the ego's centre at standstill (m).
 pub const WAYPOINT_AHEAD: f64 = 5.0;
+/// It lies further by the way that the ego covers in this time (s).
 pub const WAYPOINT_TIME: f64 = 0.5;
 /// The second waypoint is this much further (m).
 pub const WAYPOINT_FURTHER: f64 = 10.0;
@@ -207,6 +213,7 @@ impl ObservationMode {
 pub struct Observation {
     /// [`LATENT_SIZE`] numbers.
     pub latent: Vec<f32>,
+    /// The raw states, scaled: [`RawState::vector`].
     pub raw: [f32; RAW_SIZE],
 }
 

@@ -67,28 +67,55 @@ impl FromStr for Codec {
 /// Why a film cannot be made.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
+    /// The camera's configuration is invalid.
     #[error(transparent)]
     Camera(#[from] CameraError),
+    /// The file cannot be written.
     #[error("cannot write {path}: {source}")]
-    Write { path: PathBuf, source: std::io::Error },
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// The path is neither a film nor a place for pictures.
     #[error(
         "cannot write a film to {path}: expected a .mp4 file, a folder that ends with `/` or a .png name for \
          numbered pictures"
     )]
-    Kind { path: PathBuf },
+    Kind {
+        /// The given path.
+        path: PathBuf,
+    },
+    /// OpenCV has no encoder for the codec.
     #[error(
         "{path}: this OpenCV cannot encode {tried}. Install its FFmpeg backend (Debian, Ubuntu: apt-get install \
          libopencv-videoio-dev libavcodec-extra){}, or give a folder such as film/ for numbered pictures",
         other_codec(tried)
     )]
-    Codec { path: PathBuf, tried: String },
+    Codec {
+        /// The film.
+        path: PathBuf,
+        /// The codecs that were tried.
+        tried: String,
+    },
+    /// A film needs a build with OpenCV.
     #[error(
         "{path}: this build has no video encoder: build it with the feature `vision`, or give a folder such as \
          film/ for numbered pictures"
     )]
-    NoEncoder { path: PathBuf },
+    NoEncoder {
+        /// The film.
+        path: PathBuf,
+    },
+    /// OpenCV or the PNG encoder fails.
     #[error("cannot encode {path}: {why}")]
-    Encode { path: PathBuf, why: String },
+    Encode {
+        /// The film or picture.
+        path: PathBuf,
+        /// What went wrong.
+        why: String,
+    },
 }
 
 /// What to try in place of the codecs that were `tried`.

@@ -7,22 +7,63 @@ use tch::{Kind, TchError, Tensor};
 /// Why weights cannot be read or written.
 #[derive(Debug, thiserror::Error)]
 pub enum WeightsError {
+    /// The file cannot be read or written.
     #[error("could not {what} `{}`: {source}", path.display())]
-    Io { what: &'static str, path: PathBuf, source: std::io::Error },
+    Io {
+        /// What failed: a verb.
+        what: &'static str,
+        /// The file.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// The file is not a weights file.
     #[error("`{}` is not a weights file: {why}; expected safetensors written by `wad-cosim train`", path.display())]
-    Format { path: PathBuf, why: String },
+    Format {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        why: String,
+    },
+    /// A tensor is missing.
     #[error("`{}`: no tensor `{name}`, expected one of shape {expected:?}; the weights are of another network", path.display())]
-    Missing { path: PathBuf, name: String, expected: Vec<i64> },
+    Missing {
+        /// The file.
+        path: PathBuf,
+        /// The tensor's name.
+        name: String,
+        /// The shape expected.
+        expected: Vec<i64>,
+    },
+    /// A tensor has another shape than the network's.
     #[error(
         "`{}`: tensor `{name}` has shape {found:?}, expected {expected:?}; the weights are of another network",
         path.display()
     )]
-    Shape { path: PathBuf, name: String, expected: Vec<i64>, found: Vec<i64> },
+    Shape {
+        /// The file.
+        path: PathBuf,
+        /// The tensor's name.
+        name: String,
+        /// The shape expected.
+        expected: Vec<i64>,
+        /// The shape found.
+        found: Vec<i64>,
+    },
+    /// The weights belong to something else, e.g. another encoder.
     #[error(
         "`{}` is of {found}, expected {expected}; train again, or name weights that fit",
         path.display()
     )]
-    Mismatch { path: PathBuf, found: String, expected: String },
+    Mismatch {
+        /// The file.
+        path: PathBuf,
+        /// What the file says.
+        found: String,
+        /// What was expected.
+        expected: String,
+    },
+    /// libtorch fails.
     #[error("libtorch: {0}")]
     Torch(#[from] TchError),
 }
@@ -32,7 +73,9 @@ pub enum WeightsError {
 pub struct Weights {
     /// Where they came from, for messages.
     pub path: PathBuf,
+    /// The tensors, by name.
     pub tensors: Vec<(String, Tensor)>,
+    /// What made the weights, by key.
     pub metadata: HashMap<String, String>,
 }
 

@@ -33,14 +33,19 @@ const LOOK: u64 = 0;
 /// Why there is no such town.
 #[derive(Debug, thiserror::Error)]
 pub enum AssetsError {
+    /// No such town or scenario.
     #[error(transparent)]
     Resolve(#[from] ResolveError),
+    /// The `.sumocfg` cannot be used.
     #[error(transparent)]
     Config(#[from] ConfigError),
+    /// The `.net.xml` cannot be read.
     #[error(transparent)]
     Network(#[from] NetworkError),
+    /// SUMO is not installed, or its version is too old.
     #[error(transparent)]
     Install(#[from] InstallError),
+    /// The scenario has mistakes.
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
 }

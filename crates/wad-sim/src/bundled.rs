@@ -58,16 +58,34 @@ fn configs(folder: &str) -> Vec<String> {
 /// Why a CONFIG argument does not name a file.
 #[derive(Debug, thiserror::Error)]
 pub enum ResolveError {
+    /// Neither a file nor the name of a bundled town or scenario.
     #[error(
         "no such config: `{name}` is neither a file (.sumocfg, .net.xml, .net.xml.gz), nor a bundled town ({}), nor a bundled scenario ({})",
         bundled.join(", "),
         scenarios().join(", ")
     )]
-    NotFound { name: String, bundled: Vec<String> },
+    NotFound {
+        /// The argument.
+        name: String,
+        /// The bundled towns.
+        bundled: Vec<String>,
+    },
+    /// A folder with no `.sumocfg`, or with several.
     #[error("`{}` is a folder with {found} .sumocfg files; name the one to run", path.display())]
-    AmbiguousFolder { path: PathBuf, found: usize },
+    AmbiguousFolder {
+        /// The folder.
+        path: PathBuf,
+        /// How many it has.
+        found: usize,
+    },
+    /// The bundled towns cannot be written to the cache.
     #[error("could not unpack the bundled towns into {}: {source}; check that the folder is writable and the disk has room", path.display())]
-    Unpack { path: PathBuf, source: std::io::Error },
+    Unpack {
+        /// The cache's folder.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
 }
 
 /// Names of the bundled towns, sorted.

@@ -19,18 +19,36 @@ const TRIES: usize = 40;
 /// Why there is no place to drive.
 #[derive(Debug, thiserror::Error)]
 pub enum DestinationError {
+    /// No such edge or lane.
     #[error(
         "no edge or lane `{name}` in the network; give edge or lane ids as in the .net.xml, e.g. --route {example}"
     )]
-    Unknown { name: String, example: String },
+    Unknown {
+        /// The given id.
+        name: String,
+        /// A route that would do, FROM,TO.
+        example: String,
+    },
+    /// The argument is not two ids.
     #[error("`{given}` is not FROM,TO with two edge or lane ids of the network, e.g. --route {example}")]
-    NotAPair { given: String, example: String },
+    NotAPair {
+        /// The argument.
+        given: String,
+        /// A route that would do, FROM,TO.
+        example: String,
+    },
+    /// The edge or lane is closed to passenger cars.
     #[error("`{name}` has no lane that a passenger car may drive on")]
-    NotDrivable { name: String },
+    NotDrivable {
+        /// The given id.
+        name: String,
+    },
+    /// The network has no lane long enough for a passenger car.
     #[error(
         "the network has no lane for a passenger car that is {SHORTEST_LANE} m or longer; the ego has nowhere to drive"
     )]
     NoLane,
+    /// No route leads from one to the other.
     #[error(transparent)]
     Route(#[from] RouteError),
 }

@@ -16,10 +16,15 @@ pub enum End {
     Arrival,
     /// Alive at the tick limit, and the task counts that.
     Survived,
+    /// A collision.
     Collision,
+    /// The ego ran a red light.
     RedLight,
+    /// The ego left its lane.
     OutsideLane,
+    /// A wheel left the road surface.
     Sidewalk,
+    /// The ego stood too long without a reason.
     VehicleBlocked,
     /// The tick limit, and the task wanted more.
     Timeout,
@@ -74,6 +79,7 @@ impl fmt::Display for End {
 /// How an episode ended, and why.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Ending {
+    /// The kind of end.
     pub end: End,
     /// For people: partner and impulse of a collision, the light that was run, ...
     pub cause: String,
@@ -86,10 +92,15 @@ pub struct Ending {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Termination {
+    /// A collision ends it.
     pub collision: bool,
+    /// A red light that was run ends it.
     pub red_light: bool,
+    /// Leaving the lane ends it.
     pub outside_lane: bool,
+    /// Leaving the road surface with a wheel ends it.
     pub sidewalk: bool,
+    /// Standing too long without a reason ends it.
     pub vehicle_blocked: bool,
 }
 

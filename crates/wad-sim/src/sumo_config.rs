@@ -16,20 +16,66 @@ use sumo_traci::process::SumoInstall;
 /// Why a configuration could not be used.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
+    /// The file cannot be read.
     #[error("could not read `{}`: {source}", path.display())]
-    Read { path: PathBuf, source: std::io::Error },
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// The file is not a SUMO configuration.
     #[error("`{}` is not a SUMO configuration: {problem}; expected XML with a <net-file value=\"...\"/>", path.display())]
-    Malformed { path: PathBuf, problem: String },
+    Malformed {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// The configuration has no `net-file`.
     #[error("`{}` names no net-file; add <net-file value=\"...\"/> to its <input>", path.display())]
-    NoNet { path: PathBuf },
+    NoNet {
+        /// The configuration.
+        path: PathBuf,
+    },
+    /// The configuration names a file that does not exist.
     #[error("`{}` names {option} `{}`, which does not exist (paths count from the config's folder)", config.display(), missing.display())]
-    MissingInput { config: PathBuf, option: String, missing: PathBuf },
+    MissingInput {
+        /// The configuration.
+        config: PathBuf,
+        /// The option that names the file.
+        option: String,
+        /// The file.
+        missing: PathBuf,
+    },
+    /// An option has an unusable value.
     #[error("`{}` gives {option} the value `{value}`; expected {expected}", path.display())]
-    BadValue { path: PathBuf, option: String, value: String, expected: &'static str },
+    BadValue {
+        /// The configuration.
+        path: PathBuf,
+        /// The option.
+        option: String,
+        /// The value found.
+        value: String,
+        /// The values that can be used.
+        expected: &'static str,
+    },
+    /// A file cannot be written.
     #[error("could not write `{}`: {source}", path.display())]
-    Write { path: PathBuf, source: std::io::Error },
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// SUMO does not list its options.
     #[error("could not ask SUMO at `{}` for its options: {problem}", binary.display())]
-    Schema { binary: PathBuf, problem: String },
+    Schema {
+        /// SUMO's program.
+        binary: PathBuf,
+        /// What went wrong.
+        problem: String,
+    },
 }
 
 /// The options that a SUMO binary knows, as it lists them itself.

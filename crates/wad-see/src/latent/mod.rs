@@ -19,17 +19,26 @@ use crate::perception::TransformedImage;
 /// Why there is no latent.
 #[derive(Debug, thiserror::Error)]
 pub enum LatentError {
+    /// The network fails, or its input has another shape; says what is wrong.
     #[error("encoder: {0}")]
     Encoder(String),
+    /// No such encoder.
     #[error(
         "no encoder `{name}`: expected a .safetensors file, a folder that `train encoder` wrote, or a bundled \
          one ({})",
         if bundled.is_empty() { "this build has none".to_string() } else { bundled.join(", ") }
     )]
-    Unknown { name: String, bundled: Vec<String> },
+    Unknown {
+        /// The given name.
+        name: String,
+        /// The bundled encoders.
+        bundled: Vec<String>,
+    },
+    /// The weights cannot be read, or are of another network.
     #[cfg(feature = "learn")]
     #[error(transparent)]
     Weights(#[from] crate::weights::WeightsError),
+    /// libtorch fails.
     #[cfg(feature = "learn")]
     #[error("encoder: libtorch: {0}")]
     Torch(#[from] tch::TchError),

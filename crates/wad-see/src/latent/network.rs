@@ -24,6 +24,7 @@ pub struct Architecture {
     pub encoder: Vec<i64>,
     /// Channels after each of the decoder's convolutions but the last, which makes 3.
     pub decoder: Vec<i64>,
+    /// Numbers in the latent.
     pub latent: i64,
     /// The encoder makes a mean and a log variance of each number; the latent is the mean.
     pub variational: bool,
@@ -52,7 +53,9 @@ const EPSILON: f64 = 1e-5;
 /// A named tensor's place among the parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Slot {
+    /// The tensor's name in the weights file.
     pub name: String,
+    /// The tensor's shape.
     pub shape: Vec<i64>,
 }
 
@@ -147,6 +150,7 @@ impl Views {
 
 /// The encoder-decoder with its parameters.
 pub struct Autoencoder {
+    /// The sizes of the layers.
     pub architecture: Architecture,
     /// All parameters, flat, float32.
     pub theta: Tensor,

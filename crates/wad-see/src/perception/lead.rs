@@ -18,6 +18,7 @@ const COAST: u32 = 2;
 pub struct Candidate {
     /// Index in the detections.
     pub detection: usize,
+    /// Class of the detection.
     pub class: ObjectClass,
     /// Along the route from the ego's front bumper to its nearest point (m).
     pub gap: f64,

@@ -10,6 +10,7 @@ pub const AT_INTERSECTION: f64 = 20.0;
 /// The next signalled link of the route.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LightAhead {
+    /// What it shows.
     pub state: SignalState,
     /// From the front bumper to the stop line (m).
     pub distance: f64,

@@ -21,14 +21,18 @@ pub struct Truth {
 /// A detection under the label that it is judged by.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Found {
+    /// A class, or a group of classes; see [`Truth::label`].
     pub label: usize,
+    /// The detection.
     pub detection: Detection,
 }
 
 /// One picture's truths and detections.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Scored {
+    /// The true boxes and ignored regions.
     pub truths: Vec<Truth>,
+    /// The detections.
     pub found: Vec<Found>,
 }
 

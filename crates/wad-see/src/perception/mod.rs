@@ -48,6 +48,7 @@ use wad_camera::{CameraConfig, Frame, Outputs};
 /// An object found in a picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Detection {
+    /// Its class.
     pub class: ObjectClass,
     /// Left, top, right, bottom (pixels of the picture; right and bottom exclusive).
     pub bounds: [f32; 4],
@@ -76,12 +77,27 @@ impl Detection {
 /// Why nothing could be detected.
 #[derive(Debug, thiserror::Error)]
 pub enum PerceptionError {
+    /// The detector fails.
     #[error("detector {name}: {why}")]
-    Detector { name: String, why: String },
+    Detector {
+        /// The detector's name.
+        name: String,
+        /// What went wrong.
+        why: String,
+    },
+    /// The lane detection fails; says why.
     #[error("lane detection: {0}")]
     Lanes(String),
+    /// The picture's size is not the camera's.
     #[error("expected a picture of {expected:?} (width, height), found {found:?}: {hint}")]
-    Size { expected: (usize, usize), found: (usize, usize), hint: String },
+    Size {
+        /// Width and height expected (pixels).
+        expected: (usize, usize),
+        /// Width and height found (pixels).
+        found: (usize, usize),
+        /// What to do.
+        hint: String,
+    },
 }
 
 /// Finds objects of the eight classes in front of the ego.

@@ -7,6 +7,7 @@
 /// The network's input.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Input {
+    /// Its name.
     pub name: String,
     /// None where the file leaves a side open.
     pub shape: Vec<Option<usize>>,

@@ -17,8 +17,11 @@ use wad_sim::criteria::EgoOnRoute;
 /// What the ego knows beside its camera: its own motion, its waypoints, and the signals' states.
 #[derive(Clone, Copy, Debug)]
 pub struct EgoFacts<'a> {
+    /// The town's road network.
     pub network: &'a Network,
+    /// The ego's route.
     pub route: &'a Route,
+    /// The ego's motion and place on the route.
     pub on_route: EgoOnRoute,
     /// The ego's length (m).
     pub length: f64,
@@ -45,17 +48,22 @@ impl<'a> EgoFacts<'a> {
 /// What was perceived in a tick.
 #[derive(Clone, Debug)]
 pub struct Percept {
+    /// The objects found in the picture.
     pub detections: Vec<Detection>,
+    /// The boundaries of the ego's lane.
     pub lanes: LaneEstimate,
     /// The next signal on the route.
     pub light: Option<LightAhead>,
     /// The ego is at the intersection and the light is red: painted.
     pub light_red: bool,
-    /// The road user in the ego's path, and the one that will be where the ego has to let it pass. The nearer
-    /// of them is the raw state's vehicle in front.
+    /// The road user in the ego's path. The nearer of it and `crossing` is the raw state's vehicle in
+    /// front.
     pub lead: Option<LeadState>,
+    /// A vehicle that will be in the ego's path where the ego has to give way.
     pub crossing: Option<LeadState>,
+    /// The encoder's input.
     pub transformed: TransformedImage,
+    /// The raw states, in units.
     pub raw: RawState,
 }
 

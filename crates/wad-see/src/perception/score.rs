@@ -20,13 +20,16 @@ use wad_camera::{Frame, ObjectTruth, Preset};
 pub const LEAST_VISIBLE: f32 = 0.3;
 /// Score from which a detection counts.
 pub const BELIEVED: f32 = 0.3;
-/// Lowest box in the range that training is judged by, and in the range reported apart (pixels).
+/// Lowest box of the range that selects weights in training (pixels).
 pub const TALL: f32 = 24.0;
+/// Lowest box of the range that is reported apart (pixels).
 pub const SMALL: f32 = 12.0;
 
 /// Classes that count as one in the realism score.
 pub struct Group {
+    /// Its name in reports.
     pub name: &'static str,
+    /// The classes that it has.
     pub classes: &'static [ObjectClass],
     /// Lowest box that is judged (pixels).
     pub height: f32,
@@ -57,8 +60,11 @@ pub const FALSE_ALARM_GOAL: f64 = 1.0;
 
 /// One frame to be judged.
 pub struct View {
+    /// The weather of the frame.
     pub weather: Preset,
+    /// The camera's ground truth.
     pub objects: Vec<ObjectTruth>,
+    /// The detections.
     pub found: Vec<Detection>,
 }
 
@@ -123,28 +129,35 @@ impl View {
 /// The realism score of some frames.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Realism {
+    /// Number of frames.
     pub frames: usize,
     /// By the names of [`GROUPS`].
     pub groups: BTreeMap<&'static str, GroupScore>,
     /// By true class; any class of its group counts as found.
     pub classes: BTreeMap<&'static str, ClassScore>,
+    /// False alarms of all groups per frame.
     pub false_alarms_per_frame: f64,
 }
 
 /// One group's part in it.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct GroupScore {
+    /// Objects that count.
     pub truths: usize,
+    /// Objects that were found.
     pub hits: usize,
     /// None without truths.
     pub recall: Option<f64>,
+    /// Detections without an object.
     pub false_alarms: usize,
 }
 
 /// How many of one class's objects were found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct ClassScore {
+    /// Objects that count.
     pub truths: usize,
+    /// Objects that were found.
     pub hits: usize,
 }
 
@@ -195,14 +208,17 @@ pub fn realism<'a>(views: impl IntoIterator<Item = &'a View>) -> Realism {
 /// Average precision of one class, or the mean of all.
 #[derive(Clone, Debug, Serialize)]
 pub struct Precision {
+    /// The class's name, or `all`.
     pub class: &'static str,
     /// Objects at least [`TALL`] high, visible enough.
     pub truths: usize,
-    /// At an IoU of 0.5, and the mean over 0.5 to 0.95; None without truths.
+    /// Average precision at an IoU of 0.5; None without truths.
     pub ap50: Option<f64>,
+    /// Mean average precision over IoUs of 0.5 to 0.95; None without truths.
     pub ap: Option<f64>,
     /// Objects from [`SMALL`] to [`TALL`] high.
     pub truths_small: usize,
+    /// Their average precision at an IoU of 0.5; None without truths.
     pub ap50_small: Option<f64>,
 }
 

@@ -20,8 +20,9 @@ pub struct Faults {
     pub half_visible: f64,
     /// How long a miss lasts: 0 is drawn again each tick, 1 lasts for ever.
     pub persistence: f64,
-    /// Standard deviation of each side of a box, as a share of the box's size, and at least in pixels.
+    /// Standard deviation of each side of a box, as a share of the box's size.
     pub jitter: f64,
+    /// Least standard deviation of each side of a box (pixels).
     pub least_jitter: f64,
     /// False alarms that begin in a tick, on average. Each lasts two ticks on average.
     pub false_alarms: f64,

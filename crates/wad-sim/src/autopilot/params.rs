@@ -29,8 +29,9 @@ pub struct EgoModel {
     pub rolling: f64,
     /// Deceleration by the engine at a released throttle, fading below 3 m/s (m/s2). Default 0.23.
     pub engine_braking: f64,
-    /// Cornering stiffness as a share of the wheel load, front and rear (1/rad). Default 10 and 12.
+    /// Cornering stiffness of the front axle as a share of its wheel load (1/rad). Default 10.
     pub cornering_front: f64,
+    /// The same of the rear axle (1/rad). Default 12.
     pub cornering_rear: f64,
     /// Air drag over mass (1/m): deceleration per speed squared. Default 0.00027.
     pub drag: f64,

@@ -6,9 +6,11 @@ use sumo_traci::Batch;
 
 /// What a director knows when its turn comes.
 pub struct Scene<'a> {
+    /// The town's road network.
     pub network: &'a Network,
-    /// s since the bridge began, and the length of a tick.
+    /// Since the bridge began (s).
     pub time: f64,
+    /// Length of a tick (s).
     pub tick: f64,
     /// The first ego, with the world as it saw it after the last step.
     pub ego: &'a Ego,

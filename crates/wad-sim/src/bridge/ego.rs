@@ -11,8 +11,11 @@ use wad_vehicle::{Contact, Control, EgoParams, EgoState, EgoVehicle, MovingBody,
 /// Blinkers and brake light that others see.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Lamps {
+    /// Left indicator.
     pub blinker_left: bool,
+    /// Right indicator.
     pub blinker_right: bool,
+    /// Brake lights.
     pub brake: bool,
 }
 

@@ -12,17 +12,22 @@ use sumo_traci::process::SumoInstall;
 /// What is to be added.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Wanted {
+    /// Traffic lights.
     pub signals: bool,
+    /// Sidewalks.
     pub sidewalks: bool,
+    /// Pedestrian crossings.
     pub crossings: bool,
 }
 
 /// What was added.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Enriched {
-    /// Before and after.
+    /// Traffic lights before and after.
     pub signals: (usize, usize),
+    /// Lanes for pedestrians alone, before and after.
     pub sidewalks: (usize, usize),
+    /// Pedestrian crossings before and after.
     pub crossings: (usize, usize),
     /// Signals of the old net that netconvert did without, by id: most control nothing that drives.
     pub dropped_signals: Vec<String>,

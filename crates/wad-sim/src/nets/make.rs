@@ -9,9 +9,11 @@ use sumo_traci::process::SumoInstall;
 /// A folder that `run` takes.
 #[derive(Clone, Debug)]
 pub struct Made {
-    /// `NAME.sumocfg`, and the net and polygons that it names.
+    /// `NAME.sumocfg`.
     pub config: PathBuf,
+    /// The net that it names.
     pub net: PathBuf,
+    /// The polygons that it names, if there are any.
     pub polygons: Option<PathBuf>,
     /// What netconvert and polyconvert warned of.
     pub warnings: Vec<String>,

@@ -15,15 +15,19 @@ use sumo_network::network::{EdgeKind, LaneId, Network, VehicleClass};
 /// How far a net's lanes lie from where another has them.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Moved {
-    /// Lanes for cars that both nets have, and those that are missing.
+    /// Lanes for cars that both nets have.
     pub compared: usize,
+    /// Lanes for cars of the first net that the second lacks.
     pub missing: usize,
-    /// Lanes that leave their line by more than 2 cm, how far the worst does (m), and its name.
+    /// Lanes that leave their line by more than 2 cm.
     pub lanes: usize,
+    /// How far the worst of these leaves its line (m).
     pub worst: f64,
+    /// The name of the worst lane.
     pub worst_lane: String,
-    /// Lanes that end or begin elsewhere along their line, and how far the most (m).
+    /// Lanes that end or begin elsewhere along their line.
     pub cut: usize,
+    /// How far the worst of these is cut or grows (m).
     pub most_cut: f64,
 }
 

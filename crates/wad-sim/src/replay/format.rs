@@ -16,13 +16,17 @@ pub const FORMAT: &str = "wad-cosim recording 1";
 /// The first line: what holds for the whole recording.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Header {
+    /// The format's name and version.
     pub format: String,
-    /// The CONFIG that was driven on, as it was given, and the town's name.
+    /// The CONFIG that was driven on, as it was given.
     pub config: String,
+    /// The town's name.
     pub town: String,
     /// Length of a tick (ms).
     pub tick_ms: f64,
+    /// The weather.
     pub weather: Preset,
+    /// The ego's size.
     pub ego: Body,
     /// The route's centre line as it was at the start, a point every few metres (m).
     pub route: Vec<[f64; 2]>,
@@ -50,8 +54,11 @@ impl Header {
 /// The ego's size (m).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Body {
+    /// Front to rear (m).
     pub length: f64,
+    /// Side to side (m).
     pub width: f64,
+    /// Above the ground (m).
     pub height: f64,
 }
 

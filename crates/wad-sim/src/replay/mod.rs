@@ -5,8 +5,8 @@
 //! that stand for every bit of the whole state ([`digest`]), so that a second simulation can be compared.
 //!
 //! ```no_run
-//! # fn example() -> Result<(), wad_cosim::replay::ReplayError> {
-//! use wad_cosim::replay::Recording;
+//! # fn example() -> Result<(), wad_sim::replay::ReplayError> {
+//! use wad_sim::replay::Recording;
 //! let recording = Recording::open("runs/nocrash/episodes/wad-t-000".as_ref())?;
 //! for frame in recording.frames() {
 //!     println!("{:.1} s: {:?}, {} others", frame.world.time, frame.ego.pose, frame.world.vehicles.len());
@@ -37,13 +37,27 @@ pub const FILE: &str = "states.jsonl.gz";
 /// Why a recording cannot be written or read.
 #[derive(Debug, thiserror::Error)]
 pub enum ReplayError {
+    /// The file cannot be opened, read or written.
     #[error("cannot {what} the recording {}: {source}", path.display())]
-    File { what: &'static str, path: PathBuf, source: std::io::Error },
+    File {
+        /// What failed: a verb.
+        what: &'static str,
+        /// The file.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// The file is not a recording.
     #[error(
         "{} is not a recording: {why}; expected a folder with {FILE}, as `eval` keeps of a failure, or that file",
         path.display()
     )]
-    Format { path: PathBuf, why: String },
+    Format {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        why: String,
+    },
 }
 
 /// The state after one tick.
@@ -55,8 +69,9 @@ pub struct Frame {
     pub control: Control,
     /// The ego, exactly.
     pub ego: EgoState,
-    /// Its place on its route: along it, and to the left of it (m).
+    /// Its place along its route (m).
     pub s: f64,
+    /// Its offset to the left of its route (m).
     pub d: f64,
     /// Those in its sight, to the millimetre, without their lanes; and the lights in its sight.
     pub world: WorldState,

@@ -17,12 +17,17 @@ use wad_vehicle::{Control, EgoState};
 pub struct Moment<'a> {
     /// Ticks so far; 0 before the first control.
     pub tick: u64,
+    /// The control that was driven in the tick.
     pub control: Control,
+    /// The ego's motion after the tick.
     pub ego: &'a EgoState,
-    /// Place on the route: along it, and to the left of it (m).
+    /// The ego's place along its route (m).
     pub s: f64,
+    /// The ego's offset to the left of its route (m).
     pub d: f64,
+    /// The road users and lights in the ego's sight.
     pub world: &'a WorldState,
+    /// What happened in the tick.
     pub events: &'a [Event],
 }
 

@@ -70,6 +70,7 @@ const USUAL: i32 = 31;
 const PASSED: (f64, f64) = (40.0, 6.0);
 
 impl Director {
+    /// A director for one run of `scenario`.
     pub fn new(scenario: Arc<Scenario>) -> Self {
         Self { scenario, stage: Stage::default(), held: Vec::new(), acts: Vec::new() }
     }

@@ -35,18 +35,23 @@ use wad_camera::Preset;
 /// A scenario that can be driven.
 #[derive(Clone, Debug)]
 pub struct Scenario {
+    /// The name: its configuration's file name without the extension.
     pub name: String,
     /// Its `.sumocfg`.
     pub config: PathBuf,
+    /// The ego's task.
     pub task: TaskKind,
     /// Where the ego starts, what it passes, where it is to arrive; the obstacle of the obstacle task.
     pub placement: Placement,
+    /// The ego's route.
     pub route: Route,
+    /// The weather.
     pub weather: Preset,
     /// Background traffic beside the vehicles that the scenario has drawn.
     pub traffic: TrafficSpec,
     /// s; None: the task's own limit.
     pub time_limit: Option<f64>,
+    /// Obstacles and events.
     pub things: Vec<Thing>,
     /// Lanes that it closes to SUMO's traffic, by id.
     pub closed_lanes: Vec<String>,
@@ -57,6 +62,7 @@ pub struct Scenario {
 pub struct Inspection {
     /// None where the ego or its route is broken.
     pub scenario: Option<Scenario>,
+    /// Mistakes in its files, each with a remedy.
     pub problems: Vec<Problem>,
 }
 

@@ -11,7 +11,9 @@ use wad_vehicle::EgoParams;
 /// Something to begin from.
 #[derive(Clone, Copy, Debug)]
 pub struct Template {
+    /// Its name on the command line.
     pub name: &'static str,
+    /// One line about it.
     pub about: &'static str,
     /// The task that the ego is given, and the place that is looked for.
     task: TaskKind,
@@ -127,18 +129,45 @@ const fn task(name: &'static str, about: &'static str, task: TaskKind) -> Templa
 /// Why there is no new scenario.
 #[derive(Debug, thiserror::Error)]
 pub enum TemplateError {
+    /// No such template.
     #[error("no template is called `{found}`: {fix}")]
-    Unknown { found: String, fix: String },
+    Unknown {
+        /// The given name.
+        found: String,
+        /// The names to choose from.
+        fix: String,
+    },
+    /// The scenario's folder exists.
     #[error("{} is there already: give another name, or remove it first", path.display())]
-    Taken { path: PathBuf },
+    Taken {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// The name is not usable as a file name.
     #[error("`{name}` cannot be the name of a scenario: use letters, digits, `_` and `-`")]
-    Name { name: String },
+    Name {
+        /// The given name.
+        name: String,
+    },
+    /// The net has no place for the template.
     #[error("this net has no place for `{template}`: {why}")]
-    NoPlace { template: &'static str, why: String },
+    NoPlace {
+        /// The template's name.
+        template: &'static str,
+        /// Which condition fails.
+        why: String,
+    },
+    /// The net has no place for the template's task.
     #[error(transparent)]
     Task(#[from] TaskError),
+    /// A file cannot be written.
     #[error("cannot write {}: {source}", path.display())]
-    Write { path: PathBuf, source: std::io::Error },
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
 }
 
 /// The template of that name.
@@ -291,11 +320,14 @@ impl Template {
     }
 }
 
-/// Where a scenario's net comes from: the net and its polygons, as the configuration is to name them.
+/// A scenario's net: the net and its polygons, as the configuration names them.
 #[derive(Clone, Debug)]
 pub struct Base<'a> {
+    /// The network that the net file holds.
     pub network: &'a Network,
+    /// Path of the net, for `net-file`.
     pub net: String,
+    /// Paths of polygons and points, for `additional-files`.
     pub additional: Vec<String>,
 }
 

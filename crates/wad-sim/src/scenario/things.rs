@@ -49,7 +49,9 @@ pub struct Trigger {
 /// A stretch of a lane that is closed, from `s` over `length` (m of its shape).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Closure {
+    /// Where it begins.
     pub at: LanePosition,
+    /// Its length (m).
     pub length: f64,
 }
 
@@ -60,36 +62,51 @@ pub enum Kind {
     Vehicle(&'static Model),
     /// A person who stands there.
     Person(&'static Walker),
-    /// A barrier (m wide) or a cone.
+    /// A barrier or a cone.
     Object {
+        /// Barrier or cone.
         shape: ObjectShape,
+        /// Width (m).
         width: f64,
     },
+    /// A bench beside the road.
     Bench,
     /// Lanes under a polygon, fenced off.
     RoadWorks(Vec<Closure>),
     /// Steps off the kerb at `speed` (m/s) and goes `way` (m) across the road.
     Pedestrian {
+        /// The kind of person.
         walker: &'static Walker,
+        /// Walking speed (m/s).
         speed: f64,
+        /// Length of the way (m).
         way: f64,
+        /// When the person starts.
         trigger: Trigger,
     },
     /// A vehicle ahead of the ego brakes hard here.
     Brake {
+        /// The vehicle that brakes.
         leader: Leader,
+        /// Deceleration (m/s2).
         deceleration: f64,
+        /// How long it brakes (s).
         duration: f64,
     },
     /// Two vehicles that ran into each other.
     Accident([&'static Model; 2]),
     /// A traffic light out of order.
     SignalOff {
+        /// SUMO's id of the traffic light.
         light: String,
+        /// When the light fails.
         trigger: Trigger,
     },
+    /// A lane is closed during the run.
     LaneClosed {
+        /// The closed stretch.
         closure: Closure,
+        /// When it is closed.
         trigger: Trigger,
     },
 }
@@ -100,13 +117,20 @@ pub enum Leader {
     /// One of the scenario's own, by id.
     Drawn(String),
     /// One that drives `gap` (m) ahead of the ego, bumper to bumper, from the start.
-    Ahead { model: &'static Model, gap: f64 },
+    Ahead {
+        /// The vehicle's model.
+        model: &'static Model,
+        /// Distance to the ego (m).
+        gap: f64,
+    },
 }
 
 /// Things of the road that are no vehicles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ObjectShape {
+    /// A striped barrier across a lane.
     Barrier,
+    /// A traffic cone.
     Cone,
 }
 
@@ -131,15 +155,19 @@ impl ObjectShape {
 /// A thing and its place.
 #[derive(Clone, Debug)]
 pub struct Thing {
+    /// The point's or polygon's id.
     pub id: String,
+    /// Obstacle or event, with its parameters.
     pub kind: Kind,
     /// Where the author put it.
     pub point: Point,
-    /// The nearest lane for cars, the place on it (m), and the lane's direction there.
+    /// The nearest lane for cars.
     pub lane: LaneId,
+    /// The nearest place on that lane (m).
     pub s: f64,
-    /// m, left of the lane's middle.
+    /// Offset to the left of the lane's middle (m).
     pub d: f64,
+    /// The place on the lane's middle, in the lane's direction.
     pub pose: Pose,
 }
 

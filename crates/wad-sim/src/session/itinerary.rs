@@ -23,8 +23,10 @@ pub struct Itinerary {
 /// Why there is nowhere to go.
 #[derive(Debug, thiserror::Error)]
 pub enum ItineraryError {
+    /// SUMO failed.
     #[error(transparent)]
     Bridge(#[from] BridgeError),
+    /// The network has no such place, or none to drive to.
     #[error(transparent)]
     Destination(#[from] DestinationError),
 }

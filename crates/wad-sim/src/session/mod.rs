@@ -46,10 +46,13 @@ pub struct Tick {
     pub control: Control,
     /// What the expert decided, where it drove or was asked.
     pub decision: Option<Decision>,
-    /// Motion and place on the route before and after.
+    /// Motion and place on the route at the tick's begin.
     pub before: EgoOnRoute,
+    /// The same at the tick's end.
     pub after: EgoOnRoute,
+    /// What the ego touched.
     pub contacts: Vec<Contact>,
+    /// What happened, as the criteria see it.
     pub events: Vec<Event>,
 }
 

@@ -12,22 +12,42 @@ use wad_camera::Preset;
 /// Why a curriculum cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum CurriculumError {
+    /// The file cannot be read.
     #[error("cannot read the curriculum {}: {source}", path.display())]
-    Read { path: PathBuf, source: std::io::Error },
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// The file is not a curriculum.
     #[error("{} is not a curriculum: {problem}; scenarios/curriculum.json is an example", path.display())]
-    Malformed { path: PathBuf, problem: String },
+    Malformed {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// A value is out of range.
     #[error("{}: {problem}", path.display())]
-    Value { path: PathBuf, problem: String },
+    Value {
+        /// The file.
+        path: PathBuf,
+        /// Which value, and what was expected.
+        problem: String,
+    },
 }
 
 /// One stage.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stage {
+    /// The task of its episodes.
     pub task: TaskKind,
     /// The next stage comes when this share (0..1) of the last `window` episodes of this task was
     /// successful.
     pub threshold: f64,
+    /// Number of episodes over which the success rate is taken.
     pub window: usize,
     /// Environment steps after which the next stage comes all the same; None: never.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -47,6 +67,7 @@ pub struct Curriculum {
     pub weathers: Vec<Preset>,
     /// Share (0..1) of episodes that go back to an earlier stage's task, drawn evenly.
     pub replay: f64,
+    /// The stages, easiest first.
     pub stages: Vec<Stage>,
 }
 

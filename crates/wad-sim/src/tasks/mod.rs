@@ -37,12 +37,19 @@ use wad_camera::Preset;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TaskKind {
+    /// 400 m without a turn.
     Straight,
+    /// 400 m with one turn.
     OneTurn,
+    /// Through a roundabout, out by the third arm.
     Roundabout,
+    /// Stop before an obstacle in the lane.
     Obstacle,
+    /// 500 m over signalled junctions.
     Cross,
+    /// A random route in traffic.
     Composite,
+    /// A random route to its end.
     Navigation,
 }
 
@@ -121,10 +128,12 @@ impl FromStr for TaskKind {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TaskSpec {
+    /// Which task.
     pub kind: TaskKind,
     /// Background traffic; None: the task's own.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub traffic: Option<TrafficSpec>,
+    /// The weather.
     #[serde(default)]
     pub weather: Preset,
     /// None: the task's own.

@@ -26,11 +26,17 @@ pub struct Spot {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ObstacleKind {
+    /// A passenger car.
     Car,
+    /// A truck.
     Truck,
+    /// A bus.
     Bus,
+    /// A motorcycle.
     Motorcycle,
+    /// A bicycle.
     Bicycle,
+    /// A person.
     Person,
 }
 
@@ -44,6 +50,7 @@ impl ObstacleKind {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ObstaclePlacement {
+    /// What stands there.
     pub kind: ObstacleKind,
     /// The end of it that the ego comes to.
     pub at: Spot,
@@ -55,10 +62,12 @@ pub struct ObstaclePlacement {
 pub struct Placement {
     /// The ego's centre at the start, standing.
     pub from: Spot,
+    /// The destination.
     pub to: Spot,
     /// Passed on the way, in this order.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub via: Vec<Spot>,
+    /// The obstacle of the obstacle task.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub obstacle: Option<ObstaclePlacement>,
 }

@@ -9,11 +9,13 @@ use sumo_traci::{Batch, CommandError, Replies, Ticket, VariableId};
 pub struct StepEvents<'a> {
     /// Simulation time after the step (s).
     pub time: f64,
-    /// Vehicles that departed, and vehicles that arrived.
+    /// Vehicles that departed.
     pub departed: Vec<&'a str>,
+    /// Vehicles that arrived.
     pub arrived: Vec<&'a str>,
-    /// The same of persons.
+    /// Persons who departed.
     pub departed_persons: Vec<&'a str>,
+    /// Persons who arrived.
     pub arrived_persons: Vec<&'a str>,
 }
 

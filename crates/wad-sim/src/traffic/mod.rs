@@ -6,11 +6,11 @@
 //! the last one brought. On a tick where nothing is due it asks SUMO three numbers at most.
 //!
 //! ```no_run
-//! # async fn example(mut client: wad_cosim::traci::TcpClient) -> Result<(), Box<dyn std::error::Error>> {
+//! # async fn example(mut client: sumo_traci::TcpClient) -> Result<(), Box<dyn std::error::Error>> {
 //! use std::{path::Path, sync::Arc};
-//! use wad_cosim::network::Network;
-//! use wad_cosim::traci::Batch;
-//! use wad_cosim::traffic::{Counts, Options, Population, StepEvents};
+//! use sumo_network::network::Network;
+//! use sumo_traci::Batch;
+//! use wad_sim::traffic::{Counts, Options, Population, StepEvents};
 //!
 //! let network = Arc::new(Network::load(Path::new("town5.net.xml"))?);
 //! let mut population = Population::new(network, Counts::new(70, 100), 1, Options::default());

@@ -9,6 +9,7 @@ use std::str::FromStr;
 pub struct Counts {
     /// Background vehicles; the ego is not one of them.
     pub vehicles: usize,
+    /// Background pedestrians.
     pub pedestrians: usize,
 }
 

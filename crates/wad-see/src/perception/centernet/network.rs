@@ -69,7 +69,9 @@ pub struct Answer {
 /// The network with its parameters.
 #[derive(Debug)]
 pub struct CenterNet {
+    /// The network below the heads.
     pub backbone: Backbone,
+    /// The parameters.
     pub store: nn::VarStore,
     features: Features,
     /// Heatmap, size, offset: a 3x3 where the backbone is large, and a 1x1.

@@ -33,9 +33,13 @@ const KEPT_IOU: f32 = 0.7;
 /// The part of a picture that the network is shown (pixels; the sides are multiples of 32).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Window {
+    /// First column.
     pub left: usize,
+    /// First row.
     pub top: usize,
+    /// Number of columns.
     pub width: usize,
+    /// Number of rows.
     pub height: usize,
 }
 

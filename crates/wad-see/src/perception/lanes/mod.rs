@@ -25,6 +25,7 @@ use wad_camera::Frame;
 pub struct LaneBoundary {
     /// y beside the ego (m).
     pub offset: f32,
+    /// dy/dx beside the ego.
     pub slope: f32,
     /// 1/m.
     pub bend: f32,
@@ -51,7 +52,9 @@ impl LaneBoundary {
 /// The detected boundaries of the ego's lane; none inside junctions, where there are no lines.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LaneEstimate {
+    /// The left boundary.
     pub left: Option<LaneBoundary>,
+    /// The right boundary.
     pub right: Option<LaneBoundary>,
 }
 

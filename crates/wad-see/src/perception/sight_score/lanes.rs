@@ -27,6 +27,7 @@ pub struct PaintedLine {
 /// within [`MEASURED_AT`] will be, inside a junction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LaneTruth {
+    /// Left and right boundary; None without a painted line.
     pub sides: [Option<PaintedLine>; 2],
 }
 
