@@ -1,4 +1,4 @@
-//! What can go wrong: fatal errors of the connection, apart from refusals of one command.
+//! Errors: fatal ones of the connection, and refusals of one command.
 
 use super::post_mortem::PostMortem;
 use std::io;
@@ -24,7 +24,7 @@ fn quoted(object: &str) -> String {
 /// Errors of a TraCI client.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
-    /// Nobody answers at this address.
+    /// No server answers at this address.
     #[error("no TraCI server at {address}: {source}. Start SUMO with --remote-port, or check host and port")]
     Connect {
         /// Host and port.
@@ -74,7 +74,7 @@ pub enum Error {
     /// An earlier message failed or was cancelled half way: replies can no longer be matched to messages.
     #[error("this TraCI connection failed in the middle of an earlier message: open a new connection")]
     Unusable,
-    /// The batch asks for what would crash SUMO or give stale answers. Nothing was sent.
+    /// The batch would crash SUMO or give stale answers. Nothing was sent.
     #[error("batch not sent: {0}")]
     Batch(&'static str),
     /// SUMO refused a command.

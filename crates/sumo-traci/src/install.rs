@@ -25,7 +25,7 @@ pub enum InstallError {
     Broken {
         /// SUMO's program.
         program: PathBuf,
-        /// What it said, or why it did not start.
+        /// Its output, or why it did not start.
         why: String,
     },
     /// It is too old.

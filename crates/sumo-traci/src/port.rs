@@ -10,8 +10,8 @@ pub fn free() -> io::Result<u16> {
 
 /// Whether process `pid` listens on TCP `port`.
 ///
-/// Somebody else's listener does not count: with two launchers at work, the port that was free may
-/// be another one's SUMO by now.
+/// Another process's listener does not count: with two launchers at work, the port that was free may
+/// belong to the other launcher's SUMO by now.
 #[cfg(target_os = "linux")]
 pub fn is_listening(port: u16, pid: u32) -> bool {
     let inodes = socket_inodes(pid);

@@ -269,7 +269,7 @@ impl Argument for DrivingDistance {
     }
 }
 
-/// A new vehicle. Texts are those of SUMO's route files ("now", "random", "base", ...).
+/// A new vehicle. Texts have the values of SUMO's route files ("now", "random", "base", ...).
 #[derive(Clone, Copy, Debug)]
 pub struct Add<'a> {
     /// Route id; "" puts it on a random edge.
