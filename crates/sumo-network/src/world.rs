@@ -20,7 +20,7 @@ pub enum ActorKind {
     Motorcycle,
     /// A bicycle with its rider.
     Bicycle,
-    /// Somebody on foot.
+    /// A person on foot.
     Pedestrian,
     /// No road user: a barrier or a cone that stands in a lane.
     Object,

@@ -102,7 +102,7 @@ pub enum VehicleClass {
     Motorcycle,
     /// Bicycles.
     Bicycle,
-    /// Those who walk.
+    /// Pedestrians.
     Pedestrian,
 }
 

@@ -91,11 +91,11 @@ pub struct Route {
     pub links: Vec<RouteLink>,
     /// The smooth centre line, sampled about every metre.
     pub centre_line: Polyline,
-    /// Where the route begins and ends on the net, and for whom it is.
+    /// Where the route begins on the net.
     pub from: LanePosition,
     /// Where it ends on the net.
     pub to: LanePosition,
-    /// For whom it is.
+    /// The vehicle class that it is for.
     pub class: VehicleClass,
     /// Where each of `edges` is entered (m).
     edge_starts: Vec<f64>,
@@ -288,7 +288,7 @@ impl Route {
                     self.enter(network.lane(on.from).edge, s_start);
                 }
                 self.approach(option, s_start);
-                // The edge behind the junction is entered anew, be it the same one.
+                // The edge behind the junction counts as entered again, even if it is the same one.
                 self.edges.push(network.lane(on.to).edge);
                 self.edge_starts.push(s_end);
             }
