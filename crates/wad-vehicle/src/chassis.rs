@@ -377,8 +377,8 @@ impl Chassis {
         }
     }
 
-    /// A moving body cannot be stopped, so one that presses the ego against something is let through
-    /// it until they are apart again.
+    /// A moving body does not stop. If it presses the ego against something, the two pass through each
+    /// other until they are apart again.
     fn release(&mut self, params: &EgoParams, touches: &[Touch]) {
         let hard = 0.5 * params.mass as f32;
         for touch in touches {
@@ -395,7 +395,7 @@ impl Chassis {
     }
 
     /// Keeps a collision within what a car does: no energy from standing bodies, no faster than what
-    /// pushes it, no flying, no spinning. `speed` and `spin` are those before the step, `touched` the
+    /// pushes it, no flying, no spinning. `speed` and `spin` are the ego's before the step, `touched` is the
     /// speed of the fastest body touched (m/s).
     fn bound(&mut self, params: &EgoParams, speed: Vector, spin: f32, touched: Option<f32>) {
         let yaw_inertia = params.inertia()[2] as f32;

@@ -1,4 +1,4 @@
-//! The ego: one value that is driven tick by tick.
+//! The ego vehicle: drives tick by tick.
 
 use super::actuators::Actuators;
 use super::chassis::{Chassis, Motion};
@@ -96,8 +96,8 @@ impl EgoVehicle {
     }
 
     /// Drives for `duration_s` (s) among `bodies`, which are where they say at the tick's begin and
-    /// keep their velocity. The contacts of the tick, by kind and key; those of the wheels with kerbs
-    /// are not among them.
+    /// keep their velocity. Returns the contacts of the tick, by kind and key, without the wheels' contacts
+    /// with kerbs.
     ///
     /// Control out of range is clamped, and what is not a number counts as 0. A duration that is not
     /// positive does nothing.

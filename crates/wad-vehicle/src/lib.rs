@@ -8,7 +8,7 @@
 //!   ego's whole momentum, m v; being hit takes the ego along, never faster than the other drives.
 //! - A pedestrian is not an obstacle: both get the plastic impulse between the ego and 75 kg, once per
 //!   contact.
-//! - A moving body that presses the ego against something else is let through until they are apart.
+//! - A moving body that presses the ego against something else passes through it until they are apart.
 //! - Standing bodies never add energy, and no collision lifts, tips or spins the ego beyond bounds.
 //! - Wheels climb kerbs, which costs speed and jolts; a kerb is not a contact.
 
@@ -70,20 +70,20 @@ pub struct EgoState {
     pub steer_angle: f64,
 }
 
-/// What a contact was with.
+/// The other side of a contact.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PartnerKind {
     /// A moving vehicle of any kind.
     Vehicle,
-    /// Somebody on foot.
+    /// A person on foot.
     Pedestrian,
-    /// Something that stands still.
+    /// A fixed body: building, pole, kerb.
     Static,
 }
 
-/// Another road user. Through the tick it goes on as it did: gaining or losing speed, turning, and
-/// standing once it has stopped.
+/// Another road user. During the tick it keeps its acceleration and its yaw rate; if it brakes to a stop,
+/// it stays there.
 #[derive(Clone, Copy, Debug)]
 pub struct MovingBody {
     /// The caller's own number for it, stable over ticks.
@@ -92,17 +92,17 @@ pub struct MovingBody {
     pub kind: PartnerKind,
     /// Centre of the footprint at the tick's begin.
     pub pose: Pose,
-    /// m/s along the heading at the tick's begin.
+    /// Speed along the heading at the tick's begin (m/s).
     pub speed: f64,
-    /// m/s2 along the heading, and rad/s to the left.
+    /// Acceleration along the heading at the tick's begin (m/s2).
     pub acceleration: f64,
     /// Yaw rate at the tick's begin (rad/s, left positive).
     pub turn_rate: f64,
-    /// Footprint and height (m).
+    /// Length of the footprint (m).
     pub length: f64,
-    /// m.
+    /// Width of the footprint (m).
     pub width: f64,
-    /// m.
+    /// Height (m).
     pub height: f64,
 }
 
@@ -132,7 +132,7 @@ impl MovingBody {
 /// A contact of the ego's body over one tick.
 #[derive(Clone, Copy, Debug)]
 pub struct Contact {
-    /// What it was with.
+    /// The other side.
     pub kind: PartnerKind,
     /// [`MovingBody::key`], or the static body's own number.
     pub key: u64,

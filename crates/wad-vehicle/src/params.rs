@@ -1,4 +1,4 @@
-//! What the ego is made of.
+//! The ego's parameters: sizes, masses, engine, brakes, tyres.
 
 use serde::{Deserialize, Serialize};
 

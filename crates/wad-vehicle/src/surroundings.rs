@@ -23,7 +23,7 @@ pub(super) const OBSTACLE: Group = Group::GROUP_3;
 pub(super) const EGO: Group = Group::GROUP_4;
 pub(super) const WHEEL_RAY: Group = Group::GROUP_5;
 
-/// Whom a collider belongs to, kept in its user data.
+/// The owner of a collider, kept in its user data.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Owner {
     Ground,
