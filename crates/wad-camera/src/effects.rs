@@ -1,5 +1,5 @@
-//! What happens to the picture after shading: mirroring wet ground, smooth edges, glowing lamps, rain
-//! in the air and on the glass.
+//! Effects on the shaded picture: mirroring wet ground, smooth edges, glowing lamps, rain in the air and
+//! on the glass.
 
 use super::gather::Seen;
 use super::lanes::lanes;
@@ -12,8 +12,8 @@ use std::sync::OnceLock;
 
 multiversion! {
     /// Wet ground shows what stands behind it, upside down: each column is mirrored at the foot of what
-    /// stands on the ground. Row `y` of pixels whose rows are `pitch` apart; `foot` tells by column where
-    /// that is, and is kept from row to row, from the horizon's on.
+    /// stands on the ground. Row `y` of pixels whose rows are `pitch` apart; `foot` holds that place
+    /// by column, and is kept from row to row, from the horizon's on.
     pub fn mirror(pixels: &mut [u32], share: &[u8], y: usize, pitch: usize, foot: &mut [i32]) {
         const AT_ONCE: usize = 8;
         let width = foot.len();

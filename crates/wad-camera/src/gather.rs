@@ -1,5 +1,5 @@
-//! What of the scene is drawn in a frame: culled, nearest first, each thing in the level of detail
-//! that its size in the picture asks for.
+//! Chooses what a frame draws: culled, nearest first, each object in the level of detail that its size
+//! in the picture needs.
 
 use super::model::{ActorFrame, Channel, Chunk, Instance, Lamps, Mesh, Model, Scene};
 use super::raster::{CamVertex, Draw, Tri, Visibility, draw};

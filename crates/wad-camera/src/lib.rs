@@ -57,28 +57,28 @@ pub use weather::{Preset, Weather};
 use model::{ActorFrame, Scene};
 use sumo_network::geometry::Pose;
 
-/// All that a picture is made from.
+/// Everything that a renderer needs for a picture.
 #[derive(Clone, Copy)]
 pub struct Shot<'a> {
     /// The town.
     pub scene: &'a Scene,
     /// The road users.
     pub actors: &'a ActorFrame,
-    /// From where.
+    /// The camera's place and optics.
     pub view: &'a View,
-    /// In what weather.
+    /// The weather.
     pub weather: &'a Weather,
-    /// What the frame is to hold.
+    /// The buffers that the frame needs.
     pub outputs: Outputs,
-    /// [`ActorFrame::ego`] is in the picture.
+    /// Draws [`ActorFrame::ego`] too.
     pub shows_ego: bool,
 }
 
-/// Makes frames of shots. Caches are its own; equal shots give equal frames.
+/// Renders shots into frames. It may keep caches, but equal shots give equal frames.
 pub trait Renderer {
     /// Renders into `frame`, whose buffers are reused.
     fn render(&mut self, shot: &Shot<'_>, frame: &mut Frame);
-    /// Whether frames from now on are timed by stage, which itself takes some time.
+    /// Times the stages of frames from now on, or stops that. Timing itself takes some time.
     fn time_stages(&mut self, _on: bool) {}
     /// Where the last frame's time went, if it was timed.
     fn stages(&self) -> Stages {
@@ -114,12 +114,12 @@ impl Camera {
         Ok(Self { config, renderer, frame: Frame::default() })
     }
 
-    /// Its definition.
+    /// Its configuration.
     pub fn config(&self) -> &CameraConfig {
         &self.config
     }
 
-    /// What it sees from a vehicle whose footprint's centre is at `pose`.
+    /// Renders the view from a vehicle whose footprint's centre is at `pose`.
     pub fn render(
         &mut self,
         scene: &Scene,
@@ -135,7 +135,7 @@ impl Camera {
         &self.frame
     }
 
-    /// Whether frames from now on are timed by stage, which costs them some percent.
+    /// Times the stages of frames from now on, or stops that. Timing costs some percent.
     pub fn time_stages(&mut self, on: bool) {
         self.renderer.time_stages(on);
     }

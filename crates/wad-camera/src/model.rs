@@ -1,4 +1,4 @@
-//! What a picture is made of: meshes, materials, models, chunks of the town, and the actors of a frame.
+//! The renderer's input: meshes, materials, models, chunks of the town, and the actors of a frame.
 //!
 //! The scene and actor builders fill these types; the renderer only reads them. World frame: x east,
 //! y north, z up, metres. Model frame: x forward, y left, z up, the origin on the ground in the middle
@@ -133,13 +133,13 @@ pub struct Box3 {
     pub size: [f64; 3],
 }
 
-/// What the ground truth tells of an instance.
+/// The ground truth of an instance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Object {
     /// What it is.
     pub class: ObjectClass,
     /// Instance id, not 0, unique in the frame. A road user's is its place in the world + 1, vehicles before
-    /// pedestrians; who rides it has [`RIDER_IDS`] more. Static objects count from [`STATIC_IDS`].
+    /// pedestrians; its rider has [`RIDER_IDS`] more. Static objects count from [`STATIC_IDS`].
     pub id: u32,
     /// The box round it.
     pub bounds: Box3,

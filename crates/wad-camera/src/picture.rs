@@ -212,7 +212,7 @@ impl Picture {
     /// Whether [`Picture::save`] can write there: makes the folder, and leaves a file that is there as it is.
     ///
     /// # Errors
-    /// The name ends in neither .png nor .jpg, or the file cannot be written.
+    /// The name ends neither in .png nor in .jpg, or the file cannot be written.
     pub fn can_save(path: &Path) -> io::Result<()> {
         let kind = extension(path);
         if path.is_dir() || !matches!(kind.as_deref(), Some("png" | "jpg" | "jpeg")) {

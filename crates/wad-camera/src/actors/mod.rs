@@ -43,7 +43,7 @@ pub struct Cast {
     vans: Vec<(Body, Figure)>,
     bus: Figure,
     truck: Figure,
-    /// With those who ride them.
+    /// With their riders.
     motorcycle: (Figure, Figure),
     bicycle: (Figure, Figure),
     /// Walking and standing, by build: adults first.
@@ -393,8 +393,8 @@ impl Animation {
         *gone
     }
 
-    /// Fills `frame` with the road users of `world`, in its order: vehicles, those with a rider after the
-    /// rider, then pedestrians.
+    /// Fills `frame` with the road users of `world`, in its order: vehicles (a rider comes before its
+    /// cycle), then pedestrians.
     pub fn pose(&mut self, cast: &Cast, world: &WorldState, frame: &mut ActorFrame) {
         self.generation += 1;
         frame.time = world.time;
@@ -412,7 +412,7 @@ impl Animation {
             };
             frame.instances.push(instance);
         }
-        // Forget who has left.
+        // Forget road users that have left.
         if self.gone.len() > 2 * frame.instances.len() + 64 {
             let generation = self.generation;
             self.gone.retain(|_, (_, _, seen)| *seen == generation);
@@ -460,7 +460,7 @@ fn vehicle(cast: &Cast, actor: &Actor, gone: f64, id: u32) -> Instance {
         _ => ObjectClass::Car,
     };
     let mut bounds = Box3 { pose: actor.pose, size: [t.length, t.width, t.height] };
-    // Its own height, without who rides it.
+    // Its own height, without the rider.
     match t.kind {
         ActorKind::Motorcycle => bounds.size[2] *= f64::from(cycle::MOTORCYCLE_TOP / figure.height),
         ActorKind::Bicycle => bounds.size[2] *= f64::from(cycle::BICYCLE_TOP / figure.height),

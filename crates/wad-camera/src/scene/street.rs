@@ -1,4 +1,4 @@
-//! What lines the streets: lamps, trees, hedges, benches, bins, bus stops, parked cars, signs, rails.
+//! Things along the streets: lamps, trees, hedges, benches, bins, bus stops, parked cars, signs, rails.
 
 use super::furniture::{BENCH, Furniture, LAMP_HEIGHT, LAMP_REACH};
 use super::ground::{Ground, Terrain, uses};
