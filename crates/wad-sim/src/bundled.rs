@@ -1,7 +1,7 @@
 //! The towns, scenarios and weights that travel with the program, and how a name on the command line becomes a file.
 //!
-//! The program hands its files over with [`register`], once, at its start: this crate holds none. Where nobody has
-//! (a test or an example of the workspace), the files beside the crates are read.
+//! The program hands its files over with [`register`], once, at its start: this crate holds none. If
+//! nothing was registered (a test or an example of the workspace), the files beside the crates are read.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -16,8 +16,8 @@ static FILES: OnceLock<Files> = OnceLock::new();
 /// Folders of the repository that travel with the program.
 pub const FOLDERS: [&str; 3] = ["sumo_nets", "scenarios", "models"];
 
-/// Hands over the files that travel with a program, by their path in the repository below one of [`FOLDERS`]. The
-/// first call counts.
+/// Registers the files that travel with a program, by their path in the repository below one of [`FOLDERS`]. Only
+/// the first call has an effect.
 pub fn register(files: impl IntoIterator<Item = (String, &'static [u8])>) {
     let _ = FILES.set(files.into_iter().collect());
 }

@@ -1,5 +1,5 @@
 //! Facts about the ego's driving, tick by tick: collisions, red lights, leaving the lane,
-//! blocking, arrival (spec.md "Events"). What ends an episode is decided elsewhere.
+//! blocking, arrival (spec.md "Events"). [`crate::end`] decides what ends an episode.
 
 mod cause;
 mod surface;
@@ -56,7 +56,7 @@ pub enum Event {
         partner: String,
         /// N s.
         impulse: f64,
-        /// Who caused it.
+        /// Which side caused it.
         cause: Cause,
         /// Where on the ego (m): x forward, y left of its centre.
         point: Vector,
@@ -128,7 +128,7 @@ pub struct Situation<'a> {
     pub tick: f64,
 }
 
-/// Remembers what is needed to see each event once.
+/// Finds the events of each tick, and reports each event once.
 #[derive(Clone, Debug, Default)]
 pub struct Criteria {
     params: CriteriaParams,

@@ -14,7 +14,7 @@ use wad_vehicle::PartnerKind;
 pub enum End {
     /// Within 5 m of the route's end.
     Arrival,
-    /// Alive at the tick limit, and the task counts that.
+    /// Alive at the tick limit, which the task counts as a success.
     Survived,
     /// A collision.
     Collision,
@@ -26,7 +26,7 @@ pub enum End {
     Sidewalk,
     /// The ego stood too long without a reason.
     VehicleBlocked,
-    /// The tick limit, and the task wanted more.
+    /// The tick limit, which the task counts as a failure.
     Timeout,
     /// SUMO died; the episode does not count.
     Error,
@@ -61,7 +61,7 @@ impl End {
         }
     }
 
-    /// Whether the ego's own doing ended the episode; the others cut it short (`truncated`).
+    /// Whether the ego's own driving ended the episode (`terminated`); the other ends truncate it (`truncated`).
     pub fn is_terminal(self) -> bool {
         matches!(
             self,
@@ -161,16 +161,16 @@ impl Termination {
 
 /// At the tick limit a task that wants progress counts as survived from this share of the route on.
 const PROGRESS: f64 = 0.5;
-/// The obstacle task wants the ego to stand so far before it (m).
+/// The obstacle task is passed at this distance before the obstacle (m).
 const STAND: std::ops::RangeInclusive<f64> = 1.0..=10.0;
 /// Below this the ego stands (m/s).
 const STANDING: f64 = 0.3;
-/// An ending that is no matter of the clock.
+/// The ending of an episode that ends before its tick limit.
 pub fn ending(task: TaskKind, end: End, cause: String) -> Ending {
     Ending { end, cause, success: end == End::Arrival && task != TaskKind::Obstacle }
 }
 
-/// How an episode ends whose clock has run out after `ticks`.
+/// The ending of an episode at its tick limit, after `ticks`.
 pub fn judge_limit(
     task: TaskKind,
     placement: &Placement,

@@ -155,7 +155,7 @@ pub struct Overrides {
     pub output_dir: PathBuf,
     /// Options that win over the file's.
     pub set: Vec<(String, String)>,
-    /// Options for when the file says nothing.
+    /// Options that apply if the file does not set them.
     pub default: Vec<(String, String)>,
     /// Leaves out the file's own routes.
     pub drop_demand: bool,
@@ -253,7 +253,7 @@ impl SumoConfig {
         value.split(',').map(str::trim).filter(|v| !v.is_empty()).map(PathBuf::from).collect()
     }
 
-    /// A time option in seconds (`90`, `15:0:0`, `1:00:00:00`), None where the file says nothing
+    /// A time option in seconds (`90`, `15:0:0`, `1:00:00:00`), None if the file does not set it
     /// or the time is negative (SUMO's "never").
     pub fn time(&self, option: &str) -> Result<Option<f64>, ConfigError> {
         let Some(text) = self.options.get(option) else { return Ok(None) };
@@ -418,7 +418,7 @@ fn output_attribute(element: &str) -> Option<&'static str> {
     }
 }
 
-/// `file` itself where nobody in it is of type `dropped`, else a copy in `dir` without those.
+/// `file` itself if nothing in it has the type `dropped`, else a copy in `dir` without those elements.
 fn without_type(file: &Path, dropped: &str, dir: &Path) -> Result<PathBuf, ConfigError> {
     let text = read_plain(file)?;
     let malformed = |problem: String| ConfigError::Malformed { path: file.to_path_buf(), problem };

@@ -98,7 +98,7 @@ pub struct TickRecord {
     pub vehicles: usize,
     /// Background pedestrians in the network.
     pub pedestrians: usize,
-    /// What people asked of the run before this tick.
+    /// The viewers' requests before this tick.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub wishes: Vec<Wish>,
     /// The tick's driver, if it was not the run's own.
@@ -106,7 +106,7 @@ pub struct TickRecord {
     pub driver: Option<String>,
 }
 
-/// What a person may ask of a run; it is recorded, so that the run can be driven again.
+/// A viewer's request to a run. It is recorded, so that the run can be driven again.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "wish", rename_all = "snake_case")]
 pub enum Wish {

@@ -175,7 +175,7 @@ impl EgoParams {
     /// Whether a vehicle can be made of them.
     ///
     /// # Errors
-    /// The first measure that is no number or beyond what road vehicles have, or that does not fit
+    /// The first parameter that is not a number or out of the range of road vehicles, or that does not fit
     /// another: axles beyond the body, wheels wider apart than it, springs shorter than their sag.
     pub fn check(&self) -> Result<(), ParamsError> {
         let usual = Self::default();

@@ -148,7 +148,7 @@ pub enum RouteError {
         kilometres: f64,
     },
     /// A crossing or walkingarea, or, as a destination, a lane inside a junction.
-    #[error("lane `{lane}` is no lane of a road; choose a lane of a normal edge")]
+    #[error("lane `{lane}` is not part of a road; choose a lane of a normal edge")]
     NotARoad {
         /// The lane.
         lane: String,

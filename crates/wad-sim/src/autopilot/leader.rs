@@ -76,7 +76,7 @@ fn corners(actor: &Actor, out: &mut Vec<Point>) {
     }
 }
 
-/// All vehicles near the path in its frame, and those in the way or about to be, nearest first.
+/// All vehicles near the path in its frame, and the vehicles in the way or about to be, nearest first.
 pub fn find(
     path: &Path,
     ego_s: f64,

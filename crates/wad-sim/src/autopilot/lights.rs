@@ -6,10 +6,10 @@ use super::speed::time_to_cover;
 use sumo_network::network::{LinkId, Network};
 use sumo_network::world::{SignalState, WorldState};
 
-/// What a light asks for.
+/// What a light requires.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// Go; `yields` when those with right of way come first.
+    /// Go; `yields`: vehicles with right of way go first.
     Go { yields: bool },
     /// Stand at the line.
     Stop,

@@ -1,4 +1,4 @@
-//! The rule-based expert: collects data, and is the yardstick for every agent.
+//! The rule-based expert: drives for data sets, and is the baseline for every agent.
 //!
 //! It sees the whole [`WorldState`], drives a [`Route`] and answers one [`Decision`] per tick:
 //! path, then what each rule allows as an acceleration, then the smallest of those, then the pedals.
@@ -35,7 +35,7 @@ use wad_vehicle::{Control, EgoState};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Reason {
-    /// Nothing: it accelerates as it likes.
+    /// Nothing: it accelerates freely.
     Free,
     /// The speed limit.
     Limit,
@@ -201,8 +201,8 @@ impl Autopilot {
         }
     }
 
-    /// Somebody else drove the last tick, whatever was decided: to be said before the next
-    /// [`Autopilot::control`], or the pedals' correction learns from what it did not do.
+    /// Call it if another driver drove the last tick, before the next [`Autopilot::control`]. Otherwise the
+    /// pedals' correction learns from another driver's control.
     pub fn overruled(&mut self) {
         self.pedals.overruled();
     }
@@ -393,7 +393,7 @@ impl Autopilot {
     }
 
     /// The stop line of `plan`, `distance` ahead (m): its light, and whether there is room behind the junction.
-    /// Whether those with right of way are to be let pass (None: it stops here), and what the light shows.
+    /// Whether to give way to vehicles with right of way (None: it stops here), and what the light shows.
     fn approach_line(
         &mut self,
         plan: &LinkPlan,

@@ -1,4 +1,4 @@
-//! What can be tuned, and what the autopilot must know of the vehicle that it drives.
+//! The autopilot's parameters, and its model of the vehicle that it drives.
 
 use serde::{Deserialize, Serialize};
 use wad_vehicle::{EgoParams, GRAVITY};
@@ -142,7 +142,7 @@ pub struct AutopilotParams {
     pub pedestrian_gap: f64,
     /// Sideways room to a moving pedestrian (m). Default 0.6.
     pub pedestrian_margin: f64,
-    /// How far ahead others are looked at (m). Default 100.
+    /// How far ahead other road users count (m). Default 100.
     pub sight: f64,
 }
 

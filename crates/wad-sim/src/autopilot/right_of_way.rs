@@ -43,13 +43,13 @@ pub struct Motion {
     pub top: f64,
     /// 0 (patient) to 1 (takes the smallest gaps).
     pub impatience: f64,
-    /// Whether standing vehicles are not waited for any more.
+    /// Whether the ego no longer waits for standing vehicles.
     pub breaks_deadlock: bool,
-    /// Whether those with right of way are to be let pass.
+    /// Whether the ego gives way to vehicles with right of way.
     pub yields: bool,
     /// Whether a light rules the junction.
     pub signalled: bool,
-    /// Whether it has stood opposite another who stands too for so long that it goes first.
+    /// Whether the ego and another have waited for each other for so long that the ego goes first.
     pub ends_standoff: bool,
 }
 
@@ -60,10 +60,10 @@ pub struct Hold {
     pub stop_s: f64,
 }
 
-/// Waiting for one who waits for the ego ends after this (s).
+/// Waiting for a vehicle that waits for the ego ends after this (s).
 pub const STANDOFF: f64 = 3.0;
 
-/// Someone to line up behind at a merge.
+/// A vehicle to follow at a merge.
 #[derive(Clone, Copy, Debug)]
 pub struct Merging {
     /// m and m/s.
@@ -71,7 +71,7 @@ pub struct Merging {
     pub speed: f64,
 }
 
-/// What the traffic at a junction asks for.
+/// What the traffic at a junction requires.
 #[derive(Clone, Debug, Default)]
 pub struct Outcome {
     pub hold: Option<Hold>,

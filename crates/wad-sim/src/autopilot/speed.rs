@@ -139,7 +139,7 @@ pub fn profile(path: &Path, route_s: f64, speed: f64, tick_s: f64, params: &Auto
         } else {
             slow_down(speed, allowed, distance, params.comfortable_deceleration)
         };
-        // In a long tick it would end up slower than anything asks for.
+        // In a long tick it would end up slower than any rule requires.
         let a = if speed > allowed { a.max((allowed - speed) / tick_s) } else { a };
         if a < result.acceleration {
             result.acceleration = a;

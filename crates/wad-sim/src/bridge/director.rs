@@ -4,7 +4,7 @@ use super::Ego;
 use sumo_network::network::Network;
 use sumo_traci::Batch;
 
-/// What a director knows when its turn comes.
+/// What a director knows before each step.
 pub struct Scene<'a> {
     /// The town's road network.
     pub network: &'a Network,
@@ -16,10 +16,10 @@ pub struct Scene<'a> {
     pub ego: &'a Ego,
 }
 
-/// Plays what a scenario has written: it appends commands to the message that carries the next step.
+/// Plays a scenario's events: appends commands to the message that carries the next step.
 pub trait Director: Send {
-    /// Once, with the message that brings the egos in. SUMO must refuse none of its commands.
+    /// Called once, with the message that adds the egos. SUMO must refuse none of its commands.
     fn begin(&mut self, scene: &Scene<'_>, batch: &mut Batch);
-    /// Before every step, that first one too.
+    /// Called before every step, the first one too.
     fn direct(&mut self, scene: &Scene<'_>, batch: &mut Batch);
 }

@@ -68,7 +68,7 @@ pub(super) struct Reported {
 const TOLD_EDGES: usize = 5;
 const KEPT_EDGES: usize = 3;
 
-/// So many refusals of a route in a row are more than a junction's border explains.
+/// More refusals of a route in a row than a junction's border explains.
 const REFUSALS: u32 = 3;
 
 /// Added to the keys of barriers and cones, which physics takes for fixed bodies.
@@ -105,7 +105,7 @@ impl Ego {
         ego
     }
 
-    /// Puts it down elsewhere, standing, on another route.
+    /// Places it elsewhere, standing, on another route.
     pub fn respawn(&mut self, route: Route, start: f64) {
         self.respawn_beside(route, start, 0.0, 0.0);
     }
@@ -134,7 +134,7 @@ impl Ego {
         self.extras = extras;
     }
 
-    /// Gives it a route that it is on at `s` (m).
+    /// Gives it another route, on which it is at `s` (m).
     pub fn set_route(&mut self, route: Route, s: f64) {
         self.route = route;
         self.s = s;
@@ -147,12 +147,12 @@ impl Ego {
         &self.route
     }
 
-    /// What it sees after the last tick.
+    /// The world in its sight after the last tick.
     pub fn world(&self) -> &WorldState {
         &self.world
     }
 
-    /// What it saw before the last tick: what its last control was chosen from.
+    /// The world in its sight before the last tick, on which its last control is based.
     pub fn previous_world(&self) -> &WorldState {
         &self.previous
     }
@@ -162,7 +162,7 @@ impl Ego {
         &self.vehicle
     }
 
-    /// What a report calls the fixed body of that key, see [`crate::criteria::Situation`].
+    /// Label of the fixed body with that key, see [`crate::criteria::Situation`].
     pub fn static_label(&self, key: u64) -> String {
         let body = usize::try_from(key).ok().and_then(|index| self.vehicle.statics().get(index));
         match body {
@@ -172,7 +172,7 @@ impl Ego {
         }
     }
 
-    /// What it is made of.
+    /// Its parameters.
     pub fn params(&self) -> &EgoParams {
         self.vehicle.params()
     }
@@ -187,7 +187,7 @@ impl Ego {
         self.vehicle.state()
     }
 
-    /// How it looks to others, brake lights and all.
+    /// How others see it, with lamps.
     pub fn as_actor(&self) -> Actor {
         crate::replay::Body::of(self.params()).actor(&self.state())
     }
@@ -197,7 +197,7 @@ impl Ego {
         EgoOnRoute { state: self.state(), s: self.s, d: self.d, front_s: self.front_s }
     }
 
-    /// The lamps that others are to see from the next tick on.
+    /// Sets the lamps that others see from the next tick on.
     pub fn set_lamps(&mut self, lamps: Lamps) {
         self.lamps = lamps;
     }
@@ -231,7 +231,7 @@ impl Ego {
         self.route.at(self.s).lane
     }
 
-    /// Appends what brings it into SUMO: type, route, vehicle, colour.
+    /// Appends the commands that add it to SUMO: type, route, vehicle, colour.
     pub(super) fn insert(&mut self, network: &Network, batch: &mut Batch) {
         let params = self.vehicle.params();
         let type_id = format!("{}_type", self.id);
@@ -240,7 +240,7 @@ impl Ego {
         batch.set(vehicle_type::SET_WIDTH, &type_id, params.width);
         batch.set(vehicle_type::SET_HEIGHT, &type_id, params.height);
         batch.set(vehicle_type::SET_MAX_SPEED, &type_id, 60.0);
-        // Those behind keep a gap for how hard it can brake: SUMO's cars brake at 4.5 m/s2, so they expect that.
+        // Followers keep a gap that depends on its braking: SUMO's cars brake at 4.5 m/s2, so they expect that.
         batch.set(vehicle_type::SET_APPARENT_DECEL, &type_id, params.hardest_braking());
         let route_id = self.define_route(network, batch);
         vehicle::add(
@@ -301,7 +301,7 @@ impl Ego {
     pub(super) fn confirm(&mut self, reported: Reported, replies: &Replies) -> Result<(), CommandError> {
         match reported.route.map(|route| replies.get(route)) {
             Some(Err(refusal)) => {
-                // SUMO sees it on another edge for a tick, at a junction's border: said again.
+                // SUMO sees it on another edge for a tick, at a junction's border: send it again.
                 tracing::debug!("{refusal}");
                 self.route_is_news = true;
                 self.refusals += 1;

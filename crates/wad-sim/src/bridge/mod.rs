@@ -87,7 +87,7 @@ impl BridgeOptions {
 /// The paper's six ticks a second, in SUMO's whole milliseconds.
 pub const DEFAULT_TICK_MS: f64 = 167.0;
 
-/// The vehicle type that a scenario draws its ego with: the drawn vehicle gives way to the real ego.
+/// The vehicle type of a scenario's ego: the real ego replaces that vehicle.
 pub const EGO_TYPE: &str = "ego";
 
 /// Id of the vehicle that stands in the ego's way in the obstacle task.
@@ -331,8 +331,8 @@ impl Bridge {
         Ok(())
     }
 
-    /// The connection, for what the bridge does not ask for itself. It must not step SUMO, and what it
-    /// sets holds from the next tick on.
+    /// The connection, for commands that the bridge does not send. Do not step SUMO with it; what it sets
+    /// holds from the next tick on.
     pub fn client_mut(&mut self) -> &mut TcpClient {
         &mut self.client
     }
@@ -455,7 +455,7 @@ impl Bridge {
     /// Ends the co-simulation: closes the connection and waits for an own SUMO to end.
     ///
     /// # Errors
-    /// SUMO did not take leave properly; it is gone all the same.
+    /// SUMO did not close the connection properly. It has ended even so.
     pub async fn close(self) -> Result<(), BridgeError> {
         let closed = self.client.close().await;
         if let Some(mut process) = self.process {

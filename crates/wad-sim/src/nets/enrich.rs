@@ -1,4 +1,4 @@
-//! What a net has none of is added: signals, sidewalks, crossings. Its lanes stay on their lines.
+//! Adds signals, sidewalks and crossings to a net that has none. Its lanes stay on their lines.
 
 use super::restore::{Moved, compare, restore};
 use super::{NetError, arguments, run};
@@ -9,7 +9,7 @@ use std::path::Path;
 use sumo_network::network::{EdgeKind, Junction, Network, VehicleClass};
 use sumo_traci::process::SumoInstall;
 
-/// What is to be added.
+/// What to add.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Wanted {
     /// Traffic lights.
@@ -29,7 +29,7 @@ pub struct Enriched {
     pub sidewalks: (usize, usize),
     /// Pedestrian crossings before and after.
     pub crossings: (usize, usize),
-    /// Signals of the old net that netconvert did without, by id: most control nothing that drives.
+    /// Signals of the old net that netconvert dropped, by id: most control no traffic.
     pub dropped_signals: Vec<String>,
     /// Lanes that netconvert moved and that were put back.
     pub put_back: usize,

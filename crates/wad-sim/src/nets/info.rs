@@ -7,7 +7,7 @@ use serde::Serialize;
 use std::collections::BTreeSet;
 use sumo_network::network::{EdgeKind, LaneId, Network, Shapes};
 
-/// What a net is.
+/// Facts about a net.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Facts {
     /// Width and height of its bounding box (m).
@@ -36,7 +36,8 @@ pub struct Facts {
     pub crossings: usize,
     /// Polygons of buildings.
     pub buildings: usize,
-    /// The share of the lanes' length that hangs together: cars get from everywhere in it to everywhere.
+    /// The share of the lanes' length in the largest connected part, where every place is reachable from every
+    /// other by car.
     pub connected: f64,
     /// For each task, whether the net has a place for it.
     pub tasks: Vec<TaskPlaces>,
@@ -51,11 +52,11 @@ pub struct TaskPlaces {
     pub task: TaskKind,
     /// The net has at least one place for it.
     pub placed: bool,
-    /// How many ways it has, where they are counted, or why there is none.
+    /// The number of its routes, where they are counted, or the reason why there is none.
     pub note: String,
 }
 
-/// Something that hinders, and the remedy.
+/// A problem for driving, and its remedy.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct NetProblem {
     /// The problem.

@@ -1,4 +1,4 @@
-//! Nets from elsewhere: what is in one, and SUMO's tools that build, import and enrich them.
+//! Nets from other sources: facts and problems of a net, and SUMO's tools that build, import and enrich nets.
 //!
 //! ```text
 //! plain XML, OpenDRIVE, OSM, a bare net --build, import, enrich--> NAME.net.xml, NAME.poly.xml, NAME.sumocfg
@@ -48,7 +48,7 @@ pub enum NetError {
         source: std::io::Error,
     },
     /// The target exists.
-    #[error("{} is there already: name another folder with --out, or remove it first", path.display())]
+    #[error("{} exists already: name another folder with --out, or remove it first", path.display())]
     Taken {
         /// The target's folder.
         path: PathBuf,

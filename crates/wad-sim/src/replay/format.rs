@@ -10,7 +10,7 @@ use sumo_network::world::{Actor, ActorKind, ActorType, VehicleSignals, WorldStat
 use wad_camera::Preset;
 use wad_vehicle::{Control, EgoState};
 
-/// Says which program writes it, and how.
+/// The format's name and version.
 pub const FORMAT: &str = "wad-cosim recording 1";
 
 /// The first line: what holds for the whole recording.
@@ -144,10 +144,10 @@ fn ego_state(text: &EgoText) -> Result<EgoState, String> {
 }
 
 fn exact(text: &str) -> Result<f64, String> {
-    text.parse().map_err(|_| format!("`{text}` is no number"))
+    text.parse().map_err(|_| format!("`{text}` is not a number"))
 }
 
-/// What earlier lines said.
+/// What earlier lines defined.
 #[derive(Debug, Default)]
 pub struct Memory {
     types: BTreeMap<String, Arc<ActorType>>,

@@ -1,8 +1,8 @@
-//! Recorded drives: what an ego and those in its sight did, tick by tick, to be played or driven again.
+//! Recorded drives: the ego and the road users in its sight, tick by tick, to play or to drive again.
 //!
 //! A recording is one file, `states.jsonl.gz`: JSON Lines, compressed. Its first line is a [`Header`];
-//! each further line is one tick. The ego is kept exactly; others to a millimetre, with 64 bits per tick
-//! that stand for every bit of the whole state ([`digest`]), so that a second simulation can be compared.
+//! each further line is one tick. The ego is kept exactly; others to a millimetre, with a hash per
+//! tick over every bit of the state ([`digest`]), to compare a second simulation with it.
 //!
 //! ```no_run
 //! # fn example() -> Result<(), wad_sim::replay::ReplayError> {
@@ -65,7 +65,7 @@ pub enum ReplayError {
 pub struct Frame {
     /// Ticks of the episode so far; 0 is the state before the first control.
     pub tick: u64,
-    /// What was driven in the tick, exactly.
+    /// The tick's control, exactly.
     pub control: Control,
     /// The ego, exactly.
     pub ego: EgoState,
@@ -73,11 +73,11 @@ pub struct Frame {
     pub s: f64,
     /// Its offset to the left of its route (m).
     pub d: f64,
-    /// Those in its sight, to the millimetre, without their lanes; and the lights in its sight.
+    /// The road users in its sight, to the millimetre, without their lanes; and the lights in its sight.
     pub world: WorldState,
     /// What happened in the tick.
     pub events: Vec<Event>,
-    /// Stands for every bit of the state; see [`digest`].
+    /// Hash of the whole state; see [`digest`].
     pub bits: u64,
 }
 
@@ -92,7 +92,7 @@ impl Recording {
     /// Reads the recording at `path`: the file, or the folder that it lies in.
     ///
     /// # Errors
-    /// It cannot be read, or is none, or is cut short.
+    /// It cannot be read, is not a recording, or is cut short.
     pub fn open(path: &Path) -> Result<Self, ReplayError> {
         let path = if path.is_dir() { path.join(FILE) } else { path.to_path_buf() };
         let broken = |why: String| ReplayError::Format { path: path.clone(), why };

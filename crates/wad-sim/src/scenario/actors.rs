@@ -132,7 +132,7 @@ pub struct Held {
 }
 
 impl Held {
-    /// To be said with every step.
+    /// Holds it in place; needed with every step.
     pub fn hold(&self, batch: &mut Batch) {
         let (front, angle) = self.pose.to_sumo(self.length);
         let to = vehicle::MoveToXy {

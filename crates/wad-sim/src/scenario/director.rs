@@ -60,7 +60,7 @@ enum Braking {
     Standing(f64),
 }
 
-/// Somebody who stands still for good: no step of theirs.
+/// For a person who never moves.
 const NEVER: Trigger = Trigger { distance: Some(-1.0), time: None };
 /// As long as SUMO keeps a person waiting (s).
 const LONG: f64 = 1e6;
@@ -238,7 +238,7 @@ impl Act {
                 }
                 let gone = began.map_or(0.0, |began| (*speed * (scene.time - began)).min(*way));
                 let at = *from + direction(*heading) * gone;
-                // Any lane that lies there: traffic brakes for who is on its lane.
+                // Any lane at that place: traffic brakes for persons on its lane.
                 let to = vehicle::MoveToXy {
                     x: at.x,
                     y: at.y,

@@ -166,7 +166,7 @@ impl Ends<'_> {
         Some(open)
     }
 
-    /// The first and last edge, and those between, of a route that is given edge by edge.
+    /// All edges of a route that is given edge by edge.
     fn edges(&self, element: &Element) -> Option<Vec<String>> {
         let own = element.route.clone();
         let named = || {

@@ -41,13 +41,13 @@ pub struct Scenario {
     pub config: PathBuf,
     /// The ego's task.
     pub task: TaskKind,
-    /// Where the ego starts, what it passes, where it is to arrive; the obstacle of the obstacle task.
+    /// The ego's start, via points and destination; the obstacle of the obstacle task.
     pub placement: Placement,
     /// The ego's route.
     pub route: Route,
     /// The weather.
     pub weather: Preset,
-    /// Background traffic beside the vehicles that the scenario has drawn.
+    /// Background traffic beside the scenario's own vehicles.
     pub traffic: TrafficSpec,
     /// s; None: the task's own limit.
     pub time_limit: Option<f64>,
@@ -109,7 +109,7 @@ fn about_config(config: &Path, error: &ConfigError) -> Problem {
     Problem::of_file(
         config,
         error.to_string(),
-        "repair it, or make the scenario anew with wad-cosim scenario new",
+        "repair it, or make a new scenario with wad-cosim scenario new",
     )
 }
 

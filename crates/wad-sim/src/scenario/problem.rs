@@ -46,7 +46,7 @@ impl fmt::Display for Problem {
     }
 }
 
-/// A scenario that cannot be driven as it is.
+/// A scenario with mistakes.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{}", list(.0))]
 pub struct ScenarioError(pub Vec<Problem>);

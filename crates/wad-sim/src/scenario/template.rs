@@ -1,4 +1,4 @@
-//! New scenarios: a task or an event on a town, as the SUMO files that netedit goes on with.
+//! New scenarios: a task or an event in a town, as SUMO files to edit in netedit.
 
 use crate::destination::EGO_CLASS;
 use crate::tasks::{Placement, Places, Spot, TaskError, TaskKind};
@@ -8,14 +8,14 @@ use sumo_network::geometry::{Point, Vector};
 use sumo_network::network::{EdgeKind, LaneId, LanePosition, Network, Route, VehicleClass};
 use wad_vehicle::EgoParams;
 
-/// Something to begin from.
+/// A template of a scenario.
 #[derive(Clone, Copy, Debug)]
 pub struct Template {
     /// Its name on the command line.
     pub name: &'static str,
     /// One line about it.
     pub about: &'static str,
-    /// The task that the ego is given, and the place that is looked for.
+    /// The ego's task, and the kind of place for it.
     task: TaskKind,
     place: Place,
     draw: fn(&Stretch<'_>) -> Vec<Drawn>,
@@ -138,7 +138,7 @@ pub enum TemplateError {
         fix: String,
     },
     /// The scenario's folder exists.
-    #[error("{} is there already: give another name, or remove it first", path.display())]
+    #[error("{} exists already: give another name, or remove it first", path.display())]
     Taken {
         /// The folder.
         path: PathBuf,
@@ -254,7 +254,7 @@ impl Stretch<'_> {
     }
 }
 
-/// Draws before a template counts as one that cannot be put anywhere.
+/// Random draws before placing a template fails.
 const DRAWS: u64 = 400;
 /// Way of an event's scenario along one road (m), and where the ego starts on it.
 const ROAD: f64 = 190.0;
@@ -420,7 +420,7 @@ fn trip(
         let seconds = (route.length() / (10.0 / 3.6)).ceil().max(60.0);
         params.push(("wad.time_limit".to_string(), format!("{seconds}")));
     }
-    // The lane to arrive on is said, whatever way leads to its edge.
+    // Name the destination's lane, not only its edge.
     params.insert(1, ("wad.destination".to_string(), format!("{}@{arrive:.2}", network.lane(to.lane).id)));
     let mut text = format!(
         "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n\n<routes {SCHEMA}routes_file.xsd\">\n    \

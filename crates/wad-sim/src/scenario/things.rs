@@ -12,7 +12,7 @@ use sumo_network::network::{
 };
 use sumo_network::world::ActorKind;
 
-/// Types of points that mean something to us.
+/// Types of points that a scenario may use.
 pub const POINTS: &[&str] = &[
     "obstacle.car",
     "obstacle.van",
@@ -31,7 +31,7 @@ pub const POINTS: &[&str] = &[
     "event.lane_closed",
 ];
 
-/// Types of polygons that mean something to us.
+/// Types of polygons that a scenario may use.
 pub const POLYGONS: &[&str] = &["roadworks"];
 
 /// Vehicles by the name that an author gives, of the fleet's models.
@@ -58,9 +58,9 @@ pub struct Closure {
 /// What a thing is.
 #[derive(Clone, Debug)]
 pub enum Kind {
-    /// A vehicle that stands in a lane.
+    /// A vehicle parked in a lane.
     Vehicle(&'static Model),
-    /// A person who stands there.
+    /// A standing person.
     Person(&'static Walker),
     /// A barrier or a cone.
     Object {
@@ -73,7 +73,7 @@ pub enum Kind {
     Bench,
     /// Lanes under a polygon, fenced off.
     RoadWorks(Vec<Closure>),
-    /// Steps off the kerb at `speed` (m/s) and goes `way` (m) across the road.
+    /// A person who steps off the kerb and crosses the road.
     Pedestrian {
         /// The kind of person.
         walker: &'static Walker,
@@ -125,7 +125,7 @@ pub enum Leader {
     },
 }
 
-/// Things of the road that are no vehicles.
+/// Objects on the road other than vehicles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ObjectShape {
     /// A striped barrier across a lane.
@@ -135,7 +135,7 @@ pub enum ObjectShape {
 }
 
 impl ObjectShape {
-    /// SUMO's vehicle type of it, of this width class.
+    /// Its SUMO vehicle type.
     pub fn type_id(self) -> &'static str {
         match self {
             Self::Barrier => "wad_object_barrier",
@@ -245,7 +245,7 @@ pub fn read(
     things
 }
 
-/// A type that is none of ours: it may be meant for one, and it may carry our parameters.
+/// An unknown type: it may be a misspelt one, and it may carry our parameters.
 fn stranger(element: &Element, kind: &str, own: &[&str], other: &[&str], problems: &mut Vec<Problem>) {
     let a = if element.tag == "poi" { "a point" } else { "a polygon" };
     if other.contains(&kind) {
@@ -296,7 +296,7 @@ fn read_point(
         let (what, fix) = match element.get("lane") {
             Some(lane) => (format!("its lane `{lane}` is not in the net"), "move it onto a lane of this net"),
             None => (
-                "it has no place in the net's metres".to_string(),
+                "its position is not in the net's coordinates".to_string(),
                 "draw it as a POI on a lane, or as a plain POI rather than one with longitude and latitude",
             ),
         };
@@ -418,7 +418,7 @@ fn kind_of(
             let name = reader.choice("wad.person", &["adult", "child", "senior"], "adult");
             let speed = reader.number("wad.speed", 1.8, 0.2, 6.0, "metres a second");
             let way = reader.number("wad.way", at.d.abs() + 8.0, 0.5, 60.0, "metres");
-            // So near that it is a surprise, so far that who is awake can still stop: 2.5 s at the limit.
+            // Near enough for a surprise, far enough for an attentive driver to stop: 2.5 s at the limit.
             let trigger = trigger(reader, Some((2.5 * lane.speed_limit).max(15.0)));
             on_the_way(reader, found.position, &trigger, route);
             walkable(reader, network);
@@ -544,14 +544,14 @@ fn light(reader: &mut Reader<'_>, network: &Network, point: Point) -> Option<Str
     }
 }
 
-/// How closely a polygon is looked at along a lane (m).
+/// Spacing of the samples of a polygon along a lane (m).
 const STEP: f64 = 0.5;
 
 fn read_polygon(reader: &mut Reader<'_>, network: &Network) -> Option<Thing> {
     reader.only(&[]);
     let Some(polygon) = shape(reader.element, network).1.filter(|p| p.shape.len() > 2) else {
         reader.wrong(
-            "it has no area in the net's metres",
+            "its area is not in the net's coordinates",
             "draw it again with three corners or more, without longitude and latitude",
         );
         return None;

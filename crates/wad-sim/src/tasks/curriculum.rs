@@ -49,7 +49,7 @@ pub struct Stage {
     pub threshold: f64,
     /// Number of episodes over which the success rate is taken.
     pub window: usize,
-    /// Environment steps after which the next stage comes all the same; None: never.
+    /// Environment steps after which the next stage comes in any case; None: never.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub most_steps: Option<u64>,
     /// Background traffic; None: the task's own.

@@ -29,6 +29,6 @@ pub enum TaskError {
         id: String,
     },
     /// No route connects the places.
-    #[error("the task's place cannot be driven: {0}")]
+    #[error("no route for this task's places: {0}")]
     Route(#[from] RouteError),
 }

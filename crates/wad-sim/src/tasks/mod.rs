@@ -33,7 +33,7 @@ use std::fmt;
 use std::str::FromStr;
 use wad_camera::Preset;
 
-/// What is to be driven.
+/// The driving tasks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TaskKind {
@@ -124,7 +124,7 @@ impl FromStr for TaskKind {
     }
 }
 
-/// An episode to be: the task, its surroundings, and, where it is to be driven again, its place.
+/// An episode to drive: the task, traffic and weather, and its place if it is fixed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TaskSpec {

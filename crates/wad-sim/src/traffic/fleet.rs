@@ -300,7 +300,7 @@ const CLOTHES: &[(u32, Rgb)] = &[
     (3, [150, 90, 140]),
 ];
 
-/// Draws a model among those that `possible` lets through (by its index in [`FLEET`]);
+/// Draws one of the models that `possible` accepts (by its index in [`FLEET`]);
 /// None where none is possible.
 pub fn draw_model(rng: &mut ChaCha8Rng, possible: impl Fn(usize) -> bool) -> Option<usize> {
     pick_weighted(

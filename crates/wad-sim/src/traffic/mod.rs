@@ -1,4 +1,4 @@
-//! Background traffic on demand: exactly so many vehicles and pedestrians alive, at seeded random
+//! Background traffic on demand: a fixed number of vehicles and pedestrians alive, at seeded random
 //! places on seeded random trips.
 //!
 //! [`TrafficSpec`] says how many; [`Population`] keeps them alive. It never talks to SUMO itself: it
@@ -73,7 +73,7 @@ pub struct Options {
     /// Removes vehicles and persons of a config's additional files, in the tick after they departed: all
     /// that are neither in the population nor in `keep`.
     pub alone: bool,
-    /// Ids of others who stay: the ego's.
+    /// Ids of others that stay, e.g. the ego's.
     pub keep: Vec<String>,
 }
 
@@ -160,9 +160,9 @@ impl Population {
         Counts::new(vehicles, pedestrians)
     }
 
-    /// Follows one step, and appends to the next tick's batch what is needed: replacements, longer
-    /// trips, questions. `events` and `replies` are those of the message that carried the step, whose
-    /// batch this population appended to; `near` are the positions of road users near the ego (m).
+    /// Reads one step, and appends to the next tick's batch what is needed: replacements, longer trips,
+    /// queries. `events` and `replies` belong to the message that carried the step, whose batch this
+    /// population appended to; `near` are the positions of road users near the ego (m).
     ///
     /// A vehicle or pedestrian that arrived in the step is back, elsewhere and out of sight, with the
     /// next one.
@@ -191,18 +191,18 @@ impl Population {
         self.pedestrians.resize(pedestrians, batch);
     }
 
-    /// Never takes out the vehicle `id`: an ego.
+    /// Never removes the vehicle `id`: an ego.
     pub fn keep(&mut self, id: &str) {
         self.options.keep.push(id.to_string());
     }
 
-    /// How many are to be kept alive.
+    /// The wanted size of the population.
     pub fn wanted(&self) -> Counts {
         self.wanted
     }
 
-    /// Takes vehicles out with the caller's next message, to come back elsewhere: they stand where the
-    /// ego is put down.
+    /// Removes vehicles with the caller's next message and adds them elsewhere: they are where the ego is
+    /// placed.
     pub fn evict<'a>(&mut self, ids: impl IntoIterator<Item = &'a str>, batch: &mut Batch) {
         for id in ids {
             self.vehicles.evict(id, batch);
@@ -222,11 +222,11 @@ impl Population {
     fn remove_others(&self, events: &StepEvents<'_>, batch: &mut Batch) {
         let foreign = |id: &&&str| !self.owns(id) && !self.options.keep.iter().any(|k| k == **id);
         for id in events.departed.iter().filter(foreign) {
-            tracing::debug!(id, "vehicle from the config is taken out");
+            tracing::debug!(id, "vehicle from the config is removed");
             vehicle::remove(batch, id, RemoveReason::Vaporized);
         }
         for id in events.departed_persons.iter().filter(foreign) {
-            tracing::debug!(id, "person from the config is taken out");
+            tracing::debug!(id, "person from the config is removed");
             person::remove(batch, id, RemoveReason::Vaporized);
         }
     }

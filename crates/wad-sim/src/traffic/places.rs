@@ -48,7 +48,7 @@ impl Avoid {
         ego.is_some_and(|ego| (ego.xy() - point).norm() < self.sight)
     }
 
-    /// Whether `point` keeps its distance from those near the ego.
+    /// Whether `point` keeps its distance from road users near the ego.
     pub fn clear_of(&self, near: &[Point], point: Point) -> bool {
         near.iter().all(|other| (other - point).norm() >= self.actors)
     }

@@ -26,7 +26,7 @@ pub enum TrafficSpec {
     /// What the SUMO config brings along, untouched.
     #[default]
     AsIs,
-    /// Nobody.
+    /// No background traffic.
     Empty,
     /// NoCrash's regular population of the town.
     Regular,
@@ -36,7 +36,7 @@ pub enum TrafficSpec {
     Counts(Counts),
 }
 
-/// A `--traffic` value that is none of the forms.
+/// An unknown `--traffic` value.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "traffic {found:?} is not known: give one of as-is, empty, regular, dense, \
@@ -54,8 +54,8 @@ impl TrafficSpec {
     /// Whether the config's own demand (route files, and what its additional files bring) stays in.
     ///
     /// False: launch SUMO with the config's net and additional files but without its
-    /// `route-files`. Additional files that hold vehicles, flows or persons still load those:
-    /// [`crate::traffic::Options::alone`] takes them out again as they appear.
+    /// `route-files`. Vehicles, flows and persons of additional files are still loaded:
+    /// [`crate::traffic::Options::alone`] removes them as they appear.
     pub fn keeps_config_demand(self) -> bool {
         self == Self::AsIs
     }

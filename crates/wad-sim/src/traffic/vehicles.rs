@@ -20,9 +20,9 @@ const TRIP_END: f64 = 250.0;
 const LOOK_EVERY: f64 = 30.0;
 /// Highest speed (m/s) at which a vehicle comes to the end of its trip.
 const FASTEST: f64 = 30.0;
-/// A vehicle this much beyond the sight distance (m) may come into sight before it is looked at again.
+/// A vehicle this much beyond the sight distance (m) may come into sight before the next check.
 const SIGHT_MARGIN: f64 = 40.0;
-/// Edges drawn in a tick to be asked about.
+/// Edges drawn per tick to query.
 const SCANS: usize = 6;
 /// Random places tried for a replacement.
 const DRAWS: usize = 64;
@@ -177,9 +177,9 @@ impl Vehicles {
         batch: &mut Batch,
     ) {
         self.slots.follow(&events.departed, &events.arrived, |member| {
-            // SUMO found no room for it: elsewhere, then.
+            // SUMO found no room for it: try elsewhere.
             let (id, time) = (&member.id, scene.time);
-            tracing::debug!(id, time, "background vehicle found no room and is put elsewhere");
+            tracing::debug!(id, time, "no room for a background vehicle: trying elsewhere");
             remove(id, batch);
         });
         self.read_extensions(replies, scene.time);
@@ -394,7 +394,7 @@ impl Vehicles {
             return Verdict::Replace;
         }
         let Some(&current) = edges.get(index) else { return Verdict::LookAgain(1.0) };
-        // SUMO wants the new route to begin on the edge where the vehicle is when it hears of it.
+        // SUMO requires the new route to begin on the vehicle's edge at the time of the command.
         let leaves = !ahead.is_empty() && lane_position + 0.5 * FASTEST > roads.length(current);
         if road != self.network.edge(current).id || (leaves && waiting <= 0.0) {
             return Verdict::LookAgain(0.5);
