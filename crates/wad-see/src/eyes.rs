@@ -1,5 +1,5 @@
-//! Eyes of an ego: front camera, perception, encoder and decoder, each where it is wanted. The only place where an
-//! ego looks.
+//! The eyes of an ego: front camera, perception, encoder and decoder, each optional. No other code looks for an
+//! ego.
 //!
 //! ```text
 //! follow(world)   the town's road users move, once a tick
@@ -19,7 +19,7 @@ use sumo_network::world::WorldState;
 use wad_camera::{Camera, CameraConfig, CameraError, Frame, Outputs, Picture, Preset, Town, Weather};
 use wad_sim::assets::Assets;
 
-/// Why the ego sees nothing.
+/// Why the eyes fail.
 #[derive(Debug, thiserror::Error)]
 pub enum EyesError {
     /// The camera's configuration is invalid.
@@ -57,7 +57,7 @@ impl LookTimes {
     }
 }
 
-/// What a look found, to be shown elsewhere.
+/// The result of a look, for display.
 #[derive(Clone, Debug)]
 pub struct Look {
     /// The camera's frame.
@@ -69,13 +69,13 @@ pub struct Look {
 /// The eyes of one ego.
 pub struct Eyes {
     mode: ObservationMode,
-    /// None: nothing is looked at, the route and the lights alone make the raw states.
+    /// None: without a camera; the raw states come from the route and the lights alone.
     sight: Option<Sight>,
     encoder: Option<Box<dyn Encoder>>,
     decoder: Option<Box<dyn Decoder>>,
     weather: Preset,
     light: Option<LightAhead>,
-    /// Where nothing is looked at.
+    /// Without a camera.
     stop_light: StopLight,
     raw: RawState,
     latent: Vec<f32>,
@@ -142,7 +142,7 @@ impl Eyes {
         Ok(eyes)
     }
 
-    /// The eyes of an agent in the town of `assets`: what `mode` asks for, with the detector of that name.
+    /// The eyes of an agent in the town of `assets`: the parts that `mode` needs, with the detector of that name.
     ///
     /// # Errors
     /// No such detector, or as [`Eyes::new`].
@@ -209,8 +209,8 @@ impl Eyes {
         self.weather
     }
 
-    /// Moves the town's road users to where a tick has them: to be called once a tick, also for ticks that are
-    /// not looked at.
+    /// Moves the town's road users to their places in `world`. Call it once a tick, also for ticks without a
+    /// look.
     pub fn follow(&mut self, world: &WorldState) {
         if let Some(sight) = &mut self.sight {
             sight.town.follow(world, None);
@@ -299,7 +299,7 @@ impl Eyes {
         self.light.as_ref()
     }
 
-    /// The last frame; None where nothing is looked at.
+    /// The last frame; None without a camera.
     pub fn frame(&self) -> Option<&Frame> {
         self.sight.as_ref().map(|sight| sight.camera.frame())
     }

@@ -1,4 +1,4 @@
-//! What an agent is given each tick: the latent and the six raw states (spec.md "Observation").
+//! An agent's input of each tick: the latent and the six raw states (spec.md "Observation").
 
 use serde::{Deserialize, Serialize};
 use sumo_network::geometry::{Pose, wrap_angle};
@@ -15,7 +15,7 @@ pub const RAW_SIZE: usize = 15;
 /// bearings. Agents, checkpoints and recordings store it; other versions are refused.
 pub const RAW_MEANING: u32 = 3;
 
-/// Files that do not say what their raw states mean are of the first meaning.
+/// Files without a version of the raw vector have version 1.
 #[cfg(feature = "learn")]
 pub fn first_meaning() -> u32 {
     1
@@ -208,7 +208,7 @@ impl ObservationMode {
     }
 }
 
-/// What an agent sees.
+/// An agent's input.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Observation {
     /// [`LATENT_SIZE`] numbers.

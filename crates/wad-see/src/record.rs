@@ -32,7 +32,7 @@ impl FromStr for RecordView {
             "chase" => Ok(Self::Chase),
             "bird" => Ok(Self::Bird),
             "all" => Ok(Self::All),
-            _ => Err(format!("`{text}` is no view: expected front, chase, bird or all")),
+            _ => Err(format!("unknown view `{text}`: expected front, chase, bird or all")),
         }
     }
 }
@@ -57,7 +57,7 @@ impl FromStr for Codec {
             _ => match <[u8; 4]>::try_from(text.as_bytes()) {
                 Ok(code) if code.is_ascii() => Ok(Self::Code(code)),
                 _ => Err(format!(
-                    "`{text}` is no codec: expected auto, h264 or a four-character code such as avc1 or mp4v"
+                    "unknown codec `{text}`: expected auto, h264 or a four-character code such as avc1 or mp4v"
                 )),
             },
         }
@@ -145,7 +145,7 @@ impl Recorder {
     /// `panels` of perception's stages are shown below the picture (0: none, 3, or 4 with a decoder).
     ///
     /// # Errors
-    /// The place cannot be written, or no codec is there.
+    /// The path cannot be written, or there is no codec.
     pub fn create(
         path: &Path,
         town: Town,
@@ -182,8 +182,7 @@ impl Recorder {
         self.town.follow(world, Some(ego));
     }
 
-    /// Adds a picture of the town as it was last followed, around an ego at `pose`, with what it makes of what it
-    /// sees.
+    /// Adds a picture of the town at the last tick, around an ego at `pose`, with its percept.
     ///
     /// # Errors
     /// It cannot be written.
@@ -272,7 +271,7 @@ impl Sink {
                     std::fs::create_dir_all(folder)
                         .map_err(|source| RecordError::Write { path: folder.to_path_buf(), source })?;
                 }
-                // OpenCV says nothing of why a file cannot be written; the system does.
+                // OpenCV does not report why a file cannot be written; the system does.
                 std::fs::File::create(path)
                     .map_err(|source| RecordError::Write { path: path.to_path_buf(), source })?;
                 Ok(Self::Video(video::Video::create(path, size, fps, codec)?))

@@ -1,4 +1,4 @@
-//! Weights files: safetensors, half precision, with what made them as metadata.
+//! Weights files: safetensors, half precision, with their origin as metadata.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -52,7 +52,7 @@ pub enum WeightsError {
     },
     /// The weights belong to something else, e.g. another encoder.
     #[error(
-        "`{}` is of {found}, expected {expected}; train again, or name weights that fit",
+        "`{}` has {found}, expected {expected}; train again, or name weights that fit",
         path.display()
     )]
     Mismatch {
@@ -83,7 +83,7 @@ impl Weights {
     /// From a file's bytes; `path` is for messages.
     ///
     /// # Errors
-    /// They are no safetensors.
+    /// They are not in the safetensors format.
     pub fn parse(path: &Path, bytes: &[u8]) -> Result<Self, WeightsError> {
         let format =
             |e: &dyn std::fmt::Display| WeightsError::Format { path: path.to_path_buf(), why: e.to_string() };
@@ -101,7 +101,7 @@ impl Weights {
     /// From a file.
     ///
     /// # Errors
-    /// The file cannot be read, or is no safetensors.
+    /// The file cannot be read, or is not in the safetensors format.
     pub fn load(path: &Path) -> Result<Self, WeightsError> {
         let io = |source| WeightsError::Io { what: "read", path: path.to_path_buf(), source };
         Self::parse(path, &std::fs::read(path).map_err(io)?)

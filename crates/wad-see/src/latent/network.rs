@@ -5,7 +5,8 @@
 //! latent as a 1x1 picture of 200 channels, seven transposed convolutions 3x3, stride 2, batch norm after
 //! the second and the fifth, ReLU, a sigmoid at the end. L2 regularization is Adam's weight decay.
 //!
-//! The paper gives the ends of the channels, 32 and 512; those between are [`Architecture::default`]'s.
+//! The paper gives the first and the last number of channels, 32 and 512; the others are
+//! [`Architecture::default`]'s.
 //!
 //! All parameters lie in one flat tensor, cut into views: one Adam step is a handful of operations over
 //! it, and a checkpoint is three tensors.
@@ -17,7 +18,7 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use tch::{Device, Kind, TchError, Tensor};
 
-/// What a network is made of.
+/// The sizes of a network's layers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Architecture {
     /// Channels after each of the encoder's convolutions.

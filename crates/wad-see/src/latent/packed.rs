@@ -1,4 +1,4 @@
-//! The encoder for one image, by hand: half-precision weights in the order in which AVX-512 wants them.
+//! The encoder for one image, without libtorch: half-precision weights in the order of AVX-512's loads.
 //!
 //! For a single image the last layers are limited by memory: 10 MB of weights for 16 pixels or fewer. Half
 //! precision halves that, and the processor widens the weights as it reads them: no number changes, and

@@ -40,14 +40,14 @@ impl LightAhead {
     }
 }
 
-/// Deceleration (m/s2) up to which a yellow light is obeyed, and how late what is decided acts (s).
+/// Deceleration (m/s2) up to which a yellow light is obeyed, and the delay until a decision acts (s).
 const YELLOW: f64 = 3.0;
 const DELAY: f64 = 0.2;
 
 /// Whether the ego has to stop for the light ahead, from tick to tick.
 ///
-/// For red it has to; for yellow where it can (spec.md "Events"), and then to the end: who brakes for a
-/// yellow light does not change its mind.
+/// For red it has to. For yellow it has to if it can (spec.md "Events"); once it brakes for a yellow light, the
+/// decision stays.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct StopLight {
     /// It has to stop for the light that was this far ahead (m).

@@ -1,8 +1,8 @@
-//! How well boxes are found: matching, recall, and COCO's average precision.
+//! Detection metrics: matching, recall, and COCO's average precision.
 //!
 //! Matching is COCO's: per picture and label, the detections in falling order of their score each take
-//! the free truth that they overlap most, if by the wanted IoU. Average precision is COCO's too: precision
-//! made monotonous and read at 101 recalls (0, 0.01 .. 1). Sizes are heights of boxes in pixels, not
+//! the unmatched truth that they overlap most, if the IoU reaches the threshold. Average precision is COCO's
+//! too: precision made monotonous and read at 101 recalls (0, 0.01 .. 1). Sizes are heights of boxes in pixels, not
 //! COCO's areas: a person and a car equally far away then fall into the same range.
 
 use super::Detection;
@@ -14,7 +14,7 @@ pub struct Truth {
     pub label: usize,
     /// Left, top, right, bottom (pixels).
     pub bounds: [f32; 4],
-    /// Neither to be found nor wrong to find: detections that lie in it by half or more do not count.
+    /// Neither a miss nor a false alarm: detections that lie in it by half or more do not count.
     pub ignored: bool,
 }
 

@@ -74,7 +74,7 @@ impl Detection {
     }
 }
 
-/// Why nothing could be detected.
+/// Why perception fails.
 #[derive(Debug, thiserror::Error)]
 pub enum PerceptionError {
     /// The detector fails.
@@ -102,7 +102,7 @@ pub enum PerceptionError {
 
 /// Finds objects of the eight classes in front of the ego.
 pub trait Detector: Send {
-    /// What it is called in tables and options, e.g. `truth` or `centernet`.
+    /// Its name in tables and options, e.g. `truth` or `centernet`.
     fn name(&self) -> &str;
 
     /// What the camera must deliver for it.

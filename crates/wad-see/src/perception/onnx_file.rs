@@ -1,4 +1,4 @@
-//! The little of an ONNX file that must be known before OpenCV reads it: the input's name and shape.
+//! Reads the input's name and shape from an ONNX file, before OpenCV reads it.
 //!
 //! ONNX is a protocol buffer (onnx.proto): `ModelProto.graph` = 7; `GraphProto.initializer` = 5, `input`
 //! = 11; `ValueInfoProto.name` = 1, `type` = 2; `TypeProto.tensor_type` = 1; its `shape` = 2; `dim` = 1;

@@ -14,7 +14,7 @@ use wad_camera::{CameraConfig, Frame, Outputs};
 use wad_sim::bridge::Ego;
 use wad_sim::criteria::EgoOnRoute;
 
-/// What the ego knows beside its camera: its own motion, its waypoints, and the signals' states.
+/// What the ego knows beside its camera's frame: its motion, its waypoints, and the signals' states.
 #[derive(Clone, Copy, Debug)]
 pub struct EgoFacts<'a> {
     /// The town's road network.
@@ -32,7 +32,7 @@ pub struct EgoFacts<'a> {
 }
 
 impl<'a> EgoFacts<'a> {
-    /// Those of an ego after a tick of `tick` s.
+    /// The facts of an ego after a tick of `tick` s.
     pub fn of(network: &'a Network, ego: &'a Ego, tick: f64) -> Self {
         Self {
             network,

@@ -58,7 +58,7 @@ pub const GROUPS: [Group; 5] = [
 /// False alarms per frame that are too many.
 pub const FALSE_ALARM_GOAL: f64 = 1.0;
 
-/// One frame to be judged.
+/// One frame to score.
 pub struct View {
     /// The weather of the frame.
     pub weather: Preset,
@@ -68,7 +68,7 @@ pub struct View {
     pub found: Vec<Detection>,
 }
 
-/// How much of an object shows, 0 to 1: its visible pixels by those that its kind fills of its whole box
+/// Visible share of an object, 0 to 1: its visible pixels by the pixels that its kind fills of its whole box
 /// (left, top, right, bottom).
 pub fn visible_share(class: ObjectClass, visible_pixels: u32, [l, t, r, b]: [f32; 4]) -> f32 {
     let fill = match class {
@@ -104,8 +104,9 @@ impl View {
         }
     }
 
-    /// For the realism score: labels are indices of [`GROUPS`]; only what is believed. A rider is part of
-    /// the motorcycle or bicycle here and a person to COCO: people found on one do not count.
+    /// For the realism score: labels are indices of [`GROUPS`]; only detections with a score of [`BELIEVED`]
+    /// or more. A rider is part of the motorcycle or bicycle here and a person to COCO: people found on one
+    /// do not count.
     pub fn by_group(&self) -> Scored {
         const PERSON: usize = 1;
         let group = |class| GROUPS.iter().position(|g| g.classes.contains(&class)).unwrap_or(0);

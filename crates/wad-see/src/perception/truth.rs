@@ -40,7 +40,7 @@ impl Faults {
         false_alarms: 0.0,
     };
 
-    /// About those of a small network that runs in real time.
+    /// About the faults of a small network that runs in real time.
     pub const HONEST: Self = Self {
         miss: 0.02,
         half_size: 9.0,

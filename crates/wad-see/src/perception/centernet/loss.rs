@@ -3,7 +3,7 @@
 use super::network::Answer;
 use tch::{TchError, Tensor};
 
-/// What the answers of a batch are compared with.
+/// The training targets of a batch.
 #[derive(Debug)]
 pub struct Target {
     /// (n, 8, h, w): 1 at centres, falling round them; [`super::targets::NO_MATTER`] where nothing counts.

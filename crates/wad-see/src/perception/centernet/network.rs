@@ -18,7 +18,7 @@ pub const STRIDE: usize = 4;
 /// What the heatmap answers before it has learnt anything (the paper's): -log(1 / 0.1 - 1).
 const FIRST_ANSWER: f64 = -2.19;
 
-/// What finds the features.
+/// The backbone, which computes the features.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Backbone {

@@ -1,4 +1,4 @@
-//! What the network should answer to a picture (Zhou et al. 2019, section 3).
+//! The network's training targets for a picture (Zhou et al. 2019, section 3).
 
 use super::network::{Backbone, CLASSES, STRIDE};
 
@@ -30,7 +30,7 @@ pub struct Centre {
 /// Overlap that a box keeps with the truth when its corners are off by the radius (CornerNet's 0.7).
 const KEPT_IOU: f32 = 0.7;
 
-/// The part of a picture that the network is shown (pixels; the sides are multiples of 32).
+/// The part of a picture that the network gets (pixels; the sides are multiples of 32).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Window {
     /// First column.

@@ -1,4 +1,4 @@
-//! The vehicle in front as detected, against the one that is there.
+//! The detected vehicle in front against the true one.
 
 use super::{Spread, share};
 use crate::observation::LeadState;

@@ -1,5 +1,5 @@
-//! How good perception is, against what the simulator knows. For measuring only: nothing here feeds
-//! back into what an agent sees.
+//! Measures perception against the simulator's ground truth. For measuring only: an agent never sees any
+//! of it.
 
 mod lanes;
 mod lead;
