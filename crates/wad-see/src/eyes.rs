@@ -87,7 +87,7 @@ struct Sight {
     town: Town,
     camera: Camera,
     perception: Option<Perception>,
-    /// What the camera makes beside what perception needs.
+    /// The camera's outputs beside perception's.
     outputs: Outputs,
     weather: Weather,
 }
@@ -270,7 +270,7 @@ impl Eyes {
         }
     }
 
-    /// What the last look gave an agent.
+    /// The agent's observation of the last look.
     pub fn observation(&self) -> Observation {
         let raw = match self.mode {
             ObservationMode::LatentOnly => [0.0; RAW_SIZE],
@@ -309,7 +309,7 @@ impl Eyes {
         self.sight.as_ref()?.perception.as_ref()
     }
 
-    /// What was made of the last frame; None where there is no perception.
+    /// The last frame's percept; None without perception.
     pub fn percept(&self) -> Option<&Percept> {
         self.perception().map(Perception::percept)
     }
@@ -329,7 +329,7 @@ impl Eyes {
         Some(Look { frame: self.frame()?.clone(), percept: self.percept()?.clone() })
     }
 
-    /// Where the last look's time went.
+    /// Wall time of the last look, by part.
     pub fn times(&self) -> LookTimes {
         self.times
     }

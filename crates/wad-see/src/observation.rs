@@ -5,10 +5,10 @@ use sumo_network::geometry::{Pose, wrap_angle};
 use sumo_network::network::{RoadOption, Route};
 use wad_sim::criteria::EgoOnRoute;
 
-/// Numbers in the latent (paper, section "Latent State Extraction").
+/// Size of the latent (paper, section "Latent State Extraction").
 pub const LATENT_SIZE: usize = 200;
 
-/// Numbers in the raw vector.
+/// Size of the raw vector.
 pub const RAW_SIZE: usize = 15;
 
 /// Version of the raw vector: 1 scaled distances linearly, 2 scales them by [`nearness`], 3 gives rotation as
@@ -39,7 +39,7 @@ pub struct RawState {
     pub option: RoadOption,
     /// Heading of the waypoint ahead less the ego's (rad, left positive).
     pub heading_error: f64,
-    /// The same of the waypoint 10 m further.
+    /// The same for the waypoint 10 m further.
     pub heading_error_far: f64,
     /// Direction from the ego's centre to the waypoint ahead less the ego's heading (rad, left positive).
     #[serde(default)]
@@ -72,12 +72,12 @@ const CLOSING: f64 = 10.0;
 
 /// Distance of the waypoint ahead from the ego's centre at standstill (m).
 pub const WAYPOINT_AHEAD: f64 = 5.0;
-/// It lies further by the way that the ego covers in this time (s).
+/// The waypoint ahead is farther away by this time (s) at the ego's speed.
 pub const WAYPOINT_TIME: f64 = 0.5;
 /// The second waypoint is this much further (m).
 pub const WAYPOINT_FURTHER: f64 = 10.0;
 
-/// How near something is, 1 at 0 m and 0 at 50 m: 1 - ln(1 + distance) / ln 51. Half of it lies in the last
+/// Nearness of a distance (m), 1 at 0 m and 0 at 50 m: 1 - ln(1 + distance) / ln 51. Half of it lies in the last
 /// 6 m: it is there that a metre decides.
 pub fn nearness(distance: f64) -> f64 {
     (1.0 - distance.max(0.0).ln_1p() / SIGHT.ln_1p()).clamp(0.0, 1.0)
@@ -180,7 +180,7 @@ fn option_index(option: RoadOption) -> usize {
     }
 }
 
-/// What an observation holds. Sizes never change: what is left out is zero.
+/// The parts of an observation. Sizes never change: a part that is left out is zero.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ObservationMode {

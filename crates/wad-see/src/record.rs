@@ -8,10 +8,10 @@ use sumo_network::geometry::Pose;
 use sumo_network::world::{Actor, WorldState};
 use wad_camera::{Camera, CameraConfig, CameraError, Outputs, Picture, Preset, Town, Weather};
 
-/// What a film shows.
+/// The view of a film.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum RecordView {
-    /// What the ego's camera sees.
+    /// The ego's front camera.
     Front,
     /// From behind and above the ego.
     #[default]
@@ -118,7 +118,7 @@ pub enum RecordError {
     },
 }
 
-/// What to try in place of the codecs that were `tried`.
+/// Advice: a codec other than the `tried` ones.
 fn other_codec(tried: &str) -> &'static str {
     if tried.contains("mp4v") { "" } else { ", ask for another codec (--record-codec mp4v)" }
 }

@@ -71,16 +71,16 @@ pub enum WeightsError {
 /// Named tensors and metadata.
 #[derive(Debug)]
 pub struct Weights {
-    /// Where they came from, for messages.
+    /// The file that they are from, for messages.
     pub path: PathBuf,
     /// The tensors, by name.
     pub tensors: Vec<(String, Tensor)>,
-    /// What made the weights, by key.
+    /// The weights' origin, by key.
     pub metadata: HashMap<String, String>,
 }
 
 impl Weights {
-    /// From a file's bytes; `path` is for messages.
+    /// Reads a file's bytes; `path` is for messages.
     ///
     /// # Errors
     /// They are not in the safetensors format.
@@ -98,7 +98,7 @@ impl Weights {
         Ok(Self { path: path.to_path_buf(), tensors, metadata })
     }
 
-    /// From a file.
+    /// Reads a file.
     ///
     /// # Errors
     /// The file cannot be read, or is not in the safetensors format.

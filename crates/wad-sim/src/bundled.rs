@@ -166,7 +166,7 @@ pub fn resolve(name: &str) -> Result<PathBuf, ResolveError> {
     Ok(if net_only { net_file(&town, stem) } else { town.join(format!("{stem}.sumocfg")) })
 }
 
-/// Whether a file is one of the bundled ones, as they lie unpacked in the cache.
+/// Whether a file is a bundled one, unpacked in the cache.
 pub fn is_unpacked(path: &Path) -> bool {
     path.starts_with(cache_dir().join("towns"))
 }

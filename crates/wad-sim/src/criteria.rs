@@ -159,7 +159,7 @@ impl Criteria {
         self.last_red_stop = None;
     }
 
-    /// Whether the ego is outside its lane now (the event itself is given once, when it leaves).
+    /// Whether the ego is outside its lane now. The event itself comes once, when it leaves the lane.
     pub fn is_outside_lane(&self) -> bool {
         self.outside
     }

@@ -46,7 +46,7 @@ impl End {
         Self::Error,
     ];
 
-    /// As in spec.md and in results, e.g. `red_light`.
+    /// Its name in spec.md and in results, e.g. `red_light`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Arrival => "arrival",
@@ -81,7 +81,7 @@ impl fmt::Display for End {
 pub struct Ending {
     /// The kind of end.
     pub end: End,
-    /// For people: partner and impulse of a collision, the light that was run, ...
+    /// The reason as text: partner and impulse of a collision, the light that was run, ...
     pub cause: String,
     /// Whether the task counts it as a success.
     pub success: bool,

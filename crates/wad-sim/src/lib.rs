@@ -3,7 +3,7 @@
 //!
 //! | module | what it is |
 //! |---|---|
-//! | [`session`] | one tick for any number of egos: the only place where a tick happens |
+//! | [`session`] | one tick for any number of egos; nothing else steps the simulation |
 //! | [`bridge`] | one SUMO, one network, and the egos in it |
 //! | [`traffic`] | the background population |
 //! | [`autopilot`] | the rule-based expert |

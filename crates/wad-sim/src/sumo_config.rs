@@ -106,7 +106,7 @@ impl OptionSchema {
         Ok(schema)
     }
 
-    /// The same, asked once per process and binary: the question costs as much as starting SUMO.
+    /// The same, queried once per process and binary: the query costs as much as starting SUMO.
     pub fn cached(install: &SumoInstall, gui: bool) -> Result<Arc<Self>, ConfigError> {
         static KNOWN: Mutex<BTreeMap<PathBuf, Arc<OptionSchema>>> = Mutex::new(BTreeMap::new());
         let binary = install.program(if gui { "sumo-gui" } else { "sumo" });
@@ -148,7 +148,7 @@ pub struct SumoConfig {
     pub ignored: Vec<String>,
 }
 
-/// What a run adds to or takes from the user's configuration.
+/// A run's changes to the user's configuration.
 #[derive(Clone, Debug, Default)]
 pub struct Overrides {
     /// Folder for everything that SUMO writes.

@@ -90,7 +90,7 @@ pub struct TickRecord {
     pub light: Option<LightRecord>,
     /// The vehicle or pedestrian ahead, if there is one.
     pub leader: Option<LeaderRecord>,
-    /// What the autopilot's decision was about; None for other agents.
+    /// The reason of the autopilot's decision; None for other drivers.
     pub reason: Option<Reason>,
     /// What happened in the tick.
     pub events: Vec<Event>,

@@ -4,8 +4,8 @@
 //! [`EgoVehicle::state`] is the resulting motion. Each ego has a physics world of its own.
 //! Contacts follow these rules:
 //!
-//! - A background vehicle is a moving body of infinite mass: hitting a standing one at v takes the
-//!   ego's whole momentum, m v; being hit takes the ego along, never faster than the other drives.
+//! - A background vehicle is a moving body of infinite mass: hitting a standing one at v costs the
+//!   ego its whole momentum, m v; one that hits the ego pushes it along, never faster than itself.
 //! - A pedestrian is not an obstacle: both get the plastic impulse between the ego and 75 kg, once per
 //!   contact.
 //! - A moving body that presses the ego against something else passes through it until they are apart.

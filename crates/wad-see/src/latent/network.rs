@@ -157,7 +157,7 @@ pub struct Autoencoder {
     pub theta: Tensor,
     /// Batch norm's running statistics.
     pub statistics: Vec<(String, Tensor)>,
-    /// What convolutions compute in: single precision, or bfloat16 (twice as fast in training where the
+    /// Number type of the convolutions: single precision, or bfloat16 (twice as fast in training where the
     /// processor has matrix units for it). Parameters, latents and pictures made are in single precision either way.
     pub precision: Kind,
     slots: Vec<Slot>,
@@ -165,7 +165,7 @@ pub struct Autoencoder {
 }
 
 impl Autoencoder {
-    /// With weights drawn from `rng` (He's normal; biases 0, scales 1).
+    /// A network with weights drawn from `rng` (He's normal; biases 0, scales 1).
     ///
     /// # Errors
     /// torch fails, e.g. out of memory.
@@ -369,7 +369,7 @@ impl Autoencoder {
         Ok(Self { architecture, theta, statistics, precision: Kind::Float, slots, decayed })
     }
 
-    /// What the encoder's convolution `i` (from 0) does to each channel after its sum: factor and offset,
+    /// Factor and offset of each channel after the sum of the encoder's convolution `i` (from 0),
     /// of batch norm where it has one.
     ///
     /// # Errors

@@ -13,12 +13,12 @@ use nalgebra::{Matrix2, Matrix4, Matrix4x2};
 use sumo_network::geometry::{Point, Vector, direction};
 use wad_camera::model::ObjectClass;
 
-/// How far ahead (s) vehicles are carried on, and in which steps.
+/// Time (s) that vehicles are predicted ahead, and its steps.
 const HORIZON: f64 = 4.5;
 const STEP: f64 = 0.25;
 /// Between one leaving a place and the other coming there (s).
 const MARGIN: f64 = 1.0;
-/// What the ego may accelerate by on its way there (m/s2).
+/// The ego's possible acceleration on its way there (m/s2).
 const EGO_ACCELERATION: f64 = 1.5;
 /// Slower ones are taken to stand (m/s).
 const SLOWEST: f64 = 1.5;

@@ -6,7 +6,7 @@ use crate::observation::LeadState;
 use sumo_network::geometry::Point;
 use wad_camera::model::ObjectClass;
 
-/// As far as anything is looked for (m from the front bumper).
+/// Largest distance of a vehicle in front (m from the front bumper).
 pub const SIGHT: f64 = 50.0;
 /// Half the breadth of the way that must be free (m): the ego's half and a hand's breadth.
 pub const HALF_WAY: f64 = 1.2;
@@ -26,7 +26,7 @@ pub struct Candidate {
     pub ahead: f64,
 }
 
-/// How broad things of a class are seen from behind (m), and how far the lowest seen point (the wheels) is
+/// Width of the objects of a class from behind (m), and how far the lowest seen point (the wheels) is
 /// behind the nearest (the bumper, m).
 fn build(class: ObjectClass) -> (f32, f32) {
     match class {
@@ -101,7 +101,7 @@ struct Track {
     missed: u32,
 }
 
-/// What others may accelerate by (m/s2), one standard deviation.
+/// Standard deviation of others' acceleration (m/s2).
 const ACCELERATION: f64 = 2.0;
 /// Error of a projected gap that does not come from the pixels (m), and of a box's lower edge (rows).
 const GAP_NOISE: f64 = 0.25;

@@ -29,7 +29,7 @@ impl LightAhead {
         Some(Self { state, distance: link.stop_s - front })
     }
 
-    /// Whether it asks to stop: red, red with yellow, or yellow.
+    /// Whether it requires to stop: red, red with yellow, or yellow.
     pub fn stops(&self) -> bool {
         self.state.is_red() || self.state == SignalState::Yellow
     }

@@ -83,7 +83,7 @@ pub fn fates(scored: &Scored, iou: f32, counts: impl Fn(f32) -> bool) -> Vec<Fat
     fates
 }
 
-/// How much of `inner`'s area lies in `outer`, 0 to 1.
+/// Share of `inner`'s area inside `outer`, 0 to 1.
 fn share_inside(inner: &[f32; 4], outer: &[f32; 4]) -> f32 {
     let side = |k: usize| (inner[k + 2].min(outer[k + 2]) - inner[k].max(outer[k])).max(0.0);
     let area = (inner[2] - inner[0]) * (inner[3] - inner[1]);

@@ -105,7 +105,7 @@ pub trait Detector: Send {
     /// Its name in tables and options, e.g. `truth` or `centernet`.
     fn name(&self) -> &str;
 
-    /// What the camera must deliver for it.
+    /// The outputs that the camera must render for it.
     fn needs(&self) -> Outputs {
         Outputs::RGB
     }

@@ -10,7 +10,7 @@ use wad_camera::{CameraConfig, Frame};
 
 /// Side of the input where the file leaves it open (pixels).
 const OPEN_SIDE: usize = 640;
-/// What fills the part of the input that the picture leaves empty.
+/// Grey level of the part of the input that the picture leaves empty.
 const FILL: f64 = 114.0;
 
 /// A detector from a file.
@@ -80,7 +80,7 @@ impl OnnxDetector {
         Ok(detector)
     }
 
-    /// Where [`Self::load`] looks when no file is named: what `scripts/fetch-detector` writes.
+    /// The file of [`Self::load`] if none is named: `scripts/fetch-detector` writes it.
     pub fn default_path() -> Option<PathBuf> {
         Some(wad_sim::bundled::cache_in(|name| std::env::var_os(name))?.join("centernet-coco.onnx"))
     }

@@ -16,7 +16,7 @@ pub struct Input {
 /// The first input that is not one of the weights.
 ///
 /// # Errors
-/// What is wrong with the bytes, for a person.
+/// The text says what is wrong with the bytes.
 pub fn input(bytes: &[u8]) -> Result<Input, String> {
     let broken = || "it is not an ONNX file, or it is cut off".to_string();
     let graph = field(bytes, 7).map_err(|()| broken())?.into_iter().next().ok_or_else(broken)?;

@@ -81,7 +81,7 @@ pub struct Perception {
 }
 
 impl Perception {
-    /// With a detector, for frames of `camera`.
+    /// Perception with a detector, for frames of `camera`.
     ///
     /// # Errors
     /// This build cannot detect lanes.
@@ -113,7 +113,7 @@ impl Perception {
         &self.camera
     }
 
-    /// What the camera must deliver.
+    /// The outputs that the camera must render.
     pub fn needs(&self) -> Outputs {
         Outputs { rgb: true, ..self.detector.needs() }
     }
@@ -132,7 +132,7 @@ impl Perception {
         self.stop_light.reset();
     }
 
-    /// All stages. `frame` is what [`Perception::camera`] saw after the tick that `facts` are of.
+    /// Runs all stages. `frame` is [`Perception::camera`]'s frame after the tick of `facts`.
     ///
     /// # Errors
     /// The frame is not the camera's, or a stage fails.
@@ -192,7 +192,7 @@ impl Perception {
         self.painter.paint(frame, &self.ground, detections, lanes, *light_red, transformed)
     }
 
-    /// What the last tick perceived.
+    /// The last tick's percept.
     pub fn percept(&self) -> &Percept {
         &self.percept
     }

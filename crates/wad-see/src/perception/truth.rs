@@ -8,7 +8,7 @@ use sumo_network::seeds::{self, normal};
 use wad_camera::model::ObjectClass;
 use wad_camera::{CameraConfig, Frame, ObjectTruth, Outputs};
 
-/// What a detector gets wrong. Sizes are in pixels of a picture 512 wide.
+/// The faults of a detector. Sizes are in pixels of a picture 512 wide.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Faults {
@@ -29,7 +29,7 @@ pub struct Faults {
 }
 
 impl Faults {
-    /// None at all.
+    /// No faults.
     pub const NONE: Self = Self {
         miss: 0.0,
         half_size: 0.0,
@@ -77,12 +77,12 @@ impl Default for TruthDetector {
 }
 
 impl TruthDetector {
-    /// Without faults.
+    /// A detector without faults.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// With faults.
+    /// A detector with faults.
     pub fn with_faults(faults: Faults) -> Self {
         Self { faults, rng: seeds::rng(0, "detector"), luck: Vec::new(), ghosts: Vec::new() }
     }

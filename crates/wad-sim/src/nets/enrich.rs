@@ -33,7 +33,7 @@ pub struct Enriched {
     pub dropped_signals: Vec<String>,
     /// Lanes that netconvert moved and that were put back.
     pub put_back: usize,
-    /// Where the lanes lie now, measured against the old net: none is off its line.
+    /// The lanes compared with the old net: none is off its line.
     pub moved: Moved,
 }
 
@@ -48,7 +48,7 @@ pub fn sidewalks(network: &Network) -> usize {
 }
 
 impl Wanted {
-    /// What a net has none of.
+    /// The elements that a net lacks.
     pub fn missing(network: &Network) -> Self {
         Self {
             signals: network.traffic_lights.is_empty(),

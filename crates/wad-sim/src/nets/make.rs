@@ -15,7 +15,7 @@ pub struct Made {
     pub net: PathBuf,
     /// The polygons that it names, if there are any.
     pub polygons: Option<PathBuf>,
-    /// What netconvert and polyconvert warned of.
+    /// Warnings of netconvert and polyconvert.
     pub warnings: Vec<String>,
 }
 

@@ -12,7 +12,7 @@ use std::path::Path;
 use sumo_network::geometry::{Point, Polyline};
 use sumo_network::network::{EdgeKind, LaneId, Network, VehicleClass};
 
-/// How far a net's lanes lie from where another has them.
+/// How far the lanes of two nets lie apart.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Moved {
     /// Lanes for cars that both nets have.

@@ -35,7 +35,7 @@ pub struct Header {
 }
 
 impl Header {
-    /// With neither route nor lights.
+    /// A header without route and lights.
     pub fn new(config: &str, town: &str, tick_ms: f64, weather: Preset, ego: Body) -> Self {
         let (config, town) = (config.to_string(), town.to_string());
         Self {

@@ -122,7 +122,7 @@ impl Recording {
         Ok(Self { header, frames })
     }
 
-    /// What holds for all of it.
+    /// Its header.
     pub fn header(&self) -> &Header {
         &self.header
     }

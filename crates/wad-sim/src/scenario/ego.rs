@@ -11,7 +11,7 @@ use sumo_network::network::{EdgeKind, LaneId, LanePosition, Network, Route};
 use wad_camera::Preset;
 use wad_vehicle::EgoParams;
 
-/// What the ego's element says.
+/// The ego's element, read.
 #[derive(Clone, Debug)]
 pub struct EgoPlan {
     pub kind: TaskKind,

@@ -57,10 +57,10 @@ pub struct Scenario {
     pub closed_lanes: Vec<String>,
 }
 
-/// What was found in a scenario's folder.
+/// The result of reading a scenario: the scenario, if it can be driven, and its mistakes.
 #[derive(Debug)]
 pub struct Inspection {
-    /// None where the ego or its route is broken.
+    /// None if the ego or its route is broken.
     pub scenario: Option<Scenario>,
     /// Mistakes in its files, each with a remedy.
     pub problems: Vec<Problem>,
@@ -70,7 +70,7 @@ impl Inspection {
     /// The scenario, where nothing is wrong with it.
     ///
     /// # Errors
-    /// All that is wrong.
+    /// All mistakes found.
     pub fn into_scenario(self) -> Result<Scenario, ScenarioError> {
         match self.scenario {
             Some(scenario) if self.problems.is_empty() => Ok(scenario),
@@ -178,7 +178,7 @@ impl Scenario {
     /// The scenario of a `.sumocfg`.
     ///
     /// # Errors
-    /// All that is wrong with it.
+    /// All its mistakes.
     pub fn load(config: &Path) -> Result<Self, ScenarioError> {
         inspect(config).into_scenario()
     }

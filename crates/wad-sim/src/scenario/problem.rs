@@ -9,10 +9,10 @@ use std::path::{Path, PathBuf};
 pub struct Problem {
     /// The file with the mistake.
     pub file: PathBuf,
-    /// From 1; None where it is about the file as a whole.
+    /// From 1; None if it is about the file as a whole.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub line: Option<usize>,
-    /// Tag and id, e.g. ``trip `ego` ``; empty where it is about the file as a whole.
+    /// Tag and id, e.g. ``trip `ego` ``; empty if it is about the file as a whole.
     pub element: String,
     /// What is wrong.
     pub what: String,

@@ -21,10 +21,10 @@ pub struct Template {
     draw: fn(&Stretch<'_>) -> Vec<Drawn>,
 }
 
-/// Where a template can be put.
+/// The kind of place that a template needs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Place {
-    /// Where its task can.
+    /// A place of its task.
     Task,
     /// Along a road without a junction, of this many lanes for cars at the least.
     Road { lanes: usize },

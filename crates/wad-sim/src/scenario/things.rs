@@ -55,7 +55,7 @@ pub struct Closure {
     pub length: f64,
 }
 
-/// What a thing is.
+/// The kind of a thing, with its parameters.
 #[derive(Clone, Debug)]
 pub enum Kind {
     /// A vehicle parked in a lane.
@@ -172,7 +172,7 @@ pub struct Thing {
 }
 
 impl Thing {
-    /// What the obstacle task wants the ego to stand before.
+    /// Its kind of obstacle for the obstacle task.
     pub fn obstacle_kind(&self) -> Option<ObstacleKind> {
         Some(match &self.kind {
             Kind::Person(_) => ObstacleKind::Person,
@@ -369,7 +369,7 @@ fn on_the_way(reader: &mut Reader<'_>, at: Point, trigger: &Trigger, route: Opti
     }
 }
 
-/// What stands on a lane so wide (m).
+/// The obstacle of that type on a lane of this width (m).
 fn obstacle(reader: &mut Reader<'_>, name: &str, lane_width: f64) -> Kind {
     let shape = match name {
         "barrier" => ObjectShape::Barrier,

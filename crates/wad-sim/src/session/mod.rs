@@ -1,4 +1,4 @@
-//! One tick of the co-simulation for any number of egos: the only place where a tick happens.
+//! One tick of the co-simulation for any number of egos. Nothing else steps the simulation.
 //!
 //! ```text
 //! decide   the expert, if it drives or is asked           Session::plan, Act

@@ -11,7 +11,7 @@ use wad_vehicle::{Control, EgoParams};
 /// Pressed further than this the brake pedal lights the brake lights.
 const BRAKE_LIGHT: f64 = 0.05;
 
-/// One ego with its criteria and its expert.
+/// An ego with its criteria and its expert.
 pub struct Seat {
     ego: Ego,
     criteria: Criteria,

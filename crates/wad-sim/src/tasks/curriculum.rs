@@ -119,7 +119,7 @@ impl Curriculum {
     }
 }
 
-/// Where training is in a curriculum; saved with checkpoints.
+/// Training's progress in a curriculum; saved with checkpoints.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Progress {
     /// Index of the stage.

@@ -69,7 +69,7 @@ impl TaskKind {
     pub const FIVE: [Self; 5] =
         [Self::Straight, Self::OneTurn, Self::Roundabout, Self::Obstacle, Self::Cross];
 
-    /// As in options and results, e.g. `one_turn`.
+    /// Its name in options and results, e.g. `one_turn`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Straight => "straight",
@@ -90,7 +90,7 @@ impl TaskKind {
         }
     }
 
-    /// Whether the lights on its route are held at green: stopping at red is first asked in `cross`.
+    /// Whether the lights on its route are held at green: `cross` is the first task with red lights.
     pub fn lights_are_green(self) -> bool {
         matches!(self, Self::Straight | Self::OneTurn | Self::Roundabout)
     }

@@ -22,7 +22,7 @@ pub struct Spot {
     pub s: f64,
 }
 
-/// What stands in the ego's lane.
+/// The kind of an obstacle in the ego's lane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ObstacleKind {
@@ -56,7 +56,7 @@ pub struct ObstaclePlacement {
     pub at: Spot,
 }
 
-/// Where a task takes place: enough to drive it again on the same net.
+/// The place of a task: enough to drive it again on the same net.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Placement {
@@ -124,7 +124,7 @@ const ARM: (f64, f64) = (40.0, 160.0);
 const TO_OBSTACLE: (f64, f64) = (60.0, 120.0);
 const BEYOND_OBSTACLE: f64 = 25.0;
 
-/// What a net has for each task, found when first asked for.
+/// The places of a net for each task, found at the first query.
 #[derive(Debug, Default)]
 pub struct Places {
     straight: OnceLock<Result<Vec<Way>, TaskError>>,

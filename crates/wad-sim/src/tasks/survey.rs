@@ -45,7 +45,7 @@ impl Way {
     }
 }
 
-/// What a way must be.
+/// The conditions on a route.
 #[derive(Clone, Copy)]
 struct Wish {
     task: TaskKind,

@@ -39,7 +39,7 @@ impl<'a> StepEvents<'a> {
         batch.subscribe(Simulation, "", &Self::variables())
     }
 
-    /// What the subscription brought with a step.
+    /// Reads the subscription's results of a step.
     ///
     /// # Errors
     /// The variables were not subscribed to.

@@ -301,7 +301,7 @@ const CLOTHES: &[(u32, Rgb)] = &[
 ];
 
 /// Draws one of the models that `possible` accepts (by its index in [`FLEET`]);
-/// None where none is possible.
+/// None if none is possible.
 pub fn draw_model(rng: &mut ChaCha8Rng, possible: impl Fn(usize) -> bool) -> Option<usize> {
     pick_weighted(
         rng,

@@ -58,7 +58,7 @@ use sumo_traci::subscription::Subscribed;
 use sumo_traci::{Batch, RemoveReason, Replies, Ticket, person, vehicle};
 use vehicles::{Scene, Vehicles};
 
-/// How a population behaves.
+/// The settings of a population.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Options {
     /// Areas where no road user is added.

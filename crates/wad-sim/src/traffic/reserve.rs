@@ -12,7 +12,7 @@ const FRESH: f64 = 2.0;
 const ENOUGH: usize = 6;
 /// Questions in one tick at the most.
 const PER_TICK: usize = 3;
-/// For so long (s) an edge that was used is not used again.
+/// An edge that was used is not used again for this time (s).
 const REST: f64 = 4.0;
 
 #[derive(Debug)]
@@ -42,7 +42,7 @@ impl Reserve {
         }
     }
 
-    /// Whether another answer is wanted.
+    /// Whether to query another edge.
     pub fn wants_more(&self) -> bool {
         self.empty.len() + self.asked.len() < ENOUGH && self.asked.len() < PER_TICK
     }

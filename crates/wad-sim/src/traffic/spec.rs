@@ -4,7 +4,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 use std::str::FromStr;
 
-/// How many vehicles and pedestrians are kept alive.
+/// Numbers of vehicles and pedestrians to keep alive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Counts {
     /// Background vehicles; the ego is not one of them.
@@ -23,7 +23,7 @@ impl Counts {
 /// The background traffic of a run, as the option `--traffic` names it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum TrafficSpec {
-    /// What the SUMO config brings along, untouched.
+    /// The SUMO config's own traffic, unchanged.
     #[default]
     AsIs,
     /// No background traffic.
@@ -43,7 +43,7 @@ pub enum TrafficSpec {
      or two counts V,P such as 70,100 for 70 vehicles and 100 pedestrians"
 )]
 pub struct TrafficSpecError {
-    /// What was given.
+    /// The given value.
     pub found: String,
 }
 

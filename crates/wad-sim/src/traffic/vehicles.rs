@@ -27,7 +27,7 @@ const SCANS: usize = 6;
 /// Random places tried for a replacement.
 const DRAWS: usize = 64;
 
-/// What is known of a vehicle.
+/// A vehicle's trip.
 #[derive(Debug)]
 struct Trip {
     model: usize,
@@ -56,7 +56,7 @@ struct Extension {
     ticket: Ticket<()>,
 }
 
-/// What the caller knows in this tick.
+/// The ego and the road users near it in this tick.
 #[derive(Clone, Copy)]
 pub(super) struct Scene<'a> {
     /// s of simulation time.

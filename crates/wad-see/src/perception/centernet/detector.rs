@@ -20,7 +20,7 @@ pub struct CenterNetDetector {
 }
 
 impl CenterNetDetector {
-    /// From a weights file. Detections below `min_score` (0 to 1) are dropped.
+    /// Reads a weights file. Detections below `min_score` (0 to 1) are dropped.
     ///
     /// # Errors
     /// The file cannot be read, or belongs to another network or camera.
@@ -31,7 +31,7 @@ impl CenterNetDetector {
             .map_err(|e| PerceptionError::Detector { name, why: e.to_string() })
     }
 
-    /// From weights.
+    /// A detector from weights.
     ///
     /// # Errors
     /// They belong to another network or camera.

@@ -15,7 +15,7 @@ use wad_camera::CameraConfig;
 pub const CLASSES: i64 = 8;
 /// Pixels of the picture per cell.
 pub const STRIDE: usize = 4;
-/// What the heatmap answers before it has learnt anything (the paper's): -log(1 / 0.1 - 1).
+/// The heatmap's output before training (the paper's): -log(1 / 0.1 - 1).
 const FIRST_ANSWER: f64 = -2.19;
 
 /// The backbone, which computes the features.
@@ -29,7 +29,7 @@ pub enum Backbone {
 }
 
 impl Backbone {
-    /// As options and files call it.
+    /// Its name in options and files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Light => "light",
@@ -55,7 +55,7 @@ enum Features {
     Resnet(Resnet50V2),
 }
 
-/// What the network says: (n, 8, h, w), (n, 2, h, w), (n, 2, h, w).
+/// The network's output: (n, 8, h, w), (n, 2, h, w), (n, 2, h, w).
 #[derive(Debug)]
 pub struct Answer {
     /// Before the sigmoid.
@@ -79,7 +79,7 @@ pub struct CenterNet {
 }
 
 impl CenterNet {
-    /// With weights drawn from torch's generator.
+    /// A network with weights drawn from torch's generator.
     ///
     /// # Errors
     /// torch fails.
@@ -124,7 +124,7 @@ impl CenterNet {
         Ok(Answer { heat: head(heat)?, size: head(size)?, offset: head(offset)? })
     }
 
-    /// Makes it ready for use: faster, and not to be trained any more.
+    /// Folds batch norm for inference: faster, but the network cannot be trained after that.
     ///
     /// # Errors
     /// torch fails.
@@ -136,7 +136,7 @@ impl CenterNet {
         }
     }
 
-    /// All tensors in half precision, with what they belong to and `more`.
+    /// All tensors in half precision, with metadata: backbone, camera, and `more`.
     ///
     /// # Errors
     /// torch fails.

@@ -43,11 +43,11 @@ pub struct Window {
     pub height: usize,
 }
 
-/// What must be left of a box that a window cuts, for it to be taught there: of its width, and of its height.
+/// Least share of a box's width and height inside the window for the box to be a target there.
 const KEPT: [f32; 2] = [0.4, 0.9];
 
 impl Window {
-    /// What the backbone sees of a picture.
+    /// The part of a picture that the backbone sees.
     pub fn whole(backbone: Backbone, (width, height): (usize, usize)) -> Self {
         let (top, height) = backbone.rows(height);
         Self { left: 0, top, width, height }

@@ -29,7 +29,7 @@ pub struct LaneBoundary {
     pub slope: f32,
     /// 1/m.
     pub bend: f32,
-    /// How far ahead it holds: from, to (m).
+    /// Range ahead of the ego in which it holds: from, to (m).
     pub reach: [f32; 2],
 }
 
@@ -70,7 +70,7 @@ struct Pieces {
 /// Lines are looked for from here to there (m ahead of the ego's centre).
 const NEAR: f32 = 4.0;
 const FAR: f32 = 28.0;
-/// With less road than this before the stop line (m), nothing is looked for.
+/// With less road than this before the stop line (m), no detection runs.
 const LEAST_ROAD: f32 = 5.0;
 /// Ticks that a boundary is kept without being detected.
 const COAST: u32 = 3;
