@@ -210,7 +210,7 @@ mod tests {
         };
         let found = SumoInstall::find_with(variable).unwrap();
         assert!(found.home().ends_with("cache/wad-cosim/sumo-1.28.0/sumo"));
-        // A relative cache folder is passed over, and the one in the home folder taken.
+        // A relative cache folder is ignored; the one in the home folder is used.
         let relative = |name: &str| match name {
             "XDG_CACHE_HOME" => Some("cache".into()),
             "HOME" => Some(folder.path().join("home").into()),

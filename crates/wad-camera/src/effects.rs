@@ -61,12 +61,12 @@ pub struct Places {
 }
 
 impl Places {
-    /// None yet, with room for those of a row.
+    /// Empty, with room for a row's outlines.
     fn clear(&mut self, width: usize) {
         self.at.resize(width + 2 * PAD, 0);
         self.count = 0;
     }
-    /// Those found.
+    /// The outlines found.
     pub fn found(&self) -> &[u32] {
         &self.at[..self.count]
     }

@@ -64,7 +64,7 @@ pub struct Bone {
 /// Something that is placed many times: a car, a person, a tree, a lamp.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Model {
-    /// For people who read a dump.
+    /// For readers of a dump.
     pub name: String,
     /// Finest first, `min_pixels` falling. Below the last one's nothing is drawn.
     pub levels: Vec<Level>,

@@ -128,7 +128,7 @@ impl Picture {
         }
     }
 
-    /// Colours a pixel; one outside the picture is passed over.
+    /// Colours a pixel; does nothing outside the picture.
     pub fn set(&mut self, x: usize, y: usize, colour: [u8; 3]) {
         if x < self.width && y < self.height {
             let at = 3 * (y * self.width + x);

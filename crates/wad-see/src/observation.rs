@@ -187,7 +187,7 @@ pub enum ObservationMode {
     /// The latent and the six raw states, as in the paper.
     #[default]
     LatentAndRaw,
-    /// The raw states alone (ablation); no lanes are looked for and nothing is encoded.
+    /// The raw states alone (ablation); without lane detection and encoding.
     RawOnly,
     /// The latent alone (ablation).
     LatentOnly,

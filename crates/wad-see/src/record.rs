@@ -334,7 +334,7 @@ mod video {
     }
 
     impl Video {
-        /// Nothing is left at `path` where no codec can be had.
+        /// Nothing is left at `path` if there is no codec.
         pub fn create(
             path: &Path,
             (width, height): (usize, usize),

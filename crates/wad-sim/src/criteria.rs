@@ -17,7 +17,7 @@ use wad_vehicle::{Contact, EgoState, PartnerKind};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct CriteriaParams {
-    /// Contacts below this impulse (N s) are no collision. Default 200.
+    /// Contacts below this impulse (N s) do not count as collisions. Default 200.
     pub collision_impulse: f64,
     /// The same partner collides again only after this long apart (s). Default 1.
     pub collision_separation: f64,

@@ -7,13 +7,13 @@ use sumo_network::network::{LaneId, LanePosition, Network, Route, RouteError, Ve
 /// The ego's vehicle class.
 pub const EGO_CLASS: VehicleClass = VehicleClass::Passenger;
 
-/// Lanes shorter than this are no place to start or stop (m).
+/// Shortest lane to start or stop on (m).
 const SHORTEST_LANE: f64 = 20.0;
 /// Distance kept from a lane's ends (m).
 const MARGIN: f64 = 12.0;
 /// Wanted length of a drawn route (m).
 const ROUTE_LENGTH: std::ops::Range<f64> = 300.0..1500.0;
-/// Places tried before the longest route found has to do.
+/// Random places tried before the longest route found is used.
 const TRIES: usize = 40;
 
 /// Why there is no place to drive.

@@ -17,7 +17,7 @@ pub enum StaticKind {
     Pole,
     /// A wall, a fence, a guard rail.
     Barrier,
-    /// Low: wheels climb it, the body passes over it, and it is no contact.
+    /// Low: wheels climb it, the body passes over it, and it is not a contact.
     Kerb,
 }
 
@@ -30,7 +30,7 @@ pub struct StaticBody {
     pub label: String,
     /// What it is.
     pub kind: StaticKind,
-    /// Footprint (m): any simple polygon, in either direction. One without area is passed over.
+    /// Footprint (m): any simple polygon, in either direction. One without area is ignored.
     pub outline: Vec<Point>,
     /// Heights of the underside and the top above the road (m).
     pub bottom: f64,

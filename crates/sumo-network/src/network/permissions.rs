@@ -63,7 +63,7 @@ impl Permissions {
         }
     }
 
-    /// A space-separated list of SUMO's class names; unknown names are passed over.
+    /// A space-separated list of SUMO's class names; unknown names are ignored.
     fn parse(list: &str) -> Self {
         list.split_ascii_whitespace().fold(Self::NONE, |set, name| Self(set.0 | Self::bits_of(name)))
     }

@@ -47,7 +47,7 @@ pub struct Shapes {
     pub polygons: Vec<Polygon>,
     /// Points of interest, in the file's order.
     pub points: Vec<PointOfInterest>,
-    /// How many shapes were passed over: without usable coordinates, or in longitude and latitude.
+    /// Number of ignored shapes: without usable coordinates, or in longitude and latitude.
     pub skipped: usize,
 }
 

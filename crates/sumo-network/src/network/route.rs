@@ -115,7 +115,7 @@ pub enum RouteError {
         from: String,
         /// Edge of the destination.
         to: String,
-        /// For whom.
+        /// The vehicle class.
         class: VehicleClass,
     },
     /// The class may not use the lane.
@@ -123,7 +123,7 @@ pub enum RouteError {
     NotForClass {
         /// The lane.
         lane: String,
-        /// For whom.
+        /// The vehicle class.
         class: VehicleClass,
     },
     /// The position lies beyond the lane's ends.

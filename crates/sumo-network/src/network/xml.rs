@@ -49,7 +49,7 @@ pub(super) struct Walk<'a> {
 impl<'a> Walk<'a> {
     /// A walk over `text`, which came from `path`.
     pub fn new(path: &'a Path, text: &'a str) -> Self {
-        // A byte order mark is no part of the XML.
+        // A byte order mark is not part of the XML.
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         let mut reader = quick_xml::Reader::from_str(text);
         reader.config_mut().allow_dangling_amp = true;

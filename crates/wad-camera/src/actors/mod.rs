@@ -372,7 +372,7 @@ pub struct Animation {
     generation: u64,
 }
 
-/// A jump further than this (m) in a tick is no motion.
+/// A jump further than this (m) in a tick does not count as motion.
 const JUMP: f64 = 15.0;
 
 impl Animation {

@@ -10,7 +10,7 @@ use wad_camera::model::ObjectClass;
 pub const SIGHT: f64 = 50.0;
 /// Half the breadth of the way that must be free (m): the ego's half and a hand's breadth.
 pub const HALF_WAY: f64 = 1.2;
-/// Ticks without a detection until the vehicle in front is given up.
+/// Ticks without a detection until the vehicle in front is dropped.
 const COAST: u32 = 2;
 
 /// A detection on the ground.

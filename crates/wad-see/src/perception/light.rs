@@ -94,7 +94,7 @@ mod tests {
         assert!(!ahead("GGG", 5.0).unwrap().is_red_here());
         let yellow = ahead("yGG", 5.0).unwrap();
         assert!(yellow.stops() && !yellow.is_red_here());
-        // Past the line it is no more the ego's.
+        // Past the line the light no longer concerns the ego.
         assert!(ahead("rGG", -0.5).is_none());
     }
 

@@ -18,7 +18,7 @@ pub struct Truth {
     pub ignored: bool,
 }
 
-/// A detection under the label that it is judged by.
+/// A detection and the label that it is matched by.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Found {
     /// A class, or a group of classes; see [`Truth::label`].
@@ -47,11 +47,11 @@ pub enum Fate {
     False,
 }
 
-/// Detections of one picture that are judged, as in COCO.
+/// Largest number of detections of a picture that count, as in COCO.
 const MOST_DETECTIONS: usize = 100;
 
 /// The fates of `scored.found`, in its order. `counts` says whether a box of this height (pixels) is
-/// in the range that is judged; truths outside it are ignored, and detections outside it never false.
+/// in the wanted range; truths outside it are ignored, and detections outside it never false.
 pub fn fates(scored: &Scored, iou: f32, counts: impl Fn(f32) -> bool) -> Vec<Fate> {
     let height = |b: &[f32; 4]| b[3] - b[1];
     let mut order: Vec<usize> = (0..scored.found.len()).collect();
@@ -90,7 +90,7 @@ fn share_inside(inner: &[f32; 4], outer: &[f32; 4]) -> f32 {
     if area > 0.0 { side(0) * side(1) / area } else { 0.0 }
 }
 
-/// Average precision of one label over pictures; None where there is no truth to be found.
+/// Average precision of one label over pictures; None if there is no truth.
 pub fn average_precision<'a>(
     pictures: impl IntoIterator<Item = &'a Scored>,
     label: usize,

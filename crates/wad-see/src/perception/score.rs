@@ -31,7 +31,7 @@ pub struct Group {
     pub name: &'static str,
     /// The classes that it has.
     pub classes: &'static [ObjectClass],
-    /// Lowest box that is judged (pixels).
+    /// Lowest box that counts (pixels).
     pub height: f32,
     /// Least recall wanted, if any.
     pub goal: Option<f64>,

@@ -7,7 +7,7 @@ use sumo_network::network::{CrossingId, LaneId, LinkDirection, LinkId, Network, 
 
 /// Spacing of the samples along both paths (m).
 const STEP: f64 = 0.75;
-/// How far upstream others are looked for (m).
+/// How far upstream others are searched (m).
 const UPSTREAM: f64 = 130.0;
 /// Half the width of a foe (m) and the air between (m).
 const FOE_HALF_WIDTH: f64 = 1.0;

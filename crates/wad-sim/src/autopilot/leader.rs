@@ -148,8 +148,8 @@ pub fn find(
     (located, obstacles)
 }
 
-/// When a vehicle that goes on as it does will have left the swept corridor (s); infinite where it does
-/// not within three seconds.
+/// Time until a vehicle leaves the swept corridor at its present motion (s); infinite if it does not leave
+/// within three seconds.
 fn clear_time(path: &Path, v: &Located, actor: &Actor, hint: usize, margin: f64) -> f64 {
     if v.across.abs() < 0.5 && v.along >= -0.5 {
         return f64::INFINITY;

@@ -1,7 +1,7 @@
 //! The rule-based expert: drives for data sets, and is the baseline for every agent.
 //!
 //! It sees the whole [`WorldState`], drives a [`Route`] and answers one [`Decision`] per tick:
-//! path, then what each rule allows as an acceleration, then the smallest of those, then the pedals.
+//! path, then the acceleration that each rule allows, then the smallest of them, then the pedals.
 //! It draws no random numbers; equal input gives equal output.
 
 mod junction;

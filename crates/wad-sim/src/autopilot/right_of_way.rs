@@ -31,7 +31,7 @@ impl ByLane {
     }
 }
 
-/// The ego's motion as the gaps are judged by.
+/// The ego's motion, for judging the gaps.
 #[derive(Clone, Copy, Debug)]
 pub struct Motion {
     /// Bumpers on the route (m).

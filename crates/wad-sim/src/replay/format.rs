@@ -156,7 +156,7 @@ pub struct Memory {
 }
 
 impl Memory {
-    /// Of a town with so many traffic lights, none of them in sight.
+    /// For a town with this many traffic lights, none of them in sight.
     pub fn new(lights: usize) -> Self {
         Self { lights: vec![None; lights], ..Self::default() }
     }

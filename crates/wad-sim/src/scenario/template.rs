@@ -205,7 +205,7 @@ impl Drawn {
 struct Stretch<'a> {
     network: &'a Network,
     route: &'a Route,
-    /// The lane that the ego starts on, where its things are put on that lane whatever the route does.
+    /// The lane that the ego starts on, if the template's things go on that lane whatever the route does.
     start: Option<LanePosition>,
 }
 

@@ -126,7 +126,7 @@ impl Session {
     /// Ego number `index`.
     ///
     /// # Panics
-    /// There are not so many.
+    /// `index` is out of range.
     pub fn ego(&self, index: usize) -> &Ego {
         self.seats[index].ego()
     }
@@ -134,7 +134,7 @@ impl Session {
     /// The seat of ego number `index`.
     ///
     /// # Panics
-    /// There are not so many.
+    /// `index` is out of range.
     pub fn seat_mut(&mut self, index: usize) -> &mut Seat {
         &mut self.seats[index]
     }
@@ -142,7 +142,7 @@ impl Session {
     /// Bridge and seat together, for calls that need both.
     ///
     /// # Panics
-    /// There are not so many egos.
+    /// `index` is out of range.
     pub fn bridge_and_seat(&mut self, index: usize) -> (&mut Bridge, &mut Seat) {
         (&mut self.bridge, &mut self.seats[index])
     }
@@ -156,7 +156,7 @@ impl Session {
     /// often it is asked.
     ///
     /// # Panics
-    /// There are not so many egos.
+    /// `index` is out of range.
     pub fn plan(&mut self, index: usize) -> Decision {
         let clock = Instant::now();
         let tick = self.bridge.tick();
@@ -222,7 +222,7 @@ impl Session {
     /// next step on.
     ///
     /// # Panics
-    /// There are not so many egos.
+    /// `index` is out of range.
     pub fn place(&mut self, index: usize, route: Route, s: f64) {
         self.seats[index].place(route, s, (0.0, 0.0));
     }

@@ -1,6 +1,6 @@
 //! Edges lately seen empty: places where a replacement gets onto the road at once.
 //!
-//! Up to three edges' vehicle counts are asked per tick, and only while few fresh answers are at hand.
+//! Queries the vehicle counts of up to three edges per tick, and only while there are few fresh answers.
 
 use std::collections::VecDeque;
 use sumo_network::network::{EdgeId, Network};
@@ -8,7 +8,7 @@ use sumo_traci::{Batch, Replies, Ticket, edge};
 
 /// An answer older than this (s) is out of date.
 const FRESH: f64 = 2.0;
-/// Enough answers at hand.
+/// Number of fresh answers that is enough.
 const ENOUGH: usize = 6;
 /// Questions in one tick at the most.
 const PER_TICK: usize = 3;

@@ -456,7 +456,7 @@ fn remove(id: &str, batch: &mut Batch) {
 
 /// What to do with a vehicle that was checked.
 enum Verdict {
-    /// Nothing yet: look again after so many seconds.
+    /// Nothing yet: check again after this time (s).
     LookAgain(f64),
     /// A longer trip, from the edge with this number in its trip.
     Extend(usize),

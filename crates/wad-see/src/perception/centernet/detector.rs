@@ -101,7 +101,7 @@ impl CenterNetDetector {
     /// Detects in RGB bytes of a picture.
     ///
     /// # Errors
-    /// The sides are no multiples of 32, or torch fails.
+    /// The sides are not multiples of 32, or torch fails.
     pub fn detect_rgb(
         &mut self,
         rgb: &[u8],

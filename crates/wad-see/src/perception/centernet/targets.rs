@@ -2,7 +2,7 @@
 
 use super::network::{Backbone, CLASSES, STRIDE};
 
-/// A box to be found, or one that does not count.
+/// A target box, or a box that does not count.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Wanted {
     /// Index in [`crate::perception::coco::CLASSES`].

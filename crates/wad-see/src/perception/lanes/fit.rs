@@ -9,7 +9,7 @@ use super::{LaneBoundary, Pieces};
 
 /// Bends that are tried (1/m).
 const BENDS: [f32; 11] = [0.0, 0.004, -0.004, 0.01, -0.01, 0.02, -0.02, 0.035, -0.035, 0.055, -0.055];
-/// Pieces steeper than this to the ego (tangent) are no boundary.
+/// Pieces steeper than this to the ego (tangent) are not part of a boundary.
 const STEEPEST: f32 = 0.6;
 /// Piles: their breadth (m), and how far to the sides they reach (m).
 const BIN: f32 = 0.1;

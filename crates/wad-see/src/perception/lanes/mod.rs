@@ -67,7 +67,7 @@ struct Pieces {
     stripes: Vec<[f32; 2]>,
 }
 
-/// Lines are looked for from here to there (m ahead of the ego's centre).
+/// Range in which lines are searched (m ahead of the ego's centre).
 const NEAR: f32 = 4.0;
 const FAR: f32 = 28.0;
 /// With less road than this before the stop line (m), no detection runs.
