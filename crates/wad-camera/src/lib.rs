@@ -1,4 +1,4 @@
-//! The camera: SUMO's town and traffic as pictures with ground truth.
+//! The camera: renders SUMO's town and traffic, with depth, semantic tags, instance ids and boxes.
 //!
 //! ```text
 //! Network --scene--> Scene    (built once)     \
@@ -80,7 +80,7 @@ pub trait Renderer {
     fn render(&mut self, shot: &Shot<'_>, frame: &mut Frame);
     /// Times the stages of frames from now on, or stops that. Timing itself takes some time.
     fn time_stages(&mut self, _on: bool) {}
-    /// Where the last frame's time went, if it was timed.
+    /// Time of the last frame's stages, if it was timed.
     fn stages(&self) -> Stages {
         Stages::default()
     }
@@ -140,7 +140,7 @@ impl Camera {
         self.renderer.time_stages(on);
     }
 
-    /// Where the last frame's time went; zeros if it was not timed.
+    /// Time of the last frame's stages; zeros if it was not timed.
     pub fn stages(&self) -> Stages {
         self.renderer.stages()
     }

@@ -35,7 +35,7 @@ impl Lamps {
     }
 }
 
-/// A mesh and how large it must appear to be worth its triangles.
+/// A level of detail: a mesh and the least size at which it is drawn.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Level {
     /// The triangles.
@@ -68,7 +68,7 @@ pub struct Model {
     pub name: String,
     /// Finest first, `min_pixels` falling. Below the last one's nothing is drawn.
     pub levels: Vec<Level>,
-    /// What swings; may be empty.
+    /// Its moving parts; may be empty.
     pub bones: Vec<Bone>,
     /// Corners of the bounding box (m, model frame).
     pub bounds: [[f32; 3]; 2],
@@ -147,10 +147,10 @@ pub struct Object {
 
 /// The first instance id of static objects; actors stay below.
 pub const STATIC_IDS: u32 = 1 << 24;
-/// What a rider's id is above its vehicle's.
+/// Added to a vehicle's id, it gives the rider's.
 pub const RIDER_IDS: u32 = 1 << 23;
 
-/// A model put somewhere for one frame, or for good.
+/// A placed model, for one frame or for the whole scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Instance {
     /// Which model.
@@ -161,13 +161,13 @@ pub struct Instance {
     pub scale: [f32; 3],
     /// Colours for [`Tint::Instance`].
     pub tints: [Rgb; 4],
-    /// What shines on it.
+    /// The channels that shine on it.
     pub lamps: Lamps,
     /// Phase of the walk or of the wheels (rad).
     pub phase: f32,
     /// A signal head's lamps follow this (static instances).
     pub signal: Option<SignalIndex>,
-    /// Ground truth; None for what no detector looks for.
+    /// Ground truth; None for objects outside the eight classes.
     pub object: Option<Object>,
 }
 
@@ -187,7 +187,7 @@ impl Instance {
     }
 }
 
-/// What paint on the ground looks like.
+/// The colour of paint on the ground.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum PaintColour {
@@ -245,7 +245,7 @@ pub struct Chunk {
     pub levels: Vec<(f32, Mesh)>,
     /// Lines and marks on the ground.
     pub paint: Vec<Paint>,
-    /// What is placed in it.
+    /// The models placed in it.
     pub instances: Vec<Instance>,
     /// Street lamps.
     pub lights: Vec<PointLight>,

@@ -1,4 +1,4 @@
-//! Where pedestrians walk: from sidewalk to sidewalk over walkingareas and crossings.
+//! Walks of pedestrians: from sidewalk to sidewalk over walkingareas and crossings.
 
 use super::elements::{Edge, EdgeId, EdgeKind, Lane};
 use super::parse::RawConnection;
@@ -6,7 +6,7 @@ use super::permissions::VehicleClass;
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
 
-/// What going over a junction costs besides the way along the edges (m).
+/// Cost of crossing a junction, besides the way along the edges (m).
 const JUNCTION: f64 = 10.0;
 
 /// The walkable edges as an undirected graph. Its nodes are what hangs together at a junction:

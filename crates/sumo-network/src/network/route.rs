@@ -13,7 +13,7 @@ pub const APPROACH: f64 = 15.0;
 /// The longest route that is built (m).
 const LONGEST: f64 = 500_000.0;
 
-/// What the driver is to do at a waypoint (CARLA's RoadOption).
+/// The driver's instruction at a waypoint (CARLA's RoadOption).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum RoadOption {
     /// Along the lane, or over a junction without a choice.
@@ -82,7 +82,7 @@ pub struct RoutePoint {
 /// A route between two lane positions.
 #[derive(Clone, Debug)]
 pub struct Route {
-    /// Normal edges in order, as SUMO wants them. The first is the edge that the route begins on, or,
+    /// Normal edges in order, as SUMO's routes have them. The first is the edge that the route begins on, or,
     /// inside a junction, the one that led into it.
     pub edges: Vec<EdgeId>,
     /// They follow each other without a gap from 0 to the route's length.
@@ -111,7 +111,7 @@ pub enum RouteError {
         "no route from edge `{from}` to edge `{to}` for class {class}: no connections lead there; choose edges of the same connected part of the net, or another vehicle class"
     )]
     Unreachable {
-        /// Edge that was started from.
+        /// Edge of the start.
         from: String,
         /// Edge of the destination.
         to: String,
@@ -133,12 +133,12 @@ pub enum RouteError {
     OffLane {
         /// The lane.
         lane: String,
-        /// The position asked for (m).
+        /// The given position (m).
         s: f64,
         /// The lane's length (m).
         length: f64,
     },
-    /// Longer than anything that is driven.
+    /// The route is too long.
     #[error(
         "the route is {kilometres:.0} km long, more than the {} km that are supported; choose a nearer destination",
         LONGEST / 1000.0
@@ -162,7 +162,7 @@ impl Network {
     /// going round. Turn-arounds are used only where nothing else leads there.
     ///
     /// # Errors
-    /// When a position is off its lane, on no road, on a lane closed to the class, or out of reach.
+    /// A position is off its lane, on no road, on a lane closed to the class, or out of reach.
     pub fn route(
         &self,
         from: LanePosition,
@@ -172,8 +172,8 @@ impl Network {
         Route::new(self, search(self, from, to, class)?, from, to, class)
     }
 
-    /// Lengthens a route to a further destination. What was driven keeps its `s`, but for the last few
-    /// metres, where the smooth line takes notice of what follows.
+    /// Lengthens a route to a further destination. The existing part keeps its `s`, except the last few
+    /// metres, where the smooth line bends towards the new part.
     ///
     /// # Errors
     /// As [`Network::route`]; the route is then left as it was.
