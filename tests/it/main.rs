@@ -3,6 +3,7 @@
 
 #[cfg(all(feature = "learn", feature = "vision"))]
 mod agents;
+mod architecture;
 mod autopilot;
 mod bridge;
 #[cfg(feature = "vision")]

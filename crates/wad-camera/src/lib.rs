@@ -32,6 +32,7 @@ pub mod scene;
 mod shade;
 mod shade_ground;
 mod shadow_map;
+mod shape;
 mod simd;
 mod sky;
 mod stages;

@@ -3,7 +3,7 @@
 use super::palette::{PersonPalette, VehiclePalette};
 use super::person::{Detail, Seat, rider};
 use crate::model::Bone;
-use crate::scene::shape::{Shaper, V3, add, mix};
+use crate::shape::{Shaper, V3, add, mix};
 use std::f32::consts::TAU;
 
 /// Sizes (m) as built: length, width, height with rider.

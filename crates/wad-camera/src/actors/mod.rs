@@ -15,7 +15,7 @@ use super::model::{
     ActorFrame, Bone, Box3, Channel, Instance, Lamps, Level, Library, Mesh, Model, ModelId, Object,
     ObjectClass, RIDER_IDS, Rgb, SemanticTag, srgb,
 };
-use super::scene::shape::{Shaper, bounds_of};
+use crate::shape::{Shaper, bounds_of};
 use car::Body;
 use nalgebra::Vector3;
 use palette::{CAR_COLOURS, HAIRS, LEGS, ObjectPalette, PersonPalette, SKINS, TOPS, VehiclePalette, pick};

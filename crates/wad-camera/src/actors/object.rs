@@ -1,7 +1,7 @@
 //! Barriers and cones that close a lane.
 
 use super::palette::ObjectPalette;
-use crate::scene::shape::Shaper;
+use crate::shape::Shaper;
 
 /// Sizes (m) of the barrier as it is built: along the lane, across, height.
 pub(super) const BARRIER: [f32; 3] = [0.5, 2.4, 1.0];

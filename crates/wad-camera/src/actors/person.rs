@@ -2,7 +2,7 @@
 
 use super::palette::PersonPalette;
 use crate::model::{Bone, MaterialId};
-use crate::scene::shape::{Shaper, V3, add, mix};
+use crate::shape::{Shaper, V3, add, mix};
 
 /// A person's build; heights are of an adult of 1.75 m.
 #[derive(Clone, Copy, Debug, PartialEq)]

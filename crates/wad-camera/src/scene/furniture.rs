@@ -1,8 +1,8 @@
 //! Street lamps, benches, bins, bus shelters, signs: small things that are placed many times.
 
 use super::materials::Materials;
-use super::shape::{Shaper, V3, bounds_of};
 use crate::model::{Channel, Level, Library, MaterialId, Model, ModelId};
+use crate::shape::{Shaper, V3, bounds_of};
 use std::f32::consts::TAU;
 
 /// Their models. x is towards the road.

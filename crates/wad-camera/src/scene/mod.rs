@@ -11,7 +11,6 @@ mod markings;
 mod materials;
 mod polygon;
 mod roads;
-pub(crate) mod shape;
 mod signals;
 mod street;
 #[cfg(test)]

@@ -43,7 +43,6 @@ impl Bridge {
     /// # Errors
     /// SUMO fails.
     pub async fn set_traffic(&mut self, counts: Counts) -> Result<(), BridgeError> {
-        self.resized = true;
         if self.resize_traffic(counts) {
             return Ok(());
         }
@@ -56,6 +55,7 @@ impl Bridge {
         for id in replies.get(vehicles).map_err(sumo_traci::Error::from)? {
             if self.traffic_alone && id != OBSTACLE && !self.egos.contains(&id) {
                 vehicle::remove(&mut self.batch, &id, RemoveReason::Vaporized);
+                self.taken_out += 1;
             }
         }
         let persons = replies.get(persons).map_err(sumo_traci::Error::from)?;

@@ -111,8 +111,8 @@ pub struct Bridge {
     traffic_alone: bool,
     /// Ids of the egos.
     egos: Vec<String>,
-    /// Vehicles were removed by a request: departures and arrivals no longer give their number.
-    resized: bool,
+    /// Vehicles that the next step removes: SUMO does not report their arrival.
+    taken_out: usize,
     director: Option<Box<dyn Director>>,
     batch: Batch,
     sight: f64,
@@ -217,7 +217,7 @@ impl Bridge {
             traffic_seed,
             traffic_alone,
             egos: Vec::new(),
-            resized: false,
+            taken_out: 0,
             director: None,
             batch: Batch::new(),
             sight: options.sight,
@@ -359,6 +359,9 @@ impl Bridge {
         self.signals.follow(&self.network, &observers, &mut self.batch);
         let reported: Vec<_> =
             egos.iter_mut().map(|ego| ego.report(&self.network, &mut self.batch)).collect();
+        if let Some(population) = &mut self.population {
+            self.taken_out += population.taken_out();
+        }
         self.batch.step();
         let sent = Instant::now();
         let replies = match self.client.send(&self.batch).await {
@@ -381,7 +384,8 @@ impl Bridge {
         let subscriptions = replies.subscriptions();
         self.signals.read(&self.network, &subscriptions);
         let events = StepEvents::read(&replies).map_err(sumo_traci::Error::from)?;
-        self.in_network = (self.in_network + events.departed.len()).saturating_sub(events.arrived.len());
+        let gone = events.arrived.len() + std::mem::take(&mut self.taken_out);
+        self.in_network = (self.in_network + events.departed.len()).saturating_sub(gone);
         self.counts.0 = self.in_network.saturating_sub(egos.len());
         // SUMO's own number of persons also counts persons who have not departed yet.
         self.counts.1 =
@@ -417,9 +421,6 @@ impl Bridge {
             population.update(&events, &replies, pose, &near, &mut self.batch);
             // Road users that the population removed do not arrive.
             self.counts.1 = population.alive().pedestrians;
-            if self.resized {
-                self.counts.0 = population.alive().vehicles;
-            }
         }
         Ok(replies)
     }

@@ -100,6 +100,8 @@ pub struct Population {
     options: Options,
     vehicles: Vehicles,
     pedestrians: Pedestrians,
+    /// Vehicles from the config that were taken out; see [`Population::taken_out`].
+    others_out: usize,
 }
 
 impl Population {
@@ -116,6 +118,7 @@ impl Population {
             vehicles: Vehicles::new(Arc::clone(&network), options.clone(), stream(1)),
             pedestrians: Pedestrians::new(network, options.clone(), stream(2)),
             options,
+            others_out: 0,
         }
     }
 
@@ -209,6 +212,12 @@ impl Population {
         }
     }
 
+    /// How many vehicles that were in the network were taken out since the last call: with the caller's next
+    /// message they are gone, and SUMO does not say that they arrive.
+    pub fn taken_out(&mut self) -> usize {
+        self.vehicles.taken_out() + std::mem::take(&mut self.others_out)
+    }
+
     /// How many of the population are in the network, as of the last [`Population::update`].
     pub fn alive(&self) -> Counts {
         Counts::new(self.vehicles.alive(), self.pedestrians.alive())
@@ -219,15 +228,18 @@ impl Population {
         self.vehicles.owns(id) || self.pedestrians.owns(id)
     }
 
-    fn remove_others(&self, events: &StepEvents<'_>, batch: &mut Batch) {
+    fn remove_others(&mut self, events: &StepEvents<'_>, batch: &mut Batch) {
+        let mut others_out = 0;
         let foreign = |id: &&&str| !self.owns(id) && !self.options.keep.iter().any(|k| k == **id);
         for id in events.departed.iter().filter(foreign) {
             tracing::debug!(id, "vehicle from the config is removed");
             vehicle::remove(batch, id, RemoveReason::Vaporized);
+            others_out += 1;
         }
         for id in events.departed_persons.iter().filter(foreign) {
             tracing::debug!(id, "person from the config is removed");
             person::remove(batch, id, RemoveReason::Vaporized);
         }
+        self.others_out += others_out;
     }
 }

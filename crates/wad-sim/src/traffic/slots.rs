@@ -28,6 +28,8 @@ pub(super) struct Slots<T> {
     pub schedule: Schedule,
     next_serial: u64,
     alive: usize,
+    /// Members that were in the network and were taken out: SUMO does not say that they arrive.
+    pub taken_out: usize,
 }
 
 impl<T> Default for Slots<T> {
@@ -41,6 +43,7 @@ impl<T> Default for Slots<T> {
             schedule: Schedule::default(),
             next_serial: 0,
             alive: 0,
+            taken_out: 0,
         }
     }
 }
@@ -104,6 +107,7 @@ impl<T> Slots<T> {
     pub fn evict(&mut self, slot: usize, remove: impl FnOnce(&str)) {
         if let Some(member) = &self.members[slot] {
             remove(&member.id);
+            self.taken_out += usize::from(member.departed);
         }
         self.pending.retain(|&pending| pending != slot);
         self.vacate(slot);

@@ -161,6 +161,11 @@ impl Vehicles {
         self.slots.resize(count, |id| remove(id, batch));
     }
 
+    /// How many that were in the network were taken out since the last call.
+    pub fn taken_out(&mut self) -> usize {
+        std::mem::take(&mut self.slots.taken_out)
+    }
+
     /// Takes a vehicle out, to come back elsewhere.
     pub fn evict(&mut self, id: &str, batch: &mut Batch) {
         if let Some(slot) = self.slots.find(id) {
