@@ -52,7 +52,7 @@ fn made(
     library.model(Model { name: name.to_string(), levels, bounds, casts_shadow: true, ..Model::default() })
 }
 
-/// A flat disc with `n` corners that faces -x (towards those who come), `turn` in turns.
+/// A flat disc with `n` corners that faces -x (towards the traffic), `turn` in turns.
 fn disc(s: &mut Shaper, x: f32, z: f32, radius: f32, n: usize, turn: f32, material: MaterialId) {
     let ring: Vec<V3> = (0..n)
         .map(|i| {

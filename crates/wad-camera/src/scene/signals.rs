@@ -124,7 +124,7 @@ fn approach(site: &mut Site<'_>, id: EdgeId) {
     repeater(site, &signalled);
 }
 
-/// A head beyond the junction, for those who wait at the line and no longer see the near ones.
+/// A head beyond the junction, for vehicles at the line that no longer see the near ones.
 fn repeater(site: &mut Site<'_>, signalled: &[(LaneId, SignalIndex)]) {
     let network = site.network;
     let straight = |lane: LaneId| {

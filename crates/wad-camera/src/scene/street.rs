@@ -1,4 +1,4 @@
-//! What lines the streets: lamps, trees, hedges, benches, bins, bus stops, parked cars, signs, rails.
+//! Things along the streets: lamps, trees, hedges, benches, bins, bus stops, parked cars, signs, rails.
 
 use super::furniture::{BENCH, Furniture, LAMP_HEIGHT, LAMP_REACH};
 use super::ground::{Ground, Terrain, uses};
@@ -107,7 +107,7 @@ impl Site<'_> {
         }
     }
 
-    /// The same where an author has put it, whatever is there.
+    /// The same at an author's place, without checking the ground.
     pub fn bench_at(&mut self, at: Point, heading: f64) {
         let pose = Pose::new(at.x, at.y, self.terrain.at(at), heading);
         let corners = [(-0.35, -0.95), (0.35, -0.95), (0.35, 0.95), (-0.35, 0.95)]

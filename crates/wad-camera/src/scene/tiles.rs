@@ -1,4 +1,4 @@
-//! The town cut into chunks: whatever is built is given to the tile that it lies in.
+//! The town cut into chunks: everything built goes to the tile that it lies in.
 
 use super::polygon::clipped;
 use crate::model::{
