@@ -11,6 +11,7 @@ pub mod centernet;
 mod choice;
 pub mod coco;
 mod crossing;
+mod facts;
 mod ground;
 pub mod heads;
 mod image;
@@ -39,7 +40,8 @@ pub use lanes::{LaneBoundary, LaneDetector, LaneEstimate};
 pub use light::{AT_INTERSECTION, LightAhead, StopLight};
 #[cfg(feature = "vision")]
 pub use onnx::OnnxDetector;
-pub use pipeline::{EgoFacts, Percept, Perception};
+pub use facts::EgoFacts;
+pub use pipeline::{Percept, Perception};
 pub use truth::{Faults, TruthDetector};
 
 use wad_camera::model::ObjectClass;
