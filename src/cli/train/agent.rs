@@ -101,7 +101,8 @@ pub struct Args {
     /// Keep every episode with its images in DIR, for --recorded.
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     record: Option<PathBuf>,
-    /// Fill the replay buffer with the episodes in DIR first, encoded with this encoder; may be given several
+    /// Fill the replay buffer with the episodes in DIR first, encoded with this encoder; may be given
+    /// several times.
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     recorded: Vec<PathBuf>,
     /// Weight of imitating the autopilot's action (beyond the paper); 0: no imitation.

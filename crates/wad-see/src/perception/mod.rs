@@ -34,13 +34,13 @@ mod truth;
 #[cfg(feature = "learn")]
 pub use choice::centernet_weights;
 pub use choice::{DETECTORS, MIN_SCORE, detector};
+pub use facts::EgoFacts;
 pub use ground::GroundPlane;
 pub use image::{TRANSFORMED_SIZE, TransformedImage};
 pub use lanes::{LaneBoundary, LaneDetector, LaneEstimate};
 pub use light::{AT_INTERSECTION, LightAhead, StopLight};
 #[cfg(feature = "vision")]
 pub use onnx::OnnxDetector;
-pub use facts::EgoFacts;
 pub use pipeline::{Percept, Perception};
 pub use truth::{Faults, TruthDetector};
 
