@@ -228,14 +228,15 @@ fn links_of_the_architecture_lead_to_what_they_name() {
     while let Some(at) = rest.find("[`") {
         let (head, tail) = rest.split_at(at);
         after += head;
-        let Some(((what, target), end)) =
-            tail.find(')').and_then(|end| Some((tail[2..end].split_once("`](")?, end)))
+        // The name may hold brackets of its own.
+        let link = tail[2..].split_once("`](").filter(|(what, _)| !what.contains('\n'));
+        let Some((what, (target, left))) = link.and_then(|(what, left)| Some((what, left.split_once(')')?)))
         else {
             after += "[`";
             rest = &tail[2..];
             continue;
         };
-        rest = &tail[end + 1..];
+        rest = left;
         let Some((file, line)) = target.split_once("#L") else {
             assert!(root().join(target).exists(), "{target} does not exist");
             after += &format!("[`{what}`]({target})");
