@@ -38,7 +38,7 @@ Examples:
   wad-cosim dataset collect --frames 20000 --camera --out data/detector              (pictures for a detector)
   wad-cosim dataset collect --from runs/mine --from runs/yours --out data/runs       (frames of recorded runs)
 
-Given again, the same command goes on where it stopped. Frames of town5 are test data: `train` refuses them.";
+Run the same command again to continue an interrupted collection. Frames of town5 are test data: `train` refuses them.";
 
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]

@@ -51,7 +51,7 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Drive an ego vehicle under the rule-based autopilot through SUMO traffic.
+    /// Drive an ego vehicle through SUMO traffic, by autopilot, agent or hand.
     Run(Box<run::Args>),
     /// Drive through a town under the autopilot and save a picture.
     Snapshot(Box<snapshot::Args>),

@@ -39,7 +39,7 @@ Examples:
 Results go to runs/DATE-TOWN-SEED (or --out): config.json, telemetry.jsonl, summary.json, sumo/sumo.log.
 Exit codes: 0 done; 2 usage or input; 3 SUMO failed; 4 interrupted, results kept; 1 anything else.";
 
-/// Drive an ego vehicle under the rule-based autopilot through SUMO traffic.
+/// Drive an ego vehicle through SUMO traffic, by autopilot, agent or hand.
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {

@@ -101,7 +101,8 @@ pub struct Args {
     /// Keep every episode with its images in DIR, for --recorded.
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     record: Option<PathBuf>,
-    /// Fill the replay buffer with the episodes in DIR first, encoded with this encoder; may be given several
+    /// Fill the replay buffer with the episodes in DIR first, encoded with this encoder; may be given
+    /// several times.
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     recorded: Vec<PathBuf>,
     /// Weight of imitating the autopilot's action (beyond the paper); 0: no imitation.
@@ -335,7 +336,7 @@ fn saved_config(args: &Args) -> anyhow::Result<TrainConfig> {
             name(algo)
         )));
     }
-    // A bundled encoder may have got another name since.
+    // A bundled encoder may have been renamed since.
     if let Some(name) = TchEncoder::bundled_with(&config.encoder_hash) {
         config.encoder = name;
     }

@@ -16,11 +16,11 @@ pub struct Batch {
     pub next_observation: Tensor,
     /// [B, A]
     pub action: Tensor,
-    /// [B], scaled.
+    /// `[B]`, scaled.
     pub reward: Tensor,
-    /// gamma^n, or 0 where the episode terminated, [B].
+    /// gamma^n, or 0 where the episode terminated, `[B]`.
     pub discount: Tensor,
-    /// 1 where an expert's action is known, else 0, [B].
+    /// 1 where an expert's action is known, else 0, `[B]`.
     pub is_shown: Tensor,
     /// The expert's action, [B, A]; its values do not matter where `is_shown` is 0.
     pub shown: Tensor,

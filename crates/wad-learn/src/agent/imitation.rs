@@ -46,9 +46,9 @@ impl Imitation {
         self.weight * (self.floor + (1.0 - self.floor) * left)
     }
 
-    /// -mean(value), with `value` [B] in units of the critic's mean size `size` [B], and `weight` times the
-    /// mean square distance of `action` [B, A] from the shown action, each number in units of `half` its
-    /// range. `shown_value` [B] is the critic's value of the shown action, for the filter.
+    /// -mean(value), with `value` `[B]` in units of the critic's mean size `size` `[B]`, and `weight` times
+    /// the mean square distance of `action` [B, A] from the shown action, each number in units of `half` its
+    /// range. `shown_value` `[B]` is the critic's value of the shown action, for the filter.
     pub fn loss(
         &self,
         weight: f64,
@@ -77,7 +77,7 @@ pub fn cloning_loss(batch: &Batch, action: &Tensor, half: &Tensor) -> Tensor {
     apart(batch, action, half, &batch.is_shown)
 }
 
-/// The mean over the rows of `mask` [B] that are 1, with more weight on hard braking.
+/// The mean over the rows of `mask` `[B]` that are 1, with more weight on hard braking.
 fn apart(batch: &Batch, action: &Tensor, half: &Tensor, mask: &Tensor) -> Tensor {
     let apart = ((action - &batch.shown) / half).square();
     let steering = apart.select(1, 0) * (STEERING - 1.0);

@@ -320,7 +320,7 @@ impl Critics {
         x.squeeze_dim(2)
     }
 
-    /// Q1 only, [B]: the actor's objective.
+    /// Q1 only, `[B]`: the actor's objective.
     pub fn first(&self, observation: &Tensor, action: &Tensor) -> Tensor {
         let mut x = Tensor::cat(&[observation, action], 1);
         for layer in 0..self.layers {
@@ -398,7 +398,7 @@ impl PolicyS {
         self.squash.rescale(&(mean + log_std.exp() * noise).tanh())
     }
 
-    /// The same with the log-probability [B], the density taken over -1..1 for all three numbers:
+    /// The same with the log-probability `[B]`, the density taken over -1..1 for all three numbers:
     ///
     /// u = mean + std n;  log pi = sum(log N(u) - log(1 - tanh(u)^2))
     pub fn sample_with_log_prob(&self, observation: &Tensor, noise: &Tensor) -> (Tensor, Tensor) {
@@ -432,7 +432,7 @@ impl Value {
         Self { params: self.params.copy(device) }
     }
 
-    /// Values [B].
+    /// Values `[B]`.
     pub fn forward(&self, observation: &Tensor) -> Tensor {
         let mut x = observation.shallow_clone();
         for layer in 0..HIDDEN_S.len() {

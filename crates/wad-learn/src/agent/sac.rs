@@ -62,7 +62,7 @@ pub struct Sac {
     pub critics_adam: Adam,
     /// The value network's optimiser.
     pub value_adam: Adam,
-    /// Logarithm of the temperature, [1].
+    /// Logarithm of the temperature, `[1]`.
     pub log_alpha: Tensor,
     /// The optimiser of the temperature.
     pub alpha_adam: Adam,

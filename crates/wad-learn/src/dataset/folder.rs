@@ -51,7 +51,7 @@ pub enum State {
 /// `dataset.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
-    /// Version of the format, [`VERSION`].
+    /// Version of the format.
     pub version: u64,
     /// The state of collecting.
     pub state: State,

@@ -155,7 +155,7 @@ pub struct Show {
     pub batch: usize,
     /// Width and height of the small windows; None: whole pictures only.
     pub window: Option<(usize, usize)>,
-    /// Augment weather, light and colours ([`weathering`]).
+    /// Augment weather, light and colours.
     pub vary: bool,
 }
 
