@@ -1,44 +1,24 @@
 //! wad-cosim: a co-simulation bridge to SUMO traffic.
 //!
-//! SUMO supplies the town, the background traffic, the pedestrians and the signals over TraCI; this
-//! crate supplies the ego vehicle and puts its pose back into SUMO. The modules follow the data:
+//! SUMO supplies the town, the background traffic, the pedestrians and the signals over TraCI. This crate supplies
+//! the ego vehicle and puts its pose back into SUMO. It re-exports the crates that it stands on; `ARCHITECTURE.md` in
+//! the repository is the map.
 //!
 //! ```text
-//! SUMO --TraCI--> traci --> network, world --> autopilot --> vehicle --TraCI--> SUMO
-//!                                 bridge closes the loop; criteria judge it; drive is `run`
+//! SUMO --TraCI--> traci --> network, world --> camera --> perception --> latent --> agent --> vehicle --TraCI--> SUMO
+//!                     session: one tick for any number of egos;  eyes: what an ego sees
 //! ```
 //!
-//! | module | what it is |
+//! | from | modules |
 //! |---|---|
-//! | [`traci`] | the TraCI client: codec, connection, domains, SUMO as a child process |
-//! | [`network`] | `.net.xml` into lanes, links, crossings, signals; routes in (s, d) |
-//! | [`nets`] | builds, imports, enriches and checks nets |
-//! | [`world`] | one picture of the traffic round an ego per tick |
-//! | [`traffic`] | the background population |
-//! | [`vehicle`] | the ego's physics |
-//! | [`bridge`] | one SUMO, one network, any number of egos, in lock-step |
-//! | [`camera`] | the town and its traffic as pictures with ground truth |
-//! | [`perception`] | detections, lanes and light: the transformed image |
-//! | [`watch`] | front camera and perception in a run |
-//! | [`dataset`] | frames by the autopilot, collected and read back |
-//! | [`latent`] | the encoder-decoder: the transformed image as 200 numbers |
-//! | [`observation`] | an agent's inputs of each tick |
-//! | [`train`] | training of the networks |
-//! | [`agent`] | agents that learn to drive |
-//! | [`tasks`] | the driving tasks, and their places on a net |
-//! | [`scenario`] | situations drawn in netedit, and their events in SUMO |
-//! | [`reward`] | the paper's six reward terms |
-//! | [`env`] | all of that as `reset` and `step` |
-//! | [`eval`] | suites of episodes, driven in parallel |
-//! | [`replay`] | recorded drives, to be played or driven again |
-//! | [`autopilot`] | the rule-based expert |
-//! | [`criteria`] | collisions, red lights, lane, blocking, arrival |
-//! | [`learned_driver`] | a trained agent with camera, perception and encoder, for `run` |
-//! | [`view`] | the live view: a run in the browser, with manual driving |
-//! | [`drive`] | `run`: from destination to destination, with telemetry |
-//!
-//! [`traci`], [`network`] (with [`geometry`], [`world`] and [`seeds`]), [`vehicle`] and [`camera`] are crates
-//! of their own below `crates/`, under their old names here.
+//! | `sumo-traci` | [`traci`]: the TraCI client, SUMO as a child process |
+//! | `sumo-network` | [`geometry`], [`network`], [`world`] (the traffic around an ego), [`seeds`] |
+//! | `wad-vehicle` | [`vehicle`]: the ego's physics |
+//! | `wad-camera` | [`camera`]: the town and its traffic as pictures with ground truth |
+//! | `wad-sim` | [`session`], [`bridge`], [`assets`], [`autopilot`], [`criteria`], [`end`], [`traffic`], [`tasks`], [`scenario`], [`destination`], [`replay`], [`telemetry`], [`sumo_config`], [`nets`], [`bundled`], [`program`], [`stats`], [`cores`], [`cpu_time`] |
+//! | `wad-see` | [`eyes`], [`perception`], [`latent`], [`observation`], [`record`], `torch` |
+//! | `wad-learn` | [`mod@env`], [`reward`], [`driver`], [`drive`], [`agent`], [`dataset`], [`eval`], [`encoder_score`], [`tour`], `optim`, `train` |
+//! | here | [`view`] (the live view), [`mod@bench`], [`bench_tick`], [`clock`], [`interrupt`], [`register_bundled`] |
 //!
 //! World frame: SUMO's, x east, y north, z up, metres. Headings in radians, counter-clockwise from
 //! east. Speeds in m/s, times in s, impulses in N s. SUMO's own angles and bumper positions exist in

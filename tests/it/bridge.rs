@@ -314,6 +314,39 @@ async fn in_town(town: &str, counts: Counts, seed: u64, folder: &Path) -> (Bridg
     (bridge, places, ego)
 }
 
+/// Vehicles that the population takes out do not arrive: the count once grew with each, to 1,009 where SUMO had 71.
+#[tokio::test]
+async fn the_count_of_vehicles_is_sumos_own() {
+    let dir = tempfile::tempdir().unwrap();
+    let (mut bridge, _, mut ego) = in_town("town5", Counts::new(70, 20), 3, dir.path()).await;
+    let mut seen = 0;
+    for tick in 0..900 {
+        match tick {
+            300 => drop(bridge.resize_traffic(Counts::new(20, 20))),
+            500 => drop(bridge.resize_traffic(Counts::new(60, 20))),
+            700 => {
+                let place = ego.state().pose.xy();
+                let near: Vec<_> =
+                    bridge.network().lanes_near(place, None, 60.0).iter().map(|n| n.lane).collect();
+                bridge.clear(place, 60.0, &near).await.expect("an answer");
+            }
+            _ => {}
+        }
+        bridge.step(&mut [&mut ego]).await.expect("a step");
+        if tick % 20 == 0 {
+            let there = bridge.client_mut().get(vehicle::ID_COUNT, "").await.expect("a count");
+            assert_eq!(
+                bridge.counts().0 as i32,
+                there - 1,
+                "tick {tick}: background vehicles, counted and in SUMO"
+            );
+            seen = seen.max(there);
+        }
+    }
+    assert!(seen > 40, "{seen}");
+    bridge.close().await.expect("closed");
+}
+
 /// The lane that SUMO has the ego on; empty off the road.
 async fn sumo_lane(bridge: &mut Bridge) -> String {
     bridge.client_mut().get(vehicle::LANE_ID, "ego").await.expect("the ego is there")

@@ -111,3 +111,95 @@ fn wad_camera_takes_a_picture() {
         |row: usize| bytes[3 * 512 * row..3 * 512 * (row + 1)].iter().map(|&b| u32::from(b)).sum::<u32>();
     assert!(grey(10) > grey(500), "the sky is brighter than the road");
 }
+
+/// The number before `unit` in a line, e.g. 4.5 before "m/s".
+fn before(line: &str, unit: &str) -> f64 {
+    let words: Vec<&str> = line.split([' ', ',']).filter(|word| !word.is_empty()).collect();
+    let at = words.iter().position(|word| *word == unit).unwrap_or_else(|| panic!("no {unit} in {line}"));
+    words[at - 1]
+        .trim_start_matches('(')
+        .parse()
+        .unwrap_or_else(|_| panic!("no number before {unit}: {line}"))
+}
+
+#[test]
+fn wad_sim_drives_two_egos() {
+    let text = example("two_egos", &[Path::new("town3"), Path::new("200")]);
+    for ego in ["first", "second"] {
+        let poses: Vec<(f64, f64, f64, f64)> = text
+            .lines()
+            .filter(|line| line.contains(&format!(" s: {ego}: x ")))
+            .map(|line| {
+                let number = |label: &str| {
+                    line.split_once(label).unwrap().1.split(' ').next().unwrap().parse().unwrap()
+                };
+                (before(line, "s:"), number(" x "), number(" y "), before(line, "m/s"))
+            })
+            .collect();
+        assert_eq!(poses.len(), 200, "{text}");
+        let mut way = 0.0;
+        for pair in poses.windows(2) {
+            let ((t0, x0, y0, v0), (t1, x1, y1, v1)) = (pair[0], pair[1]);
+            // A second apart, and not further than the speed allows: it changes by less than 8 m/s2.
+            let moved = (x1 - x0).hypot(y1 - y0);
+            assert!((0.8..1.2).contains(&(t1 - t0)), "{pair:?}");
+            assert!(moved <= (v0.max(v1) + 4.0) * (t1 - t0), "{ego}: {pair:?}");
+            way += moved;
+        }
+        assert!(way > 500.0, "{ego} drove {way} m\n{text}");
+        assert!(text.contains(&format!(" s: {ego}: Arrival")), "{text}");
+    }
+    assert!(!text.contains("Collision"), "{text}");
+}
+
+#[cfg(feature = "vision")]
+#[test]
+fn wad_see_sees_the_vehicle_in_front_at_a_red_light() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("transformed.png");
+    let text = example("eyes", &[Path::new("town3"), &path, Path::new("20")]);
+    let looks: Vec<&str> = text.lines().filter(|line| line.contains(" sees ")).collect();
+    assert_eq!(looks.len(), 20, "{text}");
+    // A lorry waits at a red light, and the ego behind it.
+    let last = looks[19];
+    assert!(before(last, "m/s").abs() < 0.1, "{text}");
+    let gap: f64 = last.split_once("gap ").unwrap().1.split(' ').next().unwrap().parse().unwrap();
+    assert!((1.0..6.0).contains(&gap), "{text}");
+    assert!(last.contains("Red in ") && last.contains("Truck: 1"), "{text}");
+
+    let file = std::io::BufReader::new(std::fs::File::open(&path).unwrap());
+    let mut reader = png::Decoder::new(file).read_info().unwrap();
+    let mut bytes = vec![0; reader.output_buffer_size().unwrap()];
+    let info = reader.next_frame(&mut bytes).unwrap();
+    assert_eq!((info.width, info.height), (128, 128));
+    let painted = |colour: [u8; 3]| bytes.chunks_exact(3).filter(|pixel| *pixel == colour).count();
+    assert!(painted([0, 0, 255]) > 50, "the lorry is painted blue");
+    assert!(painted([255, 0, 0]) > 50, "the way is painted red: the light is red");
+}
+
+#[cfg(feature = "vision")]
+#[test]
+fn wad_learn_names_the_terms_of_a_reward() {
+    let text = example("episode", &[Path::new("town3"), Path::new("0.4")]);
+    let terms = |line: &str| -> Vec<f64> {
+        let terms = line.rsplit_once(": ").unwrap().1;
+        terms.split(", ").map(|term| term.split_once(' ').unwrap().1.parse().unwrap()).collect()
+    };
+    let lines: Vec<&str> = text.lines().collect();
+    assert_eq!(lines[0], "an observation has 215 numbers");
+    // A wheel that is held still leaves the lane.
+    let end =
+        lines.iter().find(|line| line.starts_with("terminated after ")).unwrap_or_else(|| panic!("{text}"));
+    assert!(end.contains("outside_lane"), "{text}");
+    let ticks: f64 = end.split(' ').nth(2).unwrap().parse().unwrap();
+    let sums = terms(lines.iter().find(|line| line.starts_with("sums: ")).unwrap());
+    assert_eq!(sums.len(), 6, "{text}");
+    let total: f64 = lines.last().unwrap().strip_prefix("return: ").unwrap().parse().unwrap();
+    assert!((sums.iter().sum::<f64>() - total).abs() < 0.01, "{text}");
+    // It gets faster from second to second, and each tick gives the same for driving on.
+    let driving: Vec<&str> = lines.iter().copied().filter(|line| line.contains("m/s: ")).collect();
+    let speeds: Vec<f64> = driving.iter().map(|line| before(line, "m/s:")).collect();
+    assert!(speeds.len() > 5 && speeds.windows(2).all(|pair| pair[0] < pair[1]), "{text}");
+    assert!(driving.iter().all(|line| terms(line)[5] == terms(driving[0])[5]), "{text}");
+    assert!((sums[5] - ticks * terms(driving[0])[5]).abs() < 0.01, "{text}");
+}

@@ -3,6 +3,7 @@
 
 #[cfg(all(feature = "learn", feature = "vision"))]
 mod agents;
+mod architecture;
 mod autopilot;
 mod bridge;
 #[cfg(feature = "vision")]
@@ -13,6 +14,7 @@ mod doctor;
 #[cfg(feature = "vision")]
 mod env;
 mod eval;
+mod licences;
 mod netedit;
 mod nets;
 mod network;

@@ -349,7 +349,7 @@ fn every_mistake_is_named_with_file_element_and_fix() {
             "rou.xml",
             "</routes>",
             "",
-            &["accident_ahead.rou.xml", "no proper XML", "save it again in netedit"],
+            &["accident_ahead.rou.xml", "not well-formed XML", "save it again in netedit"],
         ),
         (
             "accident_ahead",

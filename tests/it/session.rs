@@ -37,6 +37,10 @@ async fn two_egos(assets: &Arc<Assets>, folder: &Path) -> Session {
     Session::start(assets, &options, vec![seat("first", 5.0), seat("second", 30.0)]).await.unwrap()
 }
 
+fn sees(session: &Session, me: usize, other: &str) -> bool {
+    session.ego(me).world().vehicles.iter().any(|actor| &*actor.id == other)
+}
+
 #[test]
 fn egos_of_a_session_act_for_themselves_and_see_each_other() {
     let folder = tempfile::tempdir().unwrap();
@@ -44,18 +48,19 @@ fn egos_of_a_session_act_for_themselves_and_see_each_other() {
     runtime().block_on(async {
         let mut session = two_egos(&assets, folder.path()).await;
         let parked = Control { brake: 1.0, ..Control::default() };
-        let mut collided = [false; 2];
+        let (mut collided, mut seen) = ([false; 2], [false; 2]);
         for _ in 0..60 {
-            let gas = Control { throttle: 0.7, ..Control::default() };
-            let ticks = session.step(&[Act::Control(gas), Act::Control(parked)]).await.unwrap();
+            // Along the route, but with no brake.
+            let gas = Control { throttle: 0.5, brake: 0.0, ..session.plan(0).control };
+            let ticks = session.step(&[Act::Disturbed(gas), Act::Control(parked)]).await.unwrap();
             assert_eq!((ticks[0].control, ticks[1].control), (gas, parked));
+            seen[0] |= sees(&session, 0, "second");
+            seen[1] |= sees(&session, 1, "first");
             for (collided, tick) in collided.iter_mut().zip(&ticks) {
                 *collided |= tick.events.iter().any(|event| matches!(event, Event::Collision { .. }));
             }
         }
-        let seen =
-            |me: usize, other: &str| session.ego(me).world().vehicles.iter().any(|actor| &*actor.id == other);
-        assert!(seen(0, "second") && seen(1, "first"), "each ego sees the other");
+        assert_eq!(seen, [true; 2], "each ego sees the other");
         assert!(collided[0], "an ego that drives into another one has collided");
         session.close().await.unwrap();
     });

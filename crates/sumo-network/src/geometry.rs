@@ -79,7 +79,7 @@ impl Pose {
         Self { position: front, heading: heading_from_sumo(degrees) }.advanced(-0.5 * length)
     }
 
-    /// What SUMO wants to hear of a vehicle of `length` (m) whose centre is here: the front
+    /// SUMO's position and angle of a vehicle of `length` (m) whose centre is here: the front
     /// bumper's centre and degrees clockwise from north.
     pub fn to_sumo(&self, length: f64) -> (Point3<f64>, f64) {
         (self.advanced(0.5 * length).position, heading_to_sumo(self.heading))

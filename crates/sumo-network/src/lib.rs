@@ -1,4 +1,4 @@
-//! SUMO road networks in Rust: geometry, `.net.xml`, routes, and the traffic on them.
+//! SUMO road networks in Rust: geometry, `.net.xml` files, routes, and the state of traffic and signals.
 
 pub mod geometry;
 pub mod network;

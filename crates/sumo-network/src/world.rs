@@ -20,7 +20,7 @@ pub enum ActorKind {
     Motorcycle,
     /// A bicycle with its rider.
     Bicycle,
-    /// Somebody on foot.
+    /// A person on foot.
     Pedestrian,
     /// No road user: a barrier or a cone that stands in a lane.
     Object,
@@ -115,7 +115,7 @@ impl SignalState {
         }
     }
 
-    /// Red, or red with yellow: nobody may pass.
+    /// Red, or red with yellow: passing is forbidden.
     pub fn is_red(self) -> bool {
         matches!(self, Self::Red | Self::RedYellow)
     }

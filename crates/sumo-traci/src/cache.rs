@@ -10,7 +10,7 @@ pub fn cache_dir() -> PathBuf {
 }
 
 /// The same with these variables; None where neither names a folder. A relative `XDG_CACHE_HOME` is
-/// passed over, as the XDG base directory specification asks.
+/// ignored, as the XDG base directory specification asks.
 pub fn cache_in(variable: impl Fn(&str) -> Option<OsString>) -> Option<PathBuf> {
     let named = |name: &str| variable(name).map(PathBuf::from);
     let base = named("XDG_CACHE_HOME").filter(|path| path.is_absolute());

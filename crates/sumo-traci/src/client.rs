@@ -14,7 +14,7 @@ use tokio::net::TcpStream;
 /// The TraCI API version of SUMO 1.28.
 ///
 /// Servers with a lower number are refused. Higher ones are accepted with a warning in the
-/// log: SUMO raises the number when it adds commands, and keeps those it has.
+/// log: SUMO raises the number when it adds commands, and keeps the old commands.
 pub const API_VERSION: i32 = 22;
 /// Time limit per message unless changed.
 pub const DEFAULT_TIMEOUT: Duration = Duration::from_secs(60);
@@ -48,7 +48,7 @@ impl Client<TcpStream> {
     /// Connects to a SUMO that listens at `address` ("host:port") as its only or first client.
     ///
     /// # Errors
-    /// Nobody listens there, or who does is not a SUMO of a known version.
+    /// No server listens there, or it is not a SUMO of a known version.
     pub async fn attach(address: &str) -> Result<Self, Error> {
         Self::attach_within(address, DEFAULT_TIMEOUT).await
     }
@@ -70,8 +70,8 @@ impl Client<TcpStream> {
 }
 
 impl<S: AsyncRead + AsyncWrite + Unpin> Client<S> {
-    /// Speaks first on a fresh stream: asks for the version, waiting at most `limit`, and takes place
-    /// `order` (from 1) among the server's clients.
+    /// The first messages on a fresh stream: asks for the version, waits at most `limit` for it, and takes
+    /// place `order` (from 1) among the server's clients.
     ///
     /// # Errors
     /// The other side is not a SUMO of a known version.
@@ -104,7 +104,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Client<S> {
         Ok(client)
     }
 
-    /// What the server said of itself.
+    /// The server's own version.
     pub fn version(&self) -> &Version {
         &self.version
     }

@@ -1,8 +1,8 @@
 //! Bytes to values and back: TraCI's data types, without any socket.
 //!
 //! All numbers are big-endian. A *typed* value starts with a tag byte; strings
-//! and lists carry a 32-bit count. Nothing here allocates for a length that is
-//! only claimed: what is read must be there.
+//! and lists carry a 32-bit count. A claimed length alone never
+//! allocates: the bytes must be there.
 
 use super::types::{Color, GeoPosition, Position2D, Position3D, RoadPosition};
 
@@ -405,7 +405,7 @@ pub fn put_str(out: &mut Vec<u8>, text: &str) {
 }
 
 fn put_count(out: &mut Vec<u8>, count: usize) {
-    // Over 2 GiB cannot be said in TraCI; no caller comes near.
+    // TraCI's counts end at 2 Gi; no caller comes near.
     out.extend_from_slice(&i32::try_from(count).unwrap_or(i32::MAX).to_be_bytes());
 }
 

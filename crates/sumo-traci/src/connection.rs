@@ -49,7 +49,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Connection<S> {
         self.unfinished = true;
         if !self.inbox.is_empty() {
             let stray = self.inbox.len();
-            return Err(ConnectionError::Garbage(format!("{stray} bytes that nobody asked for")));
+            return Err(ConnectionError::Garbage(format!("{stray} bytes before any request")));
         }
         self.stream.write_all(message).await?;
         self.stream.flush().await?;

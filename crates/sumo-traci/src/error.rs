@@ -1,4 +1,4 @@
-//! What can go wrong: fatal errors of the connection, apart from refusals of one command.
+//! Errors: fatal ones of the connection, and refusals of one command.
 
 use super::post_mortem::PostMortem;
 use std::io;
@@ -24,7 +24,7 @@ fn quoted(object: &str) -> String {
 /// Errors of a TraCI client.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
-    /// Nobody answers at this address.
+    /// No server answers at this address.
     #[error("no TraCI server at {address}: {source}. Start SUMO with --remote-port, or check host and port")]
     Connect {
         /// Host and port.
@@ -40,7 +40,7 @@ pub enum Error {
         /// The system's error.
         source: io::Error,
     },
-    /// The other side does not speak TraCI as it should.
+    /// The server's answer is not valid TraCI.
     #[error("not a TraCI reply to {pending}: {what}. Is the other side SUMO 1.28 or newer?")]
     Protocol {
         /// The commands of the message, in words.
@@ -50,7 +50,7 @@ pub enum Error {
     },
     /// No answer within the time limit.
     #[error(
-        "SUMO hangs: no answer within {:.1} s to {pending}. A larger time limit helps where a step may take longer",
+        "SUMO hangs: no answer to {pending} within {:.1} s. If a step may take longer, raise the time limit",
         limit.as_secs_f64()
     )]
     Timeout {
@@ -71,10 +71,10 @@ pub enum Error {
         /// What the server calls itself.
         server: String,
     },
-    /// An earlier message failed or was cancelled half way: replies can no longer be told apart.
-    #[error("this TraCI connection broke off in the middle of an earlier message: connect anew")]
+    /// An earlier message failed or was cancelled half way: replies can no longer be matched to messages.
+    #[error("this TraCI connection failed in the middle of an earlier message: open a new connection")]
     Unusable,
-    /// The batch asks for what would crash SUMO or give stale answers. Nothing was sent.
+    /// The batch would crash SUMO or give stale answers. Nothing was sent.
     #[error("batch not sent: {0}")]
     Batch(&'static str),
     /// SUMO refused a command.

@@ -25,7 +25,7 @@ pub enum InstallError {
     Broken {
         /// SUMO's program.
         program: PathBuf,
-        /// What it said, or why it did not start.
+        /// Its output, or why it did not start.
         why: String,
     },
     /// It is too old.
@@ -64,7 +64,7 @@ impl SumoInstall {
             found.then_some(Self { home })
         };
         if let Some(home) = variable("WAD_COSIM_SUMO_HOME") {
-            // Who sets it means it: nothing else is tried.
+            // If it is set, nothing else is tried.
             let found = candidate(home.into(), "WAD_COSIM_SUMO_HOME");
             return found.ok_or(InstallError::NotFound { looked });
         }
@@ -210,7 +210,7 @@ mod tests {
         };
         let found = SumoInstall::find_with(variable).unwrap();
         assert!(found.home().ends_with("cache/wad-cosim/sumo-1.28.0/sumo"));
-        // A relative cache folder is passed over, and the one in the home folder taken.
+        // A relative cache folder is ignored; the one in the home folder is used.
         let relative = |name: &str| match name {
             "XDG_CACHE_HOME" => Some("cache".into()),
             "HOME" => Some(folder.path().join("home").into()),

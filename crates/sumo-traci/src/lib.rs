@@ -1,8 +1,8 @@
 //! TraCI over TCP: SUMO's control protocol, async on tokio.
 //!
-//! SUMO runs in lock-step with its client: it waits for a message, carries out the commands in it, and
-//! answers each. A round trip costs far more than a command, so commands go in a [`Batch`]: what is put
-//! in gives a [`Ticket`], and the ticket is redeemed for a typed value when the [`Replies`] are there.
+//! SUMO runs in lock-step with its client: it waits for a message, carries out its commands, and answers
+//! each. A round trip costs far more than a command, so commands go into a [`Batch`]. Each command
+//! put in returns a [`Ticket`], which gives its typed result from the [`Replies`].
 //! A command that SUMO refuses is an error at its ticket alone; an error of [`Client::send`] is the end
 //! of the connection.
 //!

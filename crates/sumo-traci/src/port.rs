@@ -1,4 +1,4 @@
-//! Free TCP ports, and who listens on them.
+//! Free TCP ports, and which process listens on a port.
 
 use std::io;
 use std::net::{Ipv4Addr, TcpListener};
@@ -10,8 +10,8 @@ pub fn free() -> io::Result<u16> {
 
 /// Whether process `pid` listens on TCP `port`.
 ///
-/// Somebody else's listener does not count: with two launchers at work, the port that was free may
-/// be another one's SUMO by now.
+/// Another process's listener does not count: with two launchers at work, the port that was free may
+/// belong to the other launcher's SUMO by now.
 #[cfg(target_os = "linux")]
 pub fn is_listening(port: u16, pid: u32) -> bool {
     let inodes = socket_inodes(pid);
@@ -47,7 +47,7 @@ fn listeners(table: &str, port: u16) -> impl Iterator<Item = u64> + '_ {
     })
 }
 
-/// Whether anybody listens on TCP `port`: found by trying to take it.
+/// Whether a process listens on TCP `port`, found by trying to bind it.
 #[cfg(not(target_os = "linux"))]
 pub fn is_listening(port: u16, _pid: u32) -> bool {
     TcpListener::bind((Ipv4Addr::UNSPECIFIED, port)).is_err()

@@ -1,4 +1,4 @@
-//! How a SUMO process ended: what errors quote.
+//! How a SUMO process ended, as errors quote it.
 
 use std::fmt;
 use std::path::PathBuf;

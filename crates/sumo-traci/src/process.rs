@@ -1,4 +1,4 @@
-//! SUMO as a child process: launch, free port, log file, post-mortem, and an end that is certain.
+//! SUMO as a child process: launch, free port, log file, post-mortem, and a guaranteed end.
 
 use super::client::TcpClient;
 use super::error::Error;

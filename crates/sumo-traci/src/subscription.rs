@@ -102,7 +102,7 @@ impl<'a> Results<'a> {
         self.span.context.is_some()
     }
 
-    /// The objects: the one subscribed to, or those round it.
+    /// The objects: the subscribed one, or the objects round it.
     pub fn objects(&self) -> impl ExactSizeIterator<Item = ObjectResults<'a>> + use<'a> {
         let data = self.data;
         self.all[self.span.objects.clone()].iter().map(move |span| ObjectResults {
@@ -228,7 +228,7 @@ pub enum Filter<'a> {
     UpstreamDistance(f64),
     /// Only leaders and followers.
     LeadFollow,
-    /// Those that matter for the next junction; foes up to this distance (m) before it.
+    /// Only vehicles that matter for the next junction; foes up to this distance (m) before it.
     Turn(f64),
     /// Only these vehicle classes.
     VehicleClasses(&'a [&'a str]),

@@ -1,4 +1,4 @@
-//! Typed variables: which number, of which domain, with which type.
+//! Typed variables: a number, a domain and a type.
 
 use super::codec::{DecodeError, Encode, Reader, StringList, put_compound};
 use std::marker::PhantomData;
@@ -25,7 +25,7 @@ pub struct Variable<D, T> {
     kind: PhantomData<fn() -> (D, T)>,
 }
 
-// Derives would ask for `D: Copy, T: Copy`.
+// Derives would require `D: Copy, T: Copy`.
 impl<D, T> Clone for Variable<D, T> {
     fn clone(&self) -> Self {
         *self

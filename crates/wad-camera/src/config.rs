@@ -97,7 +97,7 @@ impl CameraConfig {
     /// Whether a picture can be made of it.
     ///
     /// # Errors
-    /// A size of zero, or too large for memory; a field of view that is no angle below 170 degrees.
+    /// The size is zero or too large for memory, or the field of view is not between 1 and 170 degrees.
     pub fn check(&self) -> Result<(), CameraError> {
         let (width, height) = (self.width, self.height);
         if !(1..=MAX_SIDE).contains(&width)

@@ -360,7 +360,7 @@ impl CpuRenderer {
         effects::unpack(colours, &mut rgb[3 * y * width..][..3 * width]);
     }
 
-    /// Whether `next` is ground that goes on as `before` it: then both are shaded in one.
+    /// Whether `next` continues the ground of `before`: then both are shaded at once.
     fn go_on(&self, before: Stretch, next: Stretch, iz: &[f32], y: usize) -> bool {
         let (a, b) = (&self.surfaces[before.look], &self.surfaces[next.look]);
         if !a.kind.is_ground() || !a.is_lit_as(b) || before.x1 < before.x0 + 2 {

@@ -1,5 +1,5 @@
-//! What happens to the picture after shading: mirroring wet ground, smooth edges, glowing lamps, rain
-//! in the air and on the glass.
+//! Effects on the shaded picture: mirroring wet ground, smooth edges, glowing lamps, rain in the air and
+//! on the glass.
 
 use super::gather::Seen;
 use super::lanes::lanes;
@@ -12,8 +12,8 @@ use std::sync::OnceLock;
 
 multiversion! {
     /// Wet ground shows what stands behind it, upside down: each column is mirrored at the foot of what
-    /// stands on the ground. Row `y` of pixels whose rows are `pitch` apart; `foot` tells by column where
-    /// that is, and is kept from row to row, from the horizon's on.
+    /// stands on the ground. Row `y` of pixels whose rows are `pitch` apart; `foot` holds that place
+    /// by column, and is kept from row to row, from the horizon's on.
     pub fn mirror(pixels: &mut [u32], share: &[u8], y: usize, pitch: usize, foot: &mut [i32]) {
         const AT_ONCE: usize = 8;
         let width = foot.len();
@@ -61,12 +61,12 @@ pub struct Places {
 }
 
 impl Places {
-    /// None yet, with room for those of a row.
+    /// Empty, with room for a row's outlines.
     fn clear(&mut self, width: usize) {
         self.at.resize(width + 2 * PAD, 0);
         self.count = 0;
     }
-    /// Those found.
+    /// The outlines found.
     pub fn found(&self) -> &[u32] {
         &self.at[..self.count]
     }
@@ -144,7 +144,7 @@ lanes! {
 /// The border between two neighbours really lies `shift` beyond the middle between them.
 #[inline(always)]
 fn blend(first: &mut u32, second: &mut u32, shift: f32) {
-    // The one that loses changes; which one it is is hard to foretell, so both are worked out.
+    // Only the loser changes. Which one it is is hard to predict, so both are computed.
     let t = (shift.abs().min(0.5) * 256.0) as u32;
     let (gains_first, gains_second) = if shift > 0.0 { (0, t) } else { (t, 0) };
     let (a, b) = (*first, *second);
@@ -184,8 +184,8 @@ impl Outline<'_> {
     }
 }
 
-/// Where an edge of an outline crosses the pixel's length from `x`, `y` along `axis`. All four at once: what
-/// becomes of each is hard to foretell.
+/// Where an edge of an outline crosses the pixel's length from `x`, `y` along `axis`. All four are computed
+/// at once, because a branch is hard to predict.
 #[inline(always)]
 fn crossing(corners: &[[f32; 4]; 2], axis: usize, (x, y): (f32, f32)) -> Option<f32> {
     let next = |v: &[f32; 4]| [v[1], v[2], v[3], v[0]];

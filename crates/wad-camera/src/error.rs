@@ -5,7 +5,7 @@
 pub enum CameraError {
     /// Too small or too large a picture.
     #[error(
-        "a picture of {width}x{height} pixels cannot be made: expected 1 to {max_side} along each side and \
+        "cannot make a picture of {width}x{height} pixels: expected 1 to {max_side} along each side and \
          at most {max_pixels} in all"
     )]
     Size {
@@ -19,7 +19,7 @@ pub enum CameraError {
         max_pixels: usize,
     },
     /// An angle that no lens of this kind has.
-    #[error("a field of view of {found} degrees cannot be drawn: expected 1 to 170")]
+    #[error("field of view: expected 1 to 170 degrees, found {found}")]
     FieldOfView {
         /// Degrees asked for.
         found: f64,

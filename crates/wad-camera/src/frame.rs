@@ -1,8 +1,8 @@
-//! What comes out of a camera.
+//! Frames: the output of a camera.
 
 use super::model::{Box3, ObjectClass};
 
-/// What a frame is to hold beside the picture.
+/// The buffers of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Outputs {
     /// [`Frame::rgb`].
@@ -24,26 +24,26 @@ impl Outputs {
     pub const ALL: Self = Self { rgb: true, depth: true, semantic: true, instance: true, boxes: true };
 }
 
-/// An object of the eight classes that at least one pixel shows.
+/// An object of the eight classes with at least one visible pixel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ObjectTruth {
     /// What it is.
     pub class: ObjectClass,
     /// As in [`Frame::instance`].
     pub id: u32,
-    /// Pixels that show it.
+    /// Number of its visible pixels.
     pub visible_pixels: u32,
-    /// The pixels that show it: left, top, right, bottom; right and bottom are exclusive.
+    /// Box of its visible pixels: left, top, right, bottom; right and bottom are exclusive.
     pub visible_box: [u32; 4],
-    /// All of it, hidden parts too, cut at the picture's borders (pixels).
+    /// Box of the whole object, hidden parts too, cut at the picture's borders (pixels).
     pub full_box: [f32; 4],
-    /// In space, world frame.
+    /// Its box in space, world frame.
     pub bounds: Box3,
     /// Depth of its middle (m).
     pub depth: f32,
 }
 
-/// A frame. Rows run from the top, pixels from the left, without padding. What was not asked for is empty.
+/// A frame. Rows run from the top, pixels from the left, without padding. Buffers that were not requested are empty.
 #[derive(Clone, Debug, Default)]
 pub struct Frame {
     /// Pixels.
@@ -52,11 +52,11 @@ pub struct Frame {
     pub height: usize,
     /// sRGB bytes: red, green, blue.
     pub rgb: Vec<u8>,
-    /// m along the optical axis; infinite where the sky is.
+    /// Depth along the optical axis (m); infinite in the sky.
     pub depth: Vec<f32>,
     /// [`super::model::SemanticTag`] numbers.
     pub semantic: Vec<u8>,
-    /// Instance ids; 0 where no object of the eight classes is.
+    /// Instance ids; 0 for pixels without an object of the eight classes.
     pub instance: Vec<u32>,
     /// By id.
     pub objects: Vec<ObjectTruth>,

@@ -1,5 +1,5 @@
-//! What of the scene is drawn in a frame: culled, nearest first, each thing in the level of detail
-//! that its size in the picture asks for.
+//! Chooses what a frame draws: culled, nearest first, each object in the level of detail that its size
+//! in the picture needs.
 
 use super::model::{ActorFrame, Channel, Chunk, Instance, Lamps, Mesh, Model, Scene};
 use super::raster::{CamVertex, Draw, Tri, Visibility, draw};
@@ -79,7 +79,7 @@ impl<'a> Gather<'a, '_> {
         actors.sort_by(|a, b| a.0.total_cmp(&b.0));
         let mut actors = actors.into_iter().peekable();
         let chunks = std::mem::take(&mut out.chunks);
-        // After these distances (m) the picture so far tells what is hidden.
+        // After these distances (m) the picture so far is used to cull hidden chunks.
         let mut looks = [16.0, 45.0, 110.0].into_iter().peekable();
         for &(number, distance) in &chunks {
             while let Some((_, actor)) = actors.next_if(|actor| actor.0 < distance) {

@@ -1,4 +1,4 @@
-//! What lies on the ground without being geometry: paint, and the shadows of road users.
+//! Marks on the ground that are not geometry: paint, and the shadows of road users.
 //!
 //! Convex polygons with exact coverage at their edges, written into two buffers that the shading of
 //! ground surfaces reads.

@@ -9,7 +9,7 @@ use std::ptr::NonNull;
 const PAGE: usize = 2 << 20;
 const WORTH: usize = 1 << 20;
 
-/// A buffer of numbers that is made anew when its size changes.
+/// A buffer of numbers that is allocated again when its size changes.
 pub struct Large<T: Copy> {
     start: NonNull<T>,
     len: usize,

@@ -1,4 +1,4 @@
-//! The camera: SUMO's town and traffic as pictures with ground truth.
+//! The camera: renders SUMO's town and traffic, with depth, semantic tags, instance ids and boxes.
 //!
 //! ```text
 //! Network --scene--> Scene    (built once)     \
@@ -32,6 +32,7 @@ pub mod scene;
 mod shade;
 mod shade_ground;
 mod shadow_map;
+mod shape;
 mod simd;
 mod sky;
 mod stages;
@@ -57,30 +58,30 @@ pub use weather::{Preset, Weather};
 use model::{ActorFrame, Scene};
 use sumo_network::geometry::Pose;
 
-/// All that a picture is made from.
+/// Everything that a renderer needs for a picture.
 #[derive(Clone, Copy)]
 pub struct Shot<'a> {
     /// The town.
     pub scene: &'a Scene,
     /// The road users.
     pub actors: &'a ActorFrame,
-    /// From where.
+    /// The camera's place and optics.
     pub view: &'a View,
-    /// In what weather.
+    /// The weather.
     pub weather: &'a Weather,
-    /// What the frame is to hold.
+    /// The buffers that the frame needs.
     pub outputs: Outputs,
-    /// [`ActorFrame::ego`] is in the picture.
+    /// Draws [`ActorFrame::ego`] too.
     pub shows_ego: bool,
 }
 
-/// Makes frames of shots. Caches are its own; equal shots give equal frames.
+/// Renders shots into frames. It may keep caches, but equal shots give equal frames.
 pub trait Renderer {
     /// Renders into `frame`, whose buffers are reused.
     fn render(&mut self, shot: &Shot<'_>, frame: &mut Frame);
-    /// Whether frames from now on are timed by stage, which itself takes some time.
+    /// Times the stages of frames from now on, or stops that. Timing itself takes some time.
     fn time_stages(&mut self, _on: bool) {}
-    /// Where the last frame's time went, if it was timed.
+    /// Time of the last frame's stages, if it was timed.
     fn stages(&self) -> Stages {
         Stages::default()
     }
@@ -97,7 +98,7 @@ impl Camera {
     /// A camera that renders on the processor.
     ///
     /// # Errors
-    /// A size or a field of view that cannot be.
+    /// The size or the field of view is out of range.
     pub fn new(config: CameraConfig) -> Result<Self, CameraError> {
         Self::with_renderer(config, Box::<CpuRenderer>::default())
     }
@@ -114,12 +115,12 @@ impl Camera {
         Ok(Self { config, renderer, frame: Frame::default() })
     }
 
-    /// Its definition.
+    /// Its configuration.
     pub fn config(&self) -> &CameraConfig {
         &self.config
     }
 
-    /// What it sees from a vehicle whose footprint's centre is at `pose`.
+    /// Renders the view from a vehicle whose footprint's centre is at `pose`.
     pub fn render(
         &mut self,
         scene: &Scene,
@@ -135,12 +136,12 @@ impl Camera {
         &self.frame
     }
 
-    /// Whether frames from now on are timed by stage, which costs them some percent.
+    /// Times the stages of frames from now on, or stops that. Timing costs some percent.
     pub fn time_stages(&mut self, on: bool) {
         self.renderer.time_stages(on);
     }
 
-    /// Where the last frame's time went; zeros if it was not timed.
+    /// Time of the last frame's stages; zeros if it was not timed.
     pub fn stages(&self) -> Stages {
         self.renderer.stages()
     }

@@ -126,7 +126,7 @@ pub struct Facade {
     pub seed: u32,
 }
 
-/// The procedural pattern over a surface. Those that say `world` ignore uv and use the world's x, y.
+/// The procedural pattern over a surface. Patterns that say `world` ignore uv and use the world's x, y.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Texture {
     /// One colour, lit per vertex (smooth over shared normals). For actors and small things.
@@ -204,7 +204,7 @@ pub enum Tint {
 /// What a triangle is made of.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Material {
-    /// For people who read a dump.
+    /// For readers of a dump.
     pub name: String,
     /// Share of light reflected diffusely.
     pub albedo: Rgb,

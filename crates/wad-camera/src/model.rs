@@ -1,4 +1,4 @@
-//! What a picture is made of: meshes, materials, models, chunks of the town, and the actors of a frame.
+//! The renderer's input: meshes, materials, models, chunks of the town, and the actors of a frame.
 //!
 //! The scene and actor builders fill these types; the renderer only reads them. World frame: x east,
 //! y north, z up, metres. Model frame: x forward, y left, z up, the origin on the ground in the middle
@@ -35,7 +35,7 @@ impl Lamps {
     }
 }
 
-/// A mesh and how large it must appear to be worth its triangles.
+/// A level of detail: a mesh and the least size at which it is drawn.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Level {
     /// The triangles.
@@ -64,11 +64,11 @@ pub struct Bone {
 /// Something that is placed many times: a car, a person, a tree, a lamp.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Model {
-    /// For people who read a dump.
+    /// For readers of a dump.
     pub name: String,
     /// Finest first, `min_pixels` falling. Below the last one's nothing is drawn.
     pub levels: Vec<Level>,
-    /// What swings; may be empty.
+    /// Its moving parts; may be empty.
     pub bones: Vec<Bone>,
     /// Corners of the bounding box (m, model frame).
     pub bounds: [[f32; 3]; 2],
@@ -133,13 +133,13 @@ pub struct Box3 {
     pub size: [f64; 3],
 }
 
-/// What the ground truth tells of an instance.
+/// The ground truth of an instance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Object {
     /// What it is.
     pub class: ObjectClass,
     /// Instance id, not 0, unique in the frame. A road user's is its place in the world + 1, vehicles before
-    /// pedestrians; who rides it has [`RIDER_IDS`] more. Static objects count from [`STATIC_IDS`].
+    /// pedestrians; its rider has [`RIDER_IDS`] more. Static objects count from [`STATIC_IDS`].
     pub id: u32,
     /// The box round it.
     pub bounds: Box3,
@@ -147,10 +147,10 @@ pub struct Object {
 
 /// The first instance id of static objects; actors stay below.
 pub const STATIC_IDS: u32 = 1 << 24;
-/// What a rider's id is above its vehicle's.
+/// Added to a vehicle's id, it gives the rider's.
 pub const RIDER_IDS: u32 = 1 << 23;
 
-/// A model put somewhere for one frame, or for good.
+/// A placed model, for one frame or for the whole scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Instance {
     /// Which model.
@@ -161,13 +161,13 @@ pub struct Instance {
     pub scale: [f32; 3],
     /// Colours for [`Tint::Instance`].
     pub tints: [Rgb; 4],
-    /// What shines on it.
+    /// The channels that shine on it.
     pub lamps: Lamps,
     /// Phase of the walk or of the wheels (rad).
     pub phase: f32,
     /// A signal head's lamps follow this (static instances).
     pub signal: Option<SignalIndex>,
-    /// Ground truth; None for what no detector looks for.
+    /// Ground truth; None for objects outside the eight classes.
     pub object: Option<Object>,
 }
 
@@ -187,7 +187,7 @@ impl Instance {
     }
 }
 
-/// What paint on the ground looks like.
+/// The colour of paint on the ground.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum PaintColour {
@@ -245,7 +245,7 @@ pub struct Chunk {
     pub levels: Vec<(f32, Mesh)>,
     /// Lines and marks on the ground.
     pub paint: Vec<Paint>,
-    /// What is placed in it.
+    /// The models placed in it.
     pub instances: Vec<Instance>,
     /// Street lamps.
     pub lights: Vec<PointLight>,

@@ -1,4 +1,4 @@
-//! Pictures for people: overlays on a frame, insets, contact sheets, PNG files.
+//! Pictures for display: overlays on a frame, insets, contact sheets, PNG files.
 
 use super::frame::Frame;
 use super::model::ObjectClass;
@@ -92,7 +92,7 @@ impl Picture {
         })
     }
 
-    /// A frame's picture with the boxes of what is seen: solid round the visible pixels, thin round all.
+    /// A frame's picture with the boxes of its objects: solid round the visible pixels, thin round the whole object.
     pub fn boxes(frame: &Frame) -> Self {
         let mut picture = Self::rgb(frame);
         for object in &frame.objects {
@@ -116,7 +116,7 @@ impl Picture {
         self.outline([x0, y0, x1.max(x0 + 1) - 1, y1.max(y0 + 1) - 1], colour);
     }
 
-    /// A thin box; left, top, right, bottom inclusive. What is outside the picture is cut.
+    /// A thin box; left, top, right, bottom inclusive. Cut at the picture's borders.
     pub fn outline(&mut self, [x0, y0, x1, y1]: [usize; 4], colour: [u8; 3]) {
         for x in x0..=x1 {
             self.set(x, y0, colour);
@@ -128,7 +128,7 @@ impl Picture {
         }
     }
 
-    /// Colours a pixel; one outside the picture is passed over.
+    /// Colours a pixel; does nothing outside the picture.
     pub fn set(&mut self, x: usize, y: usize, colour: [u8; 3]) {
         if x < self.width && y < self.height {
             let at = 3 * (y * self.width + x);
@@ -209,14 +209,14 @@ impl Picture {
         }
     }
 
-    /// Whether [`Picture::save`] can write there: makes the folder, and leaves a file that is there as it is.
+    /// Checks that [`Picture::save`] can write there: makes the folder, and does not change an existing file.
     ///
     /// # Errors
-    /// The name ends in neither .png nor .jpg, or the file cannot be written.
+    /// The name ends neither in .png nor in .jpg, or the file cannot be written.
     pub fn can_save(path: &Path) -> io::Result<()> {
         let kind = extension(path);
         if path.is_dir() || !matches!(kind.as_deref(), Some("png" | "jpg" | "jpeg")) {
-            let why = "no picture's name: expected a file that ends in .png or .jpg";
+            let why = "not the name of a picture: expected a file that ends in .png or .jpg";
             return Err(io::Error::new(io::ErrorKind::InvalidInput, why));
         }
         make_folder(path)?;

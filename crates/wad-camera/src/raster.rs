@@ -257,7 +257,7 @@ struct Fill<L> {
     low: L,
     high: L,
     /// Of a face no wider than the lanes: where they begin, and the middles of their pixels. A row is then
-    /// done at once, without asking how long it is, which is hard to foretell.
+    /// done at once, without a branch on its length, which is hard to predict.
     narrow: Option<(usize, L)>,
 }
 

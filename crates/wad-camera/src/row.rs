@@ -72,8 +72,8 @@ impl Linear {
     }
 }
 
-/// Grain about 0: cells of `1 / scale` m, each of its own brightness. Their middles are not smoothed, which
-/// nobody sees at such a size, and so no table is read.
+/// Grain about 0: cells of `1 / scale` m, each of its own brightness. Their middles are not smoothed: the
+/// cells are too small to see it, and no table is needed.
 #[inline(always)]
 pub(super) fn grain<L: Lane>(x: L, y: L, scale: f32, share: f32) -> L {
     // As strong as smoothed cells of the full share would be.

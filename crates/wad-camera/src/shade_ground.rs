@@ -1,7 +1,7 @@
 //! The colour of the ground: asphalt, slabs, lawn, with paint, shadows and puddles on it.
 //!
-//! Near the camera most of it varies slowly from pixel to pixel. There it is worked out at posts, each
-//! eighth pixel, and linear between; only the finest grain, paint and road users' shadows are not.
+//! Near the camera most of it varies slowly from pixel to pixel. There it is computed at posts, each
+//! eighth pixel, and interpolated between them, except the finest grain, paint and road users' shadows.
 
 use super::lanes::{Lane, lanes};
 use super::noise::{Tile, Tiles, tiles};

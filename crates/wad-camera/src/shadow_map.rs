@@ -1,7 +1,7 @@
-//! Where the town's buildings, trees and poles keep the sun off the ground.
+//! The shadows of the town's buildings, trees and poles on the ground.
 //!
 //! A map of texels around the camera. It holds the cells that the camera sees now, and sun everywhere
-//! else: equal shots read equal shadows, whatever was looked at before. A cell is kept for as long as it
+//! else: equal shots read equal shadows, whatever was rendered before. A cell is kept for as long as it
 //! stays in view and the sun stands still. Each texel holds its right, upper and diagonal neighbours'
 //! values too.
 
@@ -21,7 +21,7 @@ const SLOTS: usize = (CELLS * CELLS) as usize;
 const CELL_M: f64 = CELL as f64 / DENSITY as f64;
 /// How deep into the picture shadows are drawn (m).
 pub const REACH: f32 = 96.0;
-/// Cells looked at on each side of the camera's: the corners of a wide picture are farther than [`REACH`].
+/// Cells checked on each side of the camera's: the corners of a wide picture are farther than [`REACH`].
 const AROUND: i32 = 5;
 /// Longest shadow (m).
 const LONGEST: f64 = 80.0;

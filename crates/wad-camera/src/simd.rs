@@ -49,7 +49,7 @@ pub enum Instructions {
     Plain,
     /// AVX2, FMA, BMI1, BMI2.
     Avx2,
-    /// Those, and AVX-512 F, VL, BW, DQ.
+    /// AVX2's, and AVX-512 F, VL, BW, DQ.
     Avx512,
 }
 

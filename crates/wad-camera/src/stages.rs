@@ -1,4 +1,4 @@
-//! Where a frame's time goes.
+//! The time of a frame's stages.
 
 use std::time::Instant;
 
@@ -9,13 +9,13 @@ pub struct Stages {
     pub geometry: f64,
     /// Faces into the visibility buffer, with the ground plane.
     pub raster: f64,
-    /// Paint, surfaces, colours, haze, and what else is asked for by pixel.
+    /// Paint, surfaces, colours, haze, and the other outputs per pixel.
     pub shade: f64,
     /// Mirrors, smooth outlines, rain, bytes, glows, boxes.
     pub effects: f64,
 }
 
-/// Counts the time of stages, when it is told to.
+/// Measures the time of stages while it is on.
 #[derive(Debug, Default)]
 pub(super) struct Watch {
     on: bool,

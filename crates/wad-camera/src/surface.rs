@@ -1,5 +1,5 @@
-//! What a visible triangle looks like, worked out once per frame: its lit colour and how its texture
-//! lies in the picture.
+//! The look of a visible triangle, computed once per frame: its lit colour and how its texture lies in
+//! the picture.
 
 use super::gather::{Geometry, Item};
 use super::model::{Channel, GroundFloor, Library, Material, Rgb, Texture, Tint, Vertex, Wall};

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use sumo_network::network::{Network, Shapes};
 use sumo_network::world::{Actor, WorldState};
 
-/// What cameras look at. Any number of cameras may share it.
+/// A town with road users. Any number of cameras may share it.
 pub struct Town {
     built: Arc<(Scene, Cast)>,
     animation: Animation,
@@ -21,7 +21,7 @@ impl Town {
         Self::on(Arc::new(scene::build(network, shapes, seed)))
     }
 
-    /// The same town without road users, to be followed on its own: what stands is shared.
+    /// The same town without road users, which then have their own motion. The scene is shared.
     #[must_use]
     pub fn share(&self) -> Self {
         Self::on(Arc::clone(&self.built))
@@ -31,7 +31,7 @@ impl Town {
         Self { built, animation: Animation::default(), frame: ActorFrame::default(), ego: Default::default() }
     }
 
-    /// Moves the road users to where a tick has them. `ego` is how the ego looks from outside.
+    /// Moves the road users to their places in `world`. `ego` is the ego as seen from outside.
     pub fn follow(&mut self, world: &WorldState, ego: Option<&Actor>) {
         self.animation.pose(&self.built.1, world, &mut self.frame);
         self.frame.ego = ego.and_then(|ego| {

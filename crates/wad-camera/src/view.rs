@@ -1,4 +1,4 @@
-//! Where a camera is in a frame, and what its pixels see.
+//! A camera's place in a frame, and the rays of its pixels.
 //!
 //! Camera frame: x right, y up, z ahead (m). Pixels count from the picture's upper left corner; a
 //! pixel's centre is half a pixel in.

@@ -26,3 +26,7 @@ pub mod reward;
 pub mod tour;
 #[cfg(feature = "learn")]
 pub mod train;
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

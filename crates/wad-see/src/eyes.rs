@@ -1,5 +1,5 @@
-//! Eyes of an ego: front camera, perception, encoder and decoder, each where it is wanted. The only place where an
-//! ego looks.
+//! The eyes of an ego: front camera, perception, encoder and decoder, each optional. No other code looks for an
+//! ego.
 //!
 //! ```text
 //! follow(world)   the town's road users move, once a tick
@@ -19,13 +19,16 @@ use sumo_network::world::WorldState;
 use wad_camera::{Camera, CameraConfig, CameraError, Frame, Outputs, Picture, Preset, Town, Weather};
 use wad_sim::assets::Assets;
 
-/// Why the ego sees nothing.
+/// Why the eyes fail.
 #[derive(Debug, thiserror::Error)]
 pub enum EyesError {
+    /// The camera's configuration is invalid.
     #[error(transparent)]
     Camera(#[from] CameraError),
+    /// The detector cannot be made or used, or a frame does not fit.
     #[error(transparent)]
     Perception(#[from] PerceptionError),
+    /// The encoder cannot be made or used.
     #[error(transparent)]
     Latent(#[from] LatentError),
 }
@@ -33,12 +36,17 @@ pub enum EyesError {
 /// Wall time of the parts of a look (s).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LookTimes {
+    /// Rendering the frame.
     pub camera: f64,
+    /// Detecting objects.
     pub detect: f64,
+    /// Detecting lanes.
     pub lanes: f64,
     /// Light, vehicle in front, raw states.
     pub judge: f64,
+    /// Drawing the transformed image.
     pub transform: f64,
+    /// Encoding it.
     pub encode: f64,
 }
 
@@ -49,23 +57,25 @@ impl LookTimes {
     }
 }
 
-/// What a look found, to be shown elsewhere.
+/// The result of a look, for display.
 #[derive(Clone, Debug)]
 pub struct Look {
+    /// The camera's frame.
     pub frame: Frame,
+    /// What was perceived in it.
     pub percept: Percept,
 }
 
 /// The eyes of one ego.
 pub struct Eyes {
     mode: ObservationMode,
-    /// None: nothing is looked at, the route and the lights alone make the raw states.
+    /// None: without a camera; the raw states come from the route and the lights alone.
     sight: Option<Sight>,
     encoder: Option<Box<dyn Encoder>>,
     decoder: Option<Box<dyn Decoder>>,
     weather: Preset,
     light: Option<LightAhead>,
-    /// Where nothing is looked at.
+    /// Without a camera.
     stop_light: StopLight,
     raw: RawState,
     latent: Vec<f32>,
@@ -77,7 +87,7 @@ struct Sight {
     town: Town,
     camera: Camera,
     perception: Option<Perception>,
-    /// What the camera makes beside what perception needs.
+    /// The camera's outputs beside perception's.
     outputs: Outputs,
     weather: Weather,
 }
@@ -132,7 +142,7 @@ impl Eyes {
         Ok(eyes)
     }
 
-    /// The eyes of an agent in the town of `assets`: what `mode` asks for, with the detector of that name.
+    /// The eyes of an agent in the town of `assets`: the parts that `mode` needs, with the detector of that name.
     ///
     /// # Errors
     /// No such detector, or as [`Eyes::new`].
@@ -199,8 +209,8 @@ impl Eyes {
         self.weather
     }
 
-    /// Moves the town's road users to where a tick has them: to be called once a tick, also for ticks that are
-    /// not looked at.
+    /// Moves the town's road users to their places in `world`. Call it once a tick, also for ticks without a
+    /// look.
     pub fn follow(&mut self, world: &WorldState) {
         if let Some(sight) = &mut self.sight {
             sight.town.follow(world, None);
@@ -260,7 +270,7 @@ impl Eyes {
         }
     }
 
-    /// What the last look gave an agent.
+    /// The agent's observation of the last look.
     pub fn observation(&self) -> Observation {
         let raw = match self.mode {
             ObservationMode::LatentOnly => [0.0; RAW_SIZE],
@@ -289,7 +299,7 @@ impl Eyes {
         self.light.as_ref()
     }
 
-    /// The last frame; None where nothing is looked at.
+    /// The last frame; None without a camera.
     pub fn frame(&self) -> Option<&Frame> {
         self.sight.as_ref().map(|sight| sight.camera.frame())
     }
@@ -299,7 +309,7 @@ impl Eyes {
         self.sight.as_ref()?.perception.as_ref()
     }
 
-    /// What was made of the last frame; None where there is no perception.
+    /// The last frame's percept; None without perception.
     pub fn percept(&self) -> Option<&Percept> {
         self.perception().map(Perception::percept)
     }
@@ -319,7 +329,7 @@ impl Eyes {
         Some(Look { frame: self.frame()?.clone(), percept: self.percept()?.clone() })
     }
 
-    /// Where the last look's time went.
+    /// Wall time of the last look, by part.
     pub fn times(&self) -> LookTimes {
         self.times
     }

@@ -1,12 +1,12 @@
-//! What an ego sees: its camera's frame becomes detections, lanes and the light, then the transformed image, then
-//! 200 numbers.
+//! What an ego sees: detections, lanes and the light from its camera's frame, then the transformed image, then
+//! the latent of 200 numbers.
 //!
 //! | module | what it is |
 //! |---|---|
-//! | [`eyes`] | camera, perception, encoder and decoder of one ego: the only place where an ego looks |
+//! | [`eyes`] | camera, perception, encoder and decoder of one ego, in one call |
 //! | [`perception`] | detections, lanes, light, vehicle in front, the transformed image |
 //! | [`latent`] | the encoder-decoder: the transformed image as 200 numbers |
-//! | [`observation`] | what an agent is given each tick |
+//! | [`observation`] | an agent's inputs of each tick |
 //! | [`record`] | a drive as a film |
 //! | `weights` | files of weights |
 
@@ -19,3 +19,7 @@ pub mod record;
 pub mod torch;
 #[cfg(feature = "learn")]
 pub mod weights;
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -1,45 +1,50 @@
-//! What an agent is given each tick: the latent and the six raw states (spec.md "Observation").
+//! An agent's input of each tick: the latent and the six raw states (spec.md "Observation").
 
 use serde::{Deserialize, Serialize};
 use sumo_network::geometry::{Pose, wrap_angle};
 use sumo_network::network::{RoadOption, Route};
 use wad_sim::criteria::EgoOnRoute;
 
-/// Numbers in the latent (paper, section "Latent State Extraction").
+/// Size of the latent (paper, section "Latent State Extraction").
 pub const LATENT_SIZE: usize = 200;
 
-/// Numbers in the raw vector.
+/// Size of the raw vector.
 pub const RAW_SIZE: usize = 15;
 
-/// What the fifteen numbers mean: 1 scaled distances in a straight line, 2 by [`nearness`], 3 gives rotation as
-/// bearings. Agents, checkpoints and recordings carry it; those of another meaning are refused.
+/// Version of the raw vector: 1 scaled distances linearly, 2 scales them by [`nearness`], 3 gives rotation as
+/// bearings. Agents, checkpoints and recordings store it; other versions are refused.
 pub const RAW_MEANING: u32 = 3;
 
-/// Files that do not say what their raw states mean are of the first meaning.
+/// Files without a version of the raw vector have version 1.
 #[cfg(feature = "learn")]
 pub fn first_meaning() -> u32 {
     1
 }
 
-/// Places in the raw vector of how near a vehicle in front, and a stop line that binds, are.
+/// Index in the raw vector of the vehicle in front's [`nearness`].
 pub const LEAD_NEARNESS: usize = 11;
+/// Index in the raw vector of the stop line's [`nearness`], 0 where no light requires to stop.
 pub const LIGHT_NEARNESS: usize = 14;
 
 /// The paper's six raw states by name, in units; [`RawState::vector`] scales them.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RawState {
-    /// Speed (m/s), and the speed limit here (m/s).
+    /// Speed (m/s).
     pub speed: f64,
+    /// Speed limit here (m/s).
     pub speed_limit: f64,
     /// Distance from the lane's centre (m), left positive.
     pub lateral: f64,
+    /// The turn instruction of the route here.
     pub option: RoadOption,
-    /// Heading of the waypoint ahead less the ego's (rad, left positive), and of the one 10 m further.
+    /// Heading of the waypoint ahead less the ego's (rad, left positive).
     pub heading_error: f64,
+    /// The same for the waypoint 10 m further.
     pub heading_error_far: f64,
-    /// Direction from the ego's centre to those two waypoints less the ego's heading (rad, left positive).
+    /// Direction from the ego's centre to the waypoint ahead less the ego's heading (rad, left positive).
     #[serde(default)]
     pub bearing: f64,
+    /// The same to the waypoint 10 m further.
     #[serde(default)]
     pub bearing_far: f64,
     /// Gap to the detected vehicle in the ego's path (m) and closing speed (m/s, positive when nearing).
@@ -65,13 +70,14 @@ const ANGLE: f64 = std::f64::consts::FRAC_PI_4;
 const SIGHT: f64 = 50.0;
 const CLOSING: f64 = 10.0;
 
-/// The waypoint ahead is this far before the ego's centre (m), and this much further for its speed (s).
+/// Distance of the waypoint ahead from the ego's centre at standstill (m).
 pub const WAYPOINT_AHEAD: f64 = 5.0;
+/// The waypoint ahead is farther away by this time (s) at the ego's speed.
 pub const WAYPOINT_TIME: f64 = 0.5;
 /// The second waypoint is this much further (m).
 pub const WAYPOINT_FURTHER: f64 = 10.0;
 
-/// How near something is, 1 at 0 m and 0 at 50 m: 1 - ln(1 + distance) / ln 51. Half of it lies in the last
+/// Nearness of a distance (m), 1 at 0 m and 0 at 50 m: 1 - ln(1 + distance) / ln 51. Half of it lies in the last
 /// 6 m: it is there that a metre decides.
 pub fn nearness(distance: f64) -> f64 {
     (1.0 - distance.max(0.0).ln_1p() / SIGHT.ln_1p()).clamp(0.0, 1.0)
@@ -92,7 +98,7 @@ impl RawState {
         stop_light: None,
     };
 
-    /// Of an ego on its route, with what was perceived of the vehicle in front and of the light.
+    /// The raw state of an ego on its route, with the perceived vehicle in front and light.
     ///
     /// The waypoint ahead is the route's point [`WAYPOINT_AHEAD`] + [`WAYPOINT_TIME`] x speed before the
     /// ego's centre; its road option is the one given.
@@ -108,7 +114,7 @@ impl RawState {
         let error = |heading: f64| wrap_angle(heading - state.pose.heading);
         let bearing = |point: &Pose| {
             let way = point.xy() - state.pose.xy();
-            // Beyond the route's end there is no direction left to point in.
+            // Beyond the route's end no waypoint gives a direction.
             let heading = if way.norm() > 1.0 { way.y.atan2(way.x) } else { point.heading };
             error(heading)
         };
@@ -174,14 +180,14 @@ fn option_index(option: RoadOption) -> usize {
     }
 }
 
-/// What an observation holds. Sizes never change: what is left out is zero.
+/// The parts of an observation. Sizes never change: a part that is left out is zero.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ObservationMode {
     /// The latent and the six raw states, as in the paper.
     #[default]
     LatentAndRaw,
-    /// The raw states alone (ablation); no lanes are looked for and nothing is encoded.
+    /// The raw states alone (ablation); without lane detection and encoding.
     RawOnly,
     /// The latent alone (ablation).
     LatentOnly,
@@ -202,11 +208,12 @@ impl ObservationMode {
     }
 }
 
-/// What an agent sees.
+/// An agent's input.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Observation {
     /// [`LATENT_SIZE`] numbers.
     pub latent: Vec<f32>,
+    /// The raw states, scaled: [`RawState::vector`].
     pub raw: [f32; RAW_SIZE],
 }
 

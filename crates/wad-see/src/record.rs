@@ -8,10 +8,10 @@ use sumo_network::geometry::Pose;
 use sumo_network::world::{Actor, WorldState};
 use wad_camera::{Camera, CameraConfig, CameraError, Outputs, Picture, Preset, Town, Weather};
 
-/// What a film shows.
+/// The view of a film.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum RecordView {
-    /// What the ego's camera sees.
+    /// The ego's front camera.
     Front,
     /// From behind and above the ego.
     #[default]
@@ -32,7 +32,7 @@ impl FromStr for RecordView {
             "chase" => Ok(Self::Chase),
             "bird" => Ok(Self::Bird),
             "all" => Ok(Self::All),
-            _ => Err(format!("`{text}` is no view: expected front, chase, bird or all")),
+            _ => Err(format!("unknown view `{text}`: expected front, chase, bird or all")),
         }
     }
 }
@@ -57,7 +57,7 @@ impl FromStr for Codec {
             _ => match <[u8; 4]>::try_from(text.as_bytes()) {
                 Ok(code) if code.is_ascii() => Ok(Self::Code(code)),
                 _ => Err(format!(
-                    "`{text}` is no codec: expected auto, h264 or a four-character code such as avc1 or mp4v"
+                    "unknown codec `{text}`: expected auto, h264 or a four-character code such as avc1 or mp4v"
                 )),
             },
         }
@@ -67,31 +67,58 @@ impl FromStr for Codec {
 /// Why a film cannot be made.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
+    /// The camera's configuration is invalid.
     #[error(transparent)]
     Camera(#[from] CameraError),
+    /// The file cannot be written.
     #[error("cannot write {path}: {source}")]
-    Write { path: PathBuf, source: std::io::Error },
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// The path is neither a film nor a place for pictures.
     #[error(
-        "{path} is no place for a film: expected a .mp4 file, a folder that ends with `/` or a .png name for \
+        "cannot write a film to {path}: expected a .mp4 file, a folder that ends with `/` or a .png name for \
          numbered pictures"
     )]
-    Kind { path: PathBuf },
+    Kind {
+        /// The given path.
+        path: PathBuf,
+    },
+    /// OpenCV has no encoder for the codec.
     #[error(
         "{path}: this OpenCV cannot encode {tried}. Install its FFmpeg backend (Debian, Ubuntu: apt-get install \
          libopencv-videoio-dev libavcodec-extra){}, or give a folder such as film/ for numbered pictures",
         other_codec(tried)
     )]
-    Codec { path: PathBuf, tried: String },
+    Codec {
+        /// The film.
+        path: PathBuf,
+        /// The codecs that were tried.
+        tried: String,
+    },
+    /// A film needs a build with OpenCV.
     #[error(
         "{path}: this build has no video encoder: build it with the feature `vision`, or give a folder such as \
          film/ for numbered pictures"
     )]
-    NoEncoder { path: PathBuf },
+    NoEncoder {
+        /// The film.
+        path: PathBuf,
+    },
+    /// OpenCV or the PNG encoder fails.
     #[error("cannot encode {path}: {why}")]
-    Encode { path: PathBuf, why: String },
+    Encode {
+        /// The film or picture.
+        path: PathBuf,
+        /// What went wrong.
+        why: String,
+    },
 }
 
-/// What to try in place of the codecs that were `tried`.
+/// Advice: a codec other than the `tried` ones.
 fn other_codec(tried: &str) -> &'static str {
     if tried.contains("mp4v") { "" } else { ", ask for another codec (--record-codec mp4v)" }
 }
@@ -118,7 +145,7 @@ impl Recorder {
     /// `panels` of perception's stages are shown below the picture (0: none, 3, or 4 with a decoder).
     ///
     /// # Errors
-    /// The place cannot be written, or no codec is there.
+    /// The path cannot be written, or there is no codec.
     pub fn create(
         path: &Path,
         town: Town,
@@ -155,8 +182,7 @@ impl Recorder {
         self.town.follow(world, Some(ego));
     }
 
-    /// Adds a picture of the town as it was last followed, around an ego at `pose`, with what it makes of what it
-    /// sees.
+    /// Adds a picture of the town at the last tick, around an ego at `pose`, with its percept.
     ///
     /// # Errors
     /// It cannot be written.
@@ -245,7 +271,7 @@ impl Sink {
                     std::fs::create_dir_all(folder)
                         .map_err(|source| RecordError::Write { path: folder.to_path_buf(), source })?;
                 }
-                // OpenCV says nothing of why a file cannot be written; the system does.
+                // OpenCV does not report why a file cannot be written; the system does.
                 std::fs::File::create(path)
                     .map_err(|source| RecordError::Write { path: path.to_path_buf(), source })?;
                 Ok(Self::Video(video::Video::create(path, size, fps, codec)?))
@@ -308,7 +334,7 @@ mod video {
     }
 
     impl Video {
-        /// Nothing is left at `path` where no codec can be had.
+        /// Nothing is left at `path` if there is no codec.
         pub fn create(
             path: &Path,
             (width, height): (usize, usize),

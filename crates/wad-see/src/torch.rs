@@ -1,4 +1,4 @@
-//! How many threads libtorch computes with. It keeps the number per thread, so each that uses it says so.
+//! libtorch's number of threads. It is set per calling thread, so each thread that uses libtorch sets it.
 
 use std::cell::Cell;
 
@@ -6,14 +6,14 @@ thread_local! {
     static CHOSEN: Cell<Option<i32>> = const { Cell::new(None) };
 }
 
-/// On this thread libtorch computes with `n` threads from here on.
+/// Calls from this thread let libtorch compute with `n` threads from now on.
 pub fn threads(n: i32) {
     CHOSEN.set(Some(n.max(1)));
     tch::set_num_threads(n.max(1));
 }
 
-/// On this thread libtorch computes with one thread, unless [`threads`] said otherwise: our networks are small,
-/// and many of them run beside each other. Whatever makes such a network calls this.
+/// Calls from this thread let libtorch compute with one thread, unless [`threads`] was called: our networks are
+/// small, and many of them run beside each other. The code that makes such a network calls this.
 pub fn one_thread() {
     if CHOSEN.get().is_none() {
         threads(1);

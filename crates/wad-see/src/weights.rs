@@ -1,4 +1,4 @@
-//! Weights files: safetensors, half precision, with what made them as metadata.
+//! Weights files: safetensors, half precision, with their origin as metadata.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -7,22 +7,63 @@ use tch::{Kind, TchError, Tensor};
 /// Why weights cannot be read or written.
 #[derive(Debug, thiserror::Error)]
 pub enum WeightsError {
+    /// The file cannot be read or written.
     #[error("could not {what} `{}`: {source}", path.display())]
-    Io { what: &'static str, path: PathBuf, source: std::io::Error },
-    #[error("`{}` is no weights file: {why}; expected safetensors as `wad-cosim train` writes them", path.display())]
-    Format { path: PathBuf, why: String },
+    Io {
+        /// What failed: a verb.
+        what: &'static str,
+        /// The file.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// The file is not a weights file.
+    #[error("`{}` is not a weights file: {why}; expected safetensors written by `wad-cosim train`", path.display())]
+    Format {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        why: String,
+    },
+    /// A tensor is missing.
     #[error("`{}`: no tensor `{name}`, expected one of shape {expected:?}; the weights are of another network", path.display())]
-    Missing { path: PathBuf, name: String, expected: Vec<i64> },
+    Missing {
+        /// The file.
+        path: PathBuf,
+        /// The tensor's name.
+        name: String,
+        /// The shape expected.
+        expected: Vec<i64>,
+    },
+    /// A tensor has another shape than the network's.
     #[error(
         "`{}`: tensor `{name}` has shape {found:?}, expected {expected:?}; the weights are of another network",
         path.display()
     )]
-    Shape { path: PathBuf, name: String, expected: Vec<i64>, found: Vec<i64> },
+    Shape {
+        /// The file.
+        path: PathBuf,
+        /// The tensor's name.
+        name: String,
+        /// The shape expected.
+        expected: Vec<i64>,
+        /// The shape found.
+        found: Vec<i64>,
+    },
+    /// The weights belong to something else, e.g. another encoder.
     #[error(
-        "`{}` is of {found}, expected {expected}; train again, or name weights that fit",
+        "`{}` has {found}, expected {expected}; train again, or name weights that fit",
         path.display()
     )]
-    Mismatch { path: PathBuf, found: String, expected: String },
+    Mismatch {
+        /// The file.
+        path: PathBuf,
+        /// What the file says.
+        found: String,
+        /// What was expected.
+        expected: String,
+    },
+    /// libtorch fails.
     #[error("libtorch: {0}")]
     Torch(#[from] TchError),
 }
@@ -30,17 +71,19 @@ pub enum WeightsError {
 /// Named tensors and metadata.
 #[derive(Debug)]
 pub struct Weights {
-    /// Where they came from, for messages.
+    /// The file that they are from, for messages.
     pub path: PathBuf,
+    /// The tensors, by name.
     pub tensors: Vec<(String, Tensor)>,
+    /// The weights' origin, by key.
     pub metadata: HashMap<String, String>,
 }
 
 impl Weights {
-    /// From a file's bytes; `path` is for messages.
+    /// Reads a file's bytes; `path` is for messages.
     ///
     /// # Errors
-    /// They are no safetensors.
+    /// They are not in the safetensors format.
     pub fn parse(path: &Path, bytes: &[u8]) -> Result<Self, WeightsError> {
         let format =
             |e: &dyn std::fmt::Display| WeightsError::Format { path: path.to_path_buf(), why: e.to_string() };
@@ -55,10 +98,10 @@ impl Weights {
         Ok(Self { path: path.to_path_buf(), tensors, metadata })
     }
 
-    /// From a file.
+    /// Reads a file.
     ///
     /// # Errors
-    /// The file cannot be read, or is no safetensors.
+    /// The file cannot be read, or is not in the safetensors format.
     pub fn load(path: &Path) -> Result<Self, WeightsError> {
         let io = |source| WeightsError::Io { what: "read", path: path.to_path_buf(), source };
         Self::parse(path, &std::fs::read(path).map_err(io)?)

@@ -1,4 +1,4 @@
-//! A town, read and built once, shared by all that drive or look in it.
+//! A town, read and built once, and shared by its egos and cameras.
 
 use crate::bundled::{self, ResolveError};
 use crate::scenario::{self, Scenario, ScenarioError};
@@ -17,7 +17,7 @@ pub struct Assets {
     net_hash: String,
     name: String,
     town_name: String,
-    /// Where the config is a scenario's.
+    /// If the config is a scenario.
     scenario: Option<Arc<Scenario>>,
     network: Arc<Network>,
     statics: Vec<StaticBody>,
@@ -33,14 +33,19 @@ const LOOK: u64 = 0;
 /// Why there is no such town.
 #[derive(Debug, thiserror::Error)]
 pub enum AssetsError {
+    /// No such town or scenario.
     #[error(transparent)]
     Resolve(#[from] ResolveError),
+    /// The `.sumocfg` cannot be used.
     #[error(transparent)]
     Config(#[from] ConfigError),
+    /// The `.net.xml` cannot be read.
     #[error(transparent)]
     Network(#[from] NetworkError),
+    /// SUMO is not installed, or its version is too old.
     #[error(transparent)]
     Install(#[from] InstallError),
+    /// The scenario has mistakes.
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
 }
@@ -53,8 +58,8 @@ impl AssetsError {
 }
 
 impl Assets {
-    /// The town of a CONFIG: a .sumocfg, a .net.xml(.gz), a folder or a bundled name; with its scenario, where
-    /// it is one.
+    /// The town of a CONFIG: a .sumocfg, a .net.xml(.gz), a folder or a bundled name. If it is a
+    /// scenario, the scenario too.
     ///
     /// # Errors
     /// There is no such town, or its network is broken.

@@ -1,7 +1,7 @@
 //! The towns, scenarios and weights that travel with the program, and how a name on the command line becomes a file.
 //!
-//! The program hands its files over with [`register`], once, at its start: this crate holds none. Where nobody has
-//! (a test or an example of the workspace), the files beside the crates are read.
+//! The program hands its files over with [`register`], once, at its start: this crate holds none. If
+//! nothing was registered (a test or an example of the workspace), the files beside the crates are read.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -16,8 +16,8 @@ static FILES: OnceLock<Files> = OnceLock::new();
 /// Folders of the repository that travel with the program.
 pub const FOLDERS: [&str; 3] = ["sumo_nets", "scenarios", "models"];
 
-/// Hands over the files that travel with a program, by their path in the repository below one of [`FOLDERS`]. The
-/// first call counts.
+/// Registers the files that travel with a program, by their path in the repository below one of [`FOLDERS`]. Only
+/// the first call has an effect.
 pub fn register(files: impl IntoIterator<Item = (String, &'static [u8])>) {
     let _ = FILES.set(files.into_iter().collect());
 }
@@ -58,16 +58,34 @@ fn configs(folder: &str) -> Vec<String> {
 /// Why a CONFIG argument does not name a file.
 #[derive(Debug, thiserror::Error)]
 pub enum ResolveError {
+    /// Neither a file nor the name of a bundled town or scenario.
     #[error(
         "no such config: `{name}` is neither a file (.sumocfg, .net.xml, .net.xml.gz), nor a bundled town ({}), nor a bundled scenario ({})",
         bundled.join(", "),
         scenarios().join(", ")
     )]
-    NotFound { name: String, bundled: Vec<String> },
+    NotFound {
+        /// The argument.
+        name: String,
+        /// The bundled towns.
+        bundled: Vec<String>,
+    },
+    /// A folder with no `.sumocfg`, or with several.
     #[error("`{}` is a folder with {found} .sumocfg files; name the one to run", path.display())]
-    AmbiguousFolder { path: PathBuf, found: usize },
+    AmbiguousFolder {
+        /// The folder.
+        path: PathBuf,
+        /// How many it has.
+        found: usize,
+    },
+    /// The bundled towns cannot be written to the cache.
     #[error("could not unpack the bundled towns into {}: {source}; check that the folder is writable and the disk has room", path.display())]
-    Unpack { path: PathBuf, source: std::io::Error },
+    Unpack {
+        /// The cache's folder.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
 }
 
 /// Names of the bundled towns, sorted.
@@ -148,7 +166,7 @@ pub fn resolve(name: &str) -> Result<PathBuf, ResolveError> {
     Ok(if net_only { net_file(&town, stem) } else { town.join(format!("{stem}.sumocfg")) })
 }
 
-/// Whether a file is one of the bundled ones, as they lie unpacked in the cache.
+/// Whether a file is a bundled one, unpacked in the cache.
 pub fn is_unpacked(path: &Path) -> bool {
     path.starts_with(cache_dir().join("towns"))
 }

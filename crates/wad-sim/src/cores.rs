@@ -1,4 +1,4 @@
-//! Which core things run on.
+//! Pins threads and processes to cores.
 //!
 //! SUMO and the bridge never run at the same time, and waking another core costs more than the work
 //! of a quiet tick, so the two share one core. Linux only; elsewhere nothing happens.
@@ -46,7 +46,7 @@ impl Cores {
         Some(Self(set))
     }
 
-    /// These but those of `other`; None where none would be left.
+    /// These cores without `other`'s; None if none would be left.
     pub fn without(&self, other: &Self) -> Option<Self> {
         // SAFETY: an all-zero cpu_set_t is the empty set.
         let mut rest: libc::cpu_set_t = unsafe { std::mem::zeroed() };

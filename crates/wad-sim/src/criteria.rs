@@ -1,5 +1,5 @@
 //! Facts about the ego's driving, tick by tick: collisions, red lights, leaving the lane,
-//! blocking, arrival (spec.md "Events"). What ends an episode is decided elsewhere.
+//! blocking, arrival (spec.md "Events"). [`crate::end`] decides what ends an episode.
 
 mod cause;
 mod surface;
@@ -17,7 +17,7 @@ use wad_vehicle::{Contact, EgoState, PartnerKind};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct CriteriaParams {
-    /// Contacts below this impulse (N s) are no collision. Default 200.
+    /// Contacts below this impulse (N s) do not count as collisions. Default 200.
     pub collision_impulse: f64,
     /// The same partner collides again only after this long apart (s). Default 1.
     pub collision_separation: f64,
@@ -48,12 +48,15 @@ impl Default for CriteriaParams {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum Event {
+    /// The ego touched a road user or a static body, by at least [`CriteriaParams::collision_impulse`].
     Collision {
+        /// Vehicle, pedestrian or static body.
         kind: PartnerKind,
         /// SUMO's id, or the static body's label.
         partner: String,
         /// N s.
         impulse: f64,
+        /// Which side caused it.
         cause: Cause,
         /// Where on the ego (m): x forward, y left of its centre.
         point: Vector,
@@ -64,26 +67,34 @@ pub enum Event {
         /// Why the cause is what it is.
         reason: String,
     },
+    /// The front bumper passed a stop line at red.
     RedLight {
+        /// SUMO's id of the traffic light.
         traffic_light: String,
         /// m/s.
         speed: f64,
     },
+    /// The ego's centre is further from its lane than [`CriteriaParams::outside_lane`].
     OutsideLane {
         /// Lateral distance from the corridor (m).
         offset: f64,
     },
+    /// A wheel left the road surface.
     Sidewalk,
+    /// The ego stood for [`CriteriaParams::blocked_after`] without a reason.
     VehicleBlocked,
+    /// The ego reached the end of its route.
     Arrival,
 }
 
 /// The ego on its route.
 #[derive(Clone, Copy, Debug)]
 pub struct EgoOnRoute {
+    /// Its motion.
     pub state: EgoState,
-    /// Route coordinates of its centre (m).
+    /// Route coordinate of its centre along the route (m).
     pub s: f64,
+    /// Offset of its centre to the left of the route (m).
     pub d: f64,
     /// Route coordinate of its front bumper (m).
     pub front_s: f64,
@@ -91,25 +102,33 @@ pub struct EgoOnRoute {
 
 /// Everything that one check looks at.
 pub struct Situation<'a> {
+    /// The town's road network.
     pub network: &'a Network,
+    /// The ego's route.
     pub route: &'a Route,
     /// The world that the ego saw when it chose its control.
     pub world: &'a WorldState,
+    /// The ego at the tick's begin.
     pub before: EgoOnRoute,
+    /// The ego at the tick's end.
     pub after: EgoOnRoute,
+    /// What the ego touched during the tick.
     pub contacts: &'a [Contact],
     /// Label of a static body by its key.
     pub static_label: &'a dyn Fn(u64) -> String,
-    /// Ego's length, width, wheelbase and track (m).
+    /// The ego's length (m).
     pub length: f64,
+    /// The ego's width (m).
     pub width: f64,
+    /// Distance of the ego's axles (m).
     pub wheelbase: f64,
+    /// Distance of the wheels of one axle (m).
     pub track: f64,
     /// Duration of the tick (s).
     pub tick: f64,
 }
 
-/// Remembers what is needed to see each event once.
+/// Finds the events of each tick, and reports each event once.
 #[derive(Clone, Debug, Default)]
 pub struct Criteria {
     params: CriteriaParams,
@@ -140,7 +159,7 @@ impl Criteria {
         self.last_red_stop = None;
     }
 
-    /// Whether the ego is outside its lane now (the event itself is given once, when it leaves).
+    /// Whether the ego is outside its lane now. The event itself comes once, when it leaves the lane.
     pub fn is_outside_lane(&self) -> bool {
         self.outside
     }
@@ -220,7 +239,7 @@ impl Criteria {
     }
 }
 
-/// Whether a red light or somebody in the ego's path is a reason to stand.
+/// Whether a red light or a road user in the ego's path is a reason to stand.
 fn is_held(now: &Situation<'_>) -> bool {
     const LOOK_AHEAD: f64 = 20.0;
     let red = now.route.next_link(now.after.front_s - 1.0).is_some_and(|link| {

@@ -7,30 +7,48 @@ use sumo_network::network::{LaneId, LanePosition, Network, Route, RouteError, Ve
 /// The ego's vehicle class.
 pub const EGO_CLASS: VehicleClass = VehicleClass::Passenger;
 
-/// Lanes shorter than this are no place to start or stop (m).
+/// Shortest lane to start or stop on (m).
 const SHORTEST_LANE: f64 = 20.0;
 /// Distance kept from a lane's ends (m).
 const MARGIN: f64 = 12.0;
 /// Wanted length of a drawn route (m).
 const ROUTE_LENGTH: std::ops::Range<f64> = 300.0..1500.0;
-/// Places tried before the longest route found has to do.
+/// Random places tried before the longest route found is used.
 const TRIES: usize = 40;
 
 /// Why there is no place to drive.
 #[derive(Debug, thiserror::Error)]
 pub enum DestinationError {
+    /// No such edge or lane.
     #[error(
         "no edge or lane `{name}` in the network; give edge or lane ids as in the .net.xml, e.g. --route {example}"
     )]
-    Unknown { name: String, example: String },
+    Unknown {
+        /// The given id.
+        name: String,
+        /// A route that would do, FROM,TO.
+        example: String,
+    },
+    /// The argument is not two ids.
     #[error("`{given}` is not FROM,TO with two edge or lane ids of the network, e.g. --route {example}")]
-    NotAPair { given: String, example: String },
+    NotAPair {
+        /// The argument.
+        given: String,
+        /// A route that would do, FROM,TO.
+        example: String,
+    },
+    /// The edge or lane is closed to passenger cars.
     #[error("`{name}` has no lane that a passenger car may drive on")]
-    NotDrivable { name: String },
+    NotDrivable {
+        /// The given id.
+        name: String,
+    },
+    /// The network has no lane long enough for a passenger car.
     #[error(
         "the network has no lane for a passenger car that is {SHORTEST_LANE} m or longer; the ego has nowhere to drive"
     )]
     NoLane,
+    /// No route leads from one to the other.
     #[error(transparent)]
     Route(#[from] RouteError),
 }

@@ -14,14 +14,19 @@ use wad_vehicle::PartnerKind;
 pub enum End {
     /// Within 5 m of the route's end.
     Arrival,
-    /// Alive at the tick limit, and the task counts that.
+    /// Alive at the tick limit, which the task counts as a success.
     Survived,
+    /// A collision.
     Collision,
+    /// The ego ran a red light.
     RedLight,
+    /// The ego left its lane.
     OutsideLane,
+    /// A wheel left the road surface.
     Sidewalk,
+    /// The ego stood too long without a reason.
     VehicleBlocked,
-    /// The tick limit, and the task wanted more.
+    /// The tick limit, which the task counts as a failure.
     Timeout,
     /// SUMO died; the episode does not count.
     Error,
@@ -41,7 +46,7 @@ impl End {
         Self::Error,
     ];
 
-    /// As in spec.md and in results, e.g. `red_light`.
+    /// Its name in spec.md and in results, e.g. `red_light`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Arrival => "arrival",
@@ -56,7 +61,7 @@ impl End {
         }
     }
 
-    /// Whether the ego's own doing ended the episode; the others cut it short (`truncated`).
+    /// Whether the ego's own driving ended the episode (`terminated`); the other ends truncate it (`truncated`).
     pub fn is_terminal(self) -> bool {
         matches!(
             self,
@@ -74,8 +79,9 @@ impl fmt::Display for End {
 /// How an episode ended, and why.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Ending {
+    /// The kind of end.
     pub end: End,
-    /// For people: partner and impulse of a collision, the light that was run, ...
+    /// The reason as text: partner and impulse of a collision, the light that was run, ...
     pub cause: String,
     /// Whether the task counts it as a success.
     pub success: bool,
@@ -86,10 +92,15 @@ pub struct Ending {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Termination {
+    /// A collision ends it.
     pub collision: bool,
+    /// A red light that was run ends it.
     pub red_light: bool,
+    /// Leaving the lane ends it.
     pub outside_lane: bool,
+    /// Leaving the road surface with a wheel ends it.
     pub sidewalk: bool,
+    /// Standing too long without a reason ends it.
     pub vehicle_blocked: bool,
 }
 
@@ -150,16 +161,16 @@ impl Termination {
 
 /// At the tick limit a task that wants progress counts as survived from this share of the route on.
 const PROGRESS: f64 = 0.5;
-/// The obstacle task wants the ego to stand so far before it (m).
+/// The obstacle task is passed at this distance before the obstacle (m).
 const STAND: std::ops::RangeInclusive<f64> = 1.0..=10.0;
 /// Below this the ego stands (m/s).
 const STANDING: f64 = 0.3;
-/// An ending that is no matter of the clock.
+/// The ending of an episode that ends before its tick limit.
 pub fn ending(task: TaskKind, end: End, cause: String) -> Ending {
     Ending { end, cause, success: end == End::Arrival && task != TaskKind::Obstacle }
 }
 
-/// How an episode ends whose clock has run out after `ticks`.
+/// The ending of an episode at its tick limit, after `ticks`.
 pub fn judge_limit(
     task: TaskKind,
     placement: &Placement,

@@ -1,16 +1,17 @@
-//! The co-simulation: SUMO's traffic, egos in lock-step with it, and what judges and drives them.
+//! The co-simulation: SUMO's traffic, egos in lock-step with it, the criteria that judge an ego, and the
+//! autopilot.
 //!
 //! | module | what it is |
 //! |---|---|
-//! | [`session`] | one tick for any number of egos: the only place where a tick happens |
-//! | [`bridge`] | one SUMO, one network, egos put into it and read back |
+//! | [`session`] | one tick for any number of egos; nothing else steps the simulation |
+//! | [`bridge`] | one SUMO, one network, and the egos in it |
 //! | [`traffic`] | the background population |
 //! | [`autopilot`] | the rule-based expert |
-//! | [`criteria`], [`end`] | what happened in a tick; what ends an episode |
+//! | [`criteria`], [`end`] | the events of a tick; the end of an episode |
 //! | [`assets`] | a town, read and built once |
-//! | [`tasks`], [`scenario`], [`destination`] | what is to be driven, and where |
+//! | [`tasks`], [`scenario`], [`destination`] | driving tasks and their places; situations drawn in netedit; routes |
 //! | [`replay`], [`telemetry`] | recorded drives |
-//! | [`sumo_config`], [`nets`] | `.sumocfg` files; nets built, imported, enriched |
+//! | [`sumo_config`], [`nets`] | reads `.sumocfg` files; builds, imports, enriches and checks nets |
 //! | [`bundled`] | towns, scenarios and weights that travel with the program |
 //! | [`cores`], [`cpu_time`], [`stats`], [`program`] | processors, processor time, medians, the version |
 
@@ -33,3 +34,7 @@ pub mod sumo_config;
 pub mod tasks;
 pub mod telemetry;
 pub mod traffic;
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -16,20 +16,66 @@ use sumo_traci::process::SumoInstall;
 /// Why a configuration could not be used.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
+    /// The file cannot be read.
     #[error("could not read `{}`: {source}", path.display())]
-    Read { path: PathBuf, source: std::io::Error },
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// The file is not a SUMO configuration.
     #[error("`{}` is not a SUMO configuration: {problem}; expected XML with a <net-file value=\"...\"/>", path.display())]
-    Malformed { path: PathBuf, problem: String },
+    Malformed {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// The configuration has no `net-file`.
     #[error("`{}` names no net-file; add <net-file value=\"...\"/> to its <input>", path.display())]
-    NoNet { path: PathBuf },
+    NoNet {
+        /// The configuration.
+        path: PathBuf,
+    },
+    /// The configuration names a file that does not exist.
     #[error("`{}` names {option} `{}`, which does not exist (paths count from the config's folder)", config.display(), missing.display())]
-    MissingInput { config: PathBuf, option: String, missing: PathBuf },
+    MissingInput {
+        /// The configuration.
+        config: PathBuf,
+        /// The option that names the file.
+        option: String,
+        /// The file.
+        missing: PathBuf,
+    },
+    /// An option has an unusable value.
     #[error("`{}` gives {option} the value `{value}`; expected {expected}", path.display())]
-    BadValue { path: PathBuf, option: String, value: String, expected: &'static str },
+    BadValue {
+        /// The configuration.
+        path: PathBuf,
+        /// The option.
+        option: String,
+        /// The value found.
+        value: String,
+        /// The values that can be used.
+        expected: &'static str,
+    },
+    /// A file cannot be written.
     #[error("could not write `{}`: {source}", path.display())]
-    Write { path: PathBuf, source: std::io::Error },
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// SUMO does not list its options.
     #[error("could not ask SUMO at `{}` for its options: {problem}", binary.display())]
-    Schema { binary: PathBuf, problem: String },
+    Schema {
+        /// SUMO's program.
+        binary: PathBuf,
+        /// What went wrong.
+        problem: String,
+    },
 }
 
 /// The options that a SUMO binary knows, as it lists them itself.
@@ -60,7 +106,7 @@ impl OptionSchema {
         Ok(schema)
     }
 
-    /// The same, asked once per process and binary: the question costs as much as starting SUMO.
+    /// The same, queried once per process and binary: the query costs as much as starting SUMO.
     pub fn cached(install: &SumoInstall, gui: bool) -> Result<Arc<Self>, ConfigError> {
         static KNOWN: Mutex<BTreeMap<PathBuf, Arc<OptionSchema>>> = Mutex::new(BTreeMap::new());
         let binary = install.program(if gui { "sumo-gui" } else { "sumo" });
@@ -102,14 +148,14 @@ pub struct SumoConfig {
     pub ignored: Vec<String>,
 }
 
-/// What a run adds to or takes from the user's configuration.
+/// A run's changes to the user's configuration.
 #[derive(Clone, Debug, Default)]
 pub struct Overrides {
     /// Folder for everything that SUMO writes.
     pub output_dir: PathBuf,
     /// Options that win over the file's.
     pub set: Vec<(String, String)>,
-    /// Options for when the file says nothing.
+    /// Options that apply if the file does not set them.
     pub default: Vec<(String, String)>,
     /// Leaves out the file's own routes.
     pub drop_demand: bool,
@@ -207,7 +253,7 @@ impl SumoConfig {
         value.split(',').map(str::trim).filter(|v| !v.is_empty()).map(PathBuf::from).collect()
     }
 
-    /// A time option in seconds (`90`, `15:0:0`, `1:00:00:00`), None where the file says nothing
+    /// A time option in seconds (`90`, `15:0:0`, `1:00:00:00`), None if the file does not set it
     /// or the time is negative (SUMO's "never").
     pub fn time(&self, option: &str) -> Result<Option<f64>, ConfigError> {
         let Some(text) = self.options.get(option) else { return Ok(None) };
@@ -372,7 +418,7 @@ fn output_attribute(element: &str) -> Option<&'static str> {
     }
 }
 
-/// `file` itself where nobody in it is of type `dropped`, else a copy in `dir` without those.
+/// `file` itself if nothing in it has the type `dropped`, else a copy in `dir` without those elements.
 fn without_type(file: &Path, dropped: &str, dir: &Path) -> Result<PathBuf, ConfigError> {
     let text = read_plain(file)?;
     let malformed = |problem: String| ConfigError::Malformed { path: file.to_path_buf(), problem };

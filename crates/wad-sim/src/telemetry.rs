@@ -16,15 +16,24 @@ use wad_vehicle::{Control, EgoState};
 #[derive(Debug, thiserror::Error)]
 #[error("could not write `{}`: {source}; what was written before stays readable", path.display())]
 pub struct WriteError {
+    /// The file.
     pub path: PathBuf,
+    /// The system's error.
     pub source: std::io::Error,
 }
 
 /// Why there is no run folder.
 #[derive(Debug, thiserror::Error)]
 pub enum FolderError {
+    /// The folder holds another run.
     #[error("`{}` already holds a run ({found}); name another folder with --out, or remove it", path.display())]
-    Taken { path: PathBuf, found: &'static str },
+    Taken {
+        /// The folder.
+        path: PathBuf,
+        /// The file of it that was found.
+        found: &'static str,
+    },
+    /// The folder or a file in it cannot be written.
     #[error(transparent)]
     Write(#[from] WriteError),
 }
@@ -34,18 +43,22 @@ pub enum FolderError {
 pub struct RouteRecord {
     /// SUMO lane id under the route.
     pub lane: String,
-    /// Distance along the route and offset to its left (m).
+    /// Distance along the route (m).
     pub s: f64,
+    /// Offset to the left of the route (m).
     pub d: f64,
     /// Route length (m).
     pub length: f64,
+    /// Turn instruction at the ego's place.
     pub option: RoadOption,
 }
 
-/// Distance to the next signal's stop line (m) and what it shows.
+/// The next signal on the route.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LightRecord {
+    /// What it shows.
     pub state: SignalState,
+    /// Distance of its stop line (m).
     pub distance: f64,
 }
 
@@ -61,31 +74,39 @@ pub struct LeaderRecord {
 /// One line of `telemetry.jsonl`: the control of a tick and the state after it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TickRecord {
+    /// Number of the tick.
     pub tick: u64,
     /// Simulation time after the tick (s).
     pub time: f64,
+    /// The control of the tick.
     pub control: Control,
+    /// The ego's motion after the tick.
     pub ego: EgoState,
+    /// The ego's place on its route after the tick.
     pub route: RouteRecord,
     /// Speed limit (m/s).
     pub limit: f64,
+    /// The next signal on the route, if there is one.
     pub light: Option<LightRecord>,
+    /// The vehicle or pedestrian ahead, if there is one.
     pub leader: Option<LeaderRecord>,
-    /// What the autopilot's decision was about; None for other agents.
+    /// The reason of the autopilot's decision; None for other drivers.
     pub reason: Option<Reason>,
+    /// What happened in the tick.
     pub events: Vec<Event>,
-    /// Background vehicles and pedestrians in the network.
+    /// Background vehicles in the network.
     pub vehicles: usize,
+    /// Background pedestrians in the network.
     pub pedestrians: usize,
-    /// What people asked of the run before this tick.
+    /// The viewers' requests before this tick.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub wishes: Vec<Wish>,
-    /// Who drove, where somebody took the wheel from the run's own driver.
+    /// The tick's driver, if it was not the run's own.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub driver: Option<String>,
 }
 
-/// What a person may ask of a run; it is recorded, so that the run can be driven again.
+/// A viewer's request to a run. It is recorded, so that the run can be driven again.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "wish", rename_all = "snake_case")]
 pub enum Wish {
@@ -95,8 +116,13 @@ pub enum Wish {
     NewRoute,
     /// To the same destination from where the ego is, which has left its route.
     FindBack,
-    /// So much background traffic from now on.
-    Traffic { vehicles: usize, pedestrians: usize },
+    /// Keep this much background traffic alive from now on.
+    Traffic {
+        /// Background vehicles.
+        vehicles: usize,
+        /// Background pedestrians.
+        pedestrians: usize,
+    },
 }
 
 /// A run's folder with its telemetry open.

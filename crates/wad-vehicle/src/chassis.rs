@@ -27,7 +27,7 @@ const YAW_RATE_TOUCHING: f32 = 3.0;
 /// A body slower than this (m/s) counts as standing: touching it never adds energy.
 const STANDING: f32 = 0.05;
 
-/// A squeeze between two bodies that reports still believe, as a share of the ego's weight.
+/// Largest squeeze between two bodies that reports count, as a multiple of the ego's weight.
 const SQUEEZE: f64 = 2.0;
 
 /// One pair of touching colliders in one sub-step.
@@ -377,8 +377,8 @@ impl Chassis {
         }
     }
 
-    /// A moving body cannot be stopped, so one that presses the ego against something is let through
-    /// it until they are apart again.
+    /// A moving body does not stop. If it presses the ego against something, the two pass through each
+    /// other until they are apart again.
     fn release(&mut self, params: &EgoParams, touches: &[Touch]) {
         let hard = 0.5 * params.mass as f32;
         for touch in touches {
@@ -395,7 +395,7 @@ impl Chassis {
     }
 
     /// Keeps a collision within what a car does: no energy from standing bodies, no faster than what
-    /// pushes it, no flying, no spinning. `speed` and `spin` are those before the step, `touched` the
+    /// pushes it, no flying, no spinning. `speed` and `spin` are the ego's before the step, `touched` is the
     /// speed of the fastest body touched (m/s).
     fn bound(&mut self, params: &EgoParams, speed: Vector, spin: f32, touched: Option<f32>) {
         let yaw_inertia = params.inertia()[2] as f32;

@@ -1,4 +1,4 @@
-//! Who touched the ego, how hard and where.
+//! Contacts of the ego: partner, impulse and place.
 
 use super::{Contact, EgoParams, MovingBody, PartnerKind};
 use sumo_network::geometry::{Pose, Vector};

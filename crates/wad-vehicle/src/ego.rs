@@ -1,4 +1,4 @@
-//! The ego: one value that is driven tick by tick.
+//! The ego vehicle: drives tick by tick.
 
 use super::actuators::Actuators;
 use super::chassis::{Chassis, Motion};
@@ -65,7 +65,7 @@ impl EgoVehicle {
         *self = Self { statics, ..Self::new(self.params.clone(), pose, speed) };
     }
 
-    /// What it is made of.
+    /// The vehicle's parameters.
     pub fn params(&self) -> &EgoParams {
         &self.params
     }
@@ -77,8 +77,8 @@ impl EgoVehicle {
         state
     }
 
-    /// Tells the height of the road under the ego (m), which the physics knows nothing of. Bodies and
-    /// statics on another level, more than 3 m above or below, are then passed over. None, as at the
+    /// Sets the height of the road under the ego (m), which the physics does not know. Bodies and statics
+    /// on another level, more than 3 m above or below, are then ignored. None, as at the
     /// start and after a respawn, takes everything to be on one level.
     pub fn set_elevation(&mut self, elevation: Option<f64>) {
         self.elevation = elevation.filter(|z| z.is_finite());
@@ -96,8 +96,8 @@ impl EgoVehicle {
     }
 
     /// Drives for `duration_s` (s) among `bodies`, which are where they say at the tick's begin and
-    /// keep their velocity. The contacts of the tick, by kind and key; those of the wheels with kerbs
-    /// are not among them.
+    /// keep their velocity. Returns the contacts of the tick, by kind and key, without the wheels' contacts
+    /// with kerbs.
     ///
     /// Control out of range is clamped, and what is not a number counts as 0. A duration that is not
     /// positive does nothing.
@@ -149,7 +149,7 @@ impl EgoVehicle {
     fn recover(&mut self, last_good: Pose, duration: f64) {
         let motion = self.chassis.motion();
         if !motion.is_finite() {
-            // Nothing of the physics world can be kept: everything in it may be poisoned.
+            // The physics world is replaced: any number in it may be NaN.
             self.chassis = Chassis::new(&self.params, last_good, 0.0);
             self.overturned = 0.0;
             return;

@@ -1,16 +1,16 @@
 //! The ego vehicle: a rapier raycast vehicle, its actuators and its contacts.
 //!
 //! [`EgoVehicle::tick`] takes a [`Control`] and the road users near by, and gives the [`Contact`]s;
-//! [`EgoVehicle::state`] is the motion that came of it. Each ego has a physics world of its own.
+//! [`EgoVehicle::state`] is the resulting motion. Each ego has a physics world of its own.
 //! Contacts follow these rules:
 //!
-//! - A background vehicle is a moving body of infinite mass: hitting a standing one at v takes the
-//!   ego's whole momentum, m v; being hit takes the ego along, never faster than the other drives.
-//! - A pedestrian is no obstacle: both get the plastic blow between the ego and 75 kg, once until
-//!   they have been apart.
-//! - A moving body that presses the ego against something else is let through until they are apart.
+//! - A background vehicle is a moving body of infinite mass: hitting a standing one at v costs the
+//!   ego its whole momentum, m v; one that hits the ego pushes it along, never faster than itself.
+//! - A pedestrian is not an obstacle: both get the plastic impulse between the ego and 75 kg, once per
+//!   contact.
+//! - A moving body that presses the ego against something else passes through it until they are apart.
 //! - Standing bodies never add energy, and no collision lifts, tips or spins the ego beyond bounds.
-//! - Kerbs are climbed by the wheels, which costs speed and jolts, and are no contact.
+//! - Wheels climb kerbs, which costs speed and jolts; a kerb is not a contact.
 
 mod actuators;
 mod chassis;
@@ -70,20 +70,20 @@ pub struct EgoState {
     pub steer_angle: f64,
 }
 
-/// What a contact was with.
+/// The other side of a contact.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PartnerKind {
     /// A moving vehicle of any kind.
     Vehicle,
-    /// Somebody on foot.
+    /// A person on foot.
     Pedestrian,
-    /// Something that stands still.
+    /// A fixed body: building, pole, kerb.
     Static,
 }
 
-/// Another road user. Through the tick it goes on as it did: gaining or losing speed, turning, and
-/// standing once it has stopped.
+/// Another road user. During the tick it keeps its acceleration and its yaw rate; if it brakes to a stop,
+/// it stays there.
 #[derive(Clone, Copy, Debug)]
 pub struct MovingBody {
     /// The caller's own number for it, stable over ticks.
@@ -92,17 +92,17 @@ pub struct MovingBody {
     pub kind: PartnerKind,
     /// Centre of the footprint at the tick's begin.
     pub pose: Pose,
-    /// m/s along the heading at the tick's begin.
+    /// Speed along the heading at the tick's begin (m/s).
     pub speed: f64,
-    /// m/s2 along the heading, and rad/s to the left.
+    /// Acceleration along the heading at the tick's begin (m/s2).
     pub acceleration: f64,
     /// Yaw rate at the tick's begin (rad/s, left positive).
     pub turn_rate: f64,
-    /// Footprint and height (m).
+    /// Length of the footprint (m).
     pub length: f64,
-    /// m.
+    /// Width of the footprint (m).
     pub width: f64,
-    /// m.
+    /// Height (m).
     pub height: f64,
 }
 
@@ -110,7 +110,7 @@ impl MovingBody {
     /// Where it is `elapsed` (s) after the tick's begin.
     pub fn at(&self, elapsed: f64) -> Pose {
         let (v, a) = (self.speed, self.acceleration);
-        // Who brakes stands, and does not go backward.
+        // A braking vehicle stops; it does not go backward.
         let slows = v >= 0.0 && a < 0.0 || v < 0.0 && a > 0.0;
         let moving = if slows { elapsed.min(-v / a) } else { elapsed };
         let way = (v + 0.5 * a * moving) * moving;
@@ -132,7 +132,7 @@ impl MovingBody {
 /// A contact of the ego's body over one tick.
 #[derive(Clone, Copy, Debug)]
 pub struct Contact {
-    /// What it was with.
+    /// The other side.
     pub kind: PartnerKind,
     /// [`MovingBody::key`], or the static body's own number.
     pub key: u64,

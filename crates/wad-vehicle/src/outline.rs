@@ -1,4 +1,4 @@
-//! Simple polygons cut into convex ones, for a physics engine that only knows those.
+//! Cuts simple polygons into convex ones, because the physics engine only takes convex shapes.
 
 use sumo_network::geometry::Point;
 

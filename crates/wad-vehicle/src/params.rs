@@ -1,4 +1,4 @@
-//! What the ego is made of.
+//! The ego's parameters: sizes, masses, engine, brakes, tyres.
 
 use serde::{Deserialize, Serialize};
 
@@ -117,10 +117,10 @@ impl Default for EgoParams {
     }
 }
 
-/// Measures that no vehicle can have.
+/// A vehicle parameter out of range.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error(
-    "the ego's {name} cannot be {found}: expected {low} to {high}{unit}; correct it, or leave it out for {usual}"
+    "the ego's {name}: expected {low} to {high}{unit}, found {found}; correct it, or leave it out for {usual}"
 )]
 pub struct ParamsError {
     /// Which measure.
@@ -175,7 +175,7 @@ impl EgoParams {
     /// Whether a vehicle can be made of them.
     ///
     /// # Errors
-    /// The first measure that is no number or beyond what road vehicles have, or that does not fit
+    /// The first parameter that is not a number or out of the range of road vehicles, or that does not fit
     /// another: axles beyond the body, wheels wider apart than it, springs shorter than their sag.
     pub fn check(&self) -> Result<(), ParamsError> {
         let usual = Self::default();

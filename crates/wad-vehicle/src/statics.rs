@@ -1,4 +1,4 @@
-//! What stands still beside the road: buildings, poles, kerbs.
+//! Fixed bodies beside the road: buildings, poles, kerbs.
 
 use super::outline::convex_pieces;
 use rapier3d::prelude::{Rotation, SharedShape, Vector};
@@ -17,7 +17,7 @@ pub enum StaticKind {
     Pole,
     /// A wall, a fence, a guard rail.
     Barrier,
-    /// Low: wheels climb it, the body passes over it, and it is no contact.
+    /// Low: wheels climb it, the body passes over it, and it is not a contact.
     Kerb,
 }
 
@@ -30,7 +30,7 @@ pub struct StaticBody {
     pub label: String,
     /// What it is.
     pub kind: StaticKind,
-    /// Footprint (m): any simple polygon, in either direction. One without area is passed over.
+    /// Footprint (m): any simple polygon, in either direction. One without area is ignored.
     pub outline: Vec<Point>,
     /// Heights of the underside and the top above the road (m).
     pub bottom: f64,
@@ -90,8 +90,8 @@ impl Statics {
         Self { bodies, pieces, tree: RTree::bulk_load(boxes) }
     }
 
-    /// Indices of the pieces within `radius` (m) of `point`, in order; those that are known to be on
-    /// another level than `elevation` (m) left out.
+    /// Indices of the pieces within `radius` (m) of `point`, in order, without the pieces that are known to
+    /// be on another level than `elevation` (m).
     pub(super) fn near(&self, point: Point, radius: f64, elevation: Option<f64>) -> Vec<usize> {
         let mut found: Vec<usize> = self
             .tree

@@ -9,7 +9,7 @@ use sumo_network::geometry::{Point, direction};
 
 /// Fixed bodies within this distance (m) are in the physics world ...
 const STATIC_RADIUS: f64 = 40.0;
-/// ... and looked for again once the ego has moved or climbed this far (m).
+/// ... and searched again once the ego has moved or climbed this far (m).
 const STATIC_STEP: f64 = 15.0;
 const CLIMB_STEP: f64 = 1.0;
 /// A moving body is in the physics world when it can come this close (m) within the tick: as much as
@@ -23,7 +23,7 @@ pub(super) const OBSTACLE: Group = Group::GROUP_3;
 pub(super) const EGO: Group = Group::GROUP_4;
 pub(super) const WHEEL_RAY: Group = Group::GROUP_5;
 
-/// Whom a collider belongs to, kept in its user data.
+/// The owner of a collider, kept in its user data.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Owner {
     Ground,
@@ -110,7 +110,7 @@ impl Reach {
 pub(super) struct Surroundings {
     /// Piece index to collider.
     statics: BTreeMap<usize, ColliderHandle>,
-    /// Where fixed bodies were last looked for, and on which level (m).
+    /// Where fixed bodies were last searched, and on which level (m).
     looked_at: Option<(Point, Option<f64>)>,
     movers: BTreeMap<(u8, u64), Mover>,
 }

@@ -19,7 +19,7 @@ impl Network {
     /// Reads a `.net.xml` or `.net.xml.gz` file.
     ///
     /// # Errors
-    /// When the file cannot be read, is no XML, no network, cut off, or names what it does not have.
+    /// The file cannot be read, is not XML, is not a network, is cut off, or names an element that it lacks.
     pub fn load(path: &Path) -> Result<Self, NetworkError> {
         Self::from_xml(path, &read_text(path)?)
     }

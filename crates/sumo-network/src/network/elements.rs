@@ -57,7 +57,7 @@ pub struct Edge {
     pub to: Option<JunctionId>,
     /// The junction that an internal edge, crossing or walkingarea lies in.
     pub junction: Option<JunctionId>,
-    /// SUMO's priority: who has the right of way where edges meet.
+    /// SUMO's priority: it decides the right of way where edges meet.
     pub priority: i32,
     /// SUMO edge type, empty where none was given.
     pub edge_type: String,
@@ -80,13 +80,13 @@ pub struct Lane {
     pub speed_limit: f64,
     /// SUMO's lane length (m): lane_position counts in it; may differ from `shape.length()`.
     pub length: f64,
-    /// m; 3.2 where the file says nothing.
+    /// m; 3.2 if the file has none.
     pub width: f64,
-    /// Who may drive (or walk) on it.
+    /// The classes that may drive (or walk) on it.
     pub permissions: Permissions,
-    /// Who may change from here to the lane with the next higher index (SUMO's `changeLeft`).
+    /// Classes that may change from here to the lane with the next higher index (SUMO's `changeLeft`).
     pub change_up: Permissions,
-    /// Who may change from here to the lane with the next lower index (SUMO's `changeRight`).
+    /// Classes that may change from here to the lane with the next lower index (SUMO's `changeRight`).
     pub change_down: Permissions,
     /// Centre line (m); for a walkingarea its outline.
     pub shape: Polyline,
@@ -149,7 +149,7 @@ pub struct Link {
     pub foes: Vec<LinkId>,
     /// Crossings that this link's path cuts across.
     pub crossings: Vec<CrossingId>,
-    /// Crossings among those whose pedestrians go first.
+    /// Crossings whose pedestrians have the right of way.
     pub yields_to_crossings: Vec<CrossingId>,
 }
 
@@ -166,7 +166,7 @@ pub struct Crossing {
     pub crossed_edges: Vec<EdgeId>,
     /// Outline polygon (m): the file's `outlineShape`, or made from shape and width.
     pub outline: Vec<Point>,
-    /// The signal for those who walk.
+    /// The signal for pedestrians.
     pub signal: Option<SignalIndex>,
     /// Pedestrians have priority over vehicles.
     pub priority: bool,

@@ -99,7 +99,7 @@ pub enum NetworkError {
         "no drivable lane for class {class}: none of the net's {lanes} road lanes allows it; use another net or another vehicle class"
     )]
     NoDrivableLane {
-        /// For whom.
+        /// The vehicle class.
         class: VehicleClass,
         /// How many lanes its roads have.
         lanes: usize,

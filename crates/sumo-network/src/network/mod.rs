@@ -77,7 +77,7 @@ struct Names {
 }
 
 impl Network {
-    /// The same network with lanes of these ids closed to everybody.
+    /// The same network with the lanes of these ids closed to all classes.
     #[must_use]
     pub fn without_lanes(&self, ids: &[String]) -> Self {
         let mut network = self.clone();

@@ -249,7 +249,7 @@ impl At<'_> {
     }
 }
 
-/// Largest coordinate and length that are believed (m): more is no place on Earth.
+/// Largest accepted coordinate and length (m): more does not exist on Earth.
 const LARGEST: f64 = 1e9;
 
 fn finite(text: &str) -> Option<f64> {

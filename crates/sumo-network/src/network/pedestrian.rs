@@ -1,4 +1,4 @@
-//! Where pedestrians walk: from sidewalk to sidewalk over walkingareas and crossings.
+//! Walks of pedestrians: from sidewalk to sidewalk over walkingareas and crossings.
 
 use super::elements::{Edge, EdgeId, EdgeKind, Lane};
 use super::parse::RawConnection;
@@ -6,14 +6,14 @@ use super::permissions::VehicleClass;
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
 
-/// What going over a junction costs besides the way along the edges (m).
+/// Cost of crossing a junction, besides the way along the edges (m).
 const JUNCTION: f64 = 10.0;
 
 /// The walkable edges as an undirected graph. Its nodes are what hangs together at a junction:
 /// walkingareas, the crossings between them, and the ends of the sidewalks that lead there.
 #[derive(Clone, Debug, Default)]
 pub(super) struct PedestrianNetwork {
-    /// For each edge of the network its nodes at its begin and end; None where nobody walks.
+    /// For each edge of the network the nodes at its begin and end; None without a sidewalk.
     ends: Vec<Option<[usize; 2]>>,
     /// For each node the edges that end there, with the end (0 begin, 1 end).
     at_node: HashMap<usize, Vec<(EdgeId, usize)>>,

@@ -63,7 +63,7 @@ impl Permissions {
         }
     }
 
-    /// A space-separated list of SUMO's class names; unknown names are passed over.
+    /// A space-separated list of SUMO's class names; unknown names are ignored.
     fn parse(list: &str) -> Self {
         list.split_ascii_whitespace().fold(Self::NONE, |set, name| Self(set.0 | Self::bits_of(name)))
     }
@@ -87,7 +87,7 @@ impl Permissions {
     }
 }
 
-/// SUMO's abstract vehicle classes that the bridge tells apart.
+/// SUMO's abstract vehicle classes that the bridge distinguishes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum VehicleClass {
     /// Cars.
@@ -102,7 +102,7 @@ pub enum VehicleClass {
     Motorcycle,
     /// Bicycles.
     Bicycle,
-    /// Those who walk.
+    /// Pedestrians.
     Pedestrian,
 }
 

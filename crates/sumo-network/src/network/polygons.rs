@@ -47,16 +47,16 @@ pub struct Shapes {
     pub polygons: Vec<Polygon>,
     /// Points of interest, in the file's order.
     pub points: Vec<PointOfInterest>,
-    /// How many shapes were passed over: without usable coordinates, or in longitude and latitude.
+    /// Number of ignored shapes: without usable coordinates, or in longitude and latitude.
     pub skipped: usize,
 }
 
 impl Shapes {
-    /// Reads an additional file, plain or gzipped. Elements that are no shapes are passed over.
+    /// Reads an additional file, plain or gzipped. Other elements are ignored.
     /// `network` places points that are given by lane.
     ///
     /// # Errors
-    /// When the file cannot be read, is no XML or is cut off.
+    /// The file cannot be read, is not XML, or is cut off.
     pub fn load(path: &Path, network: &Network) -> Result<Self, NetworkError> {
         Self::from_xml(path, &read_text(path)?, network)
     }

@@ -1,4 +1,4 @@
-//! Which lanes can be reached from which, for choosing destinations.
+//! Reachability of lanes from each other, for choosing destinations.
 
 use super::{EdgeKind, LaneId, LinkDirection, Network, VehicleClass};
 
@@ -22,14 +22,14 @@ impl Network {
 
     /// The largest set of lanes of normal edges in which `class` can drive on from each to each, in
     /// file order: where random routes begin and end. Turn-arounds count only where the net is
-    /// mostly dead ends, so that less than half of it hangs together without them.
+    /// mostly dead ends, so that less than half of it is connected without them.
     pub fn largest_component(&self, class: VehicleClass) -> Vec<LaneId> {
         let without = self.component(class, false);
         let with = self.component(class, true);
         if 2 * without.len() < with.len() { with } else { without }
     }
 
-    /// Where one gets from `lane` directly: over its links, and by changing lanes.
+    /// Lanes reached from `lane` directly: over its links, and by changing lanes.
     fn next_lanes(&self, lane: LaneId, class: VehicleClass, turn_around: bool) -> Vec<LaneId> {
         let here = self.lane(lane);
         let open = |l: LaneId| self.lane(l).permissions.allows(class);

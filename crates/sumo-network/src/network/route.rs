@@ -13,7 +13,7 @@ pub const APPROACH: f64 = 15.0;
 /// The longest route that is built (m).
 const LONGEST: f64 = 500_000.0;
 
-/// What the driver is to do at a waypoint (CARLA's RoadOption).
+/// The driver's instruction at a waypoint (CARLA's RoadOption).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum RoadOption {
     /// Along the lane, or over a junction without a choice.
@@ -82,7 +82,7 @@ pub struct RoutePoint {
 /// A route between two lane positions.
 #[derive(Clone, Debug)]
 pub struct Route {
-    /// Normal edges in order, as SUMO wants them. The first is the edge that the route begins on, or,
+    /// Normal edges in order, as SUMO's routes have them. The first is the edge that the route begins on, or,
     /// inside a junction, the one that led into it.
     pub edges: Vec<EdgeId>,
     /// They follow each other without a gap from 0 to the route's length.
@@ -91,11 +91,11 @@ pub struct Route {
     pub links: Vec<RouteLink>,
     /// The smooth centre line, sampled about every metre.
     pub centre_line: Polyline,
-    /// Where the route begins and ends on the net, and for whom it is.
+    /// Where the route begins on the net.
     pub from: LanePosition,
     /// Where it ends on the net.
     pub to: LanePosition,
-    /// For whom it is.
+    /// The vehicle class that it is for.
     pub class: VehicleClass,
     /// Where each of `edges` is entered (m).
     edge_starts: Vec<f64>,
@@ -111,11 +111,11 @@ pub enum RouteError {
         "no route from edge `{from}` to edge `{to}` for class {class}: no connections lead there; choose edges of the same connected part of the net, or another vehicle class"
     )]
     Unreachable {
-        /// Edge that was started from.
+        /// Edge of the start.
         from: String,
         /// Edge of the destination.
         to: String,
-        /// For whom.
+        /// The vehicle class.
         class: VehicleClass,
     },
     /// The class may not use the lane.
@@ -123,7 +123,7 @@ pub enum RouteError {
     NotForClass {
         /// The lane.
         lane: String,
-        /// For whom.
+        /// The vehicle class.
         class: VehicleClass,
     },
     /// The position lies beyond the lane's ends.
@@ -133,12 +133,12 @@ pub enum RouteError {
     OffLane {
         /// The lane.
         lane: String,
-        /// The position asked for (m).
+        /// The given position (m).
         s: f64,
         /// The lane's length (m).
         length: f64,
     },
-    /// Longer than anything that is driven.
+    /// The route is too long.
     #[error(
         "the route is {kilometres:.0} km long, more than the {} km that are supported; choose a nearer destination",
         LONGEST / 1000.0
@@ -148,7 +148,7 @@ pub enum RouteError {
         kilometres: f64,
     },
     /// A crossing or walkingarea, or, as a destination, a lane inside a junction.
-    #[error("lane `{lane}` is no lane of a road; choose a lane of a normal edge")]
+    #[error("lane `{lane}` is not part of a road; choose a lane of a normal edge")]
     NotARoad {
         /// The lane.
         lane: String,
@@ -162,7 +162,7 @@ impl Network {
     /// going round. Turn-arounds are used only where nothing else leads there.
     ///
     /// # Errors
-    /// When a position is off its lane, on no road, on a lane closed to the class, or out of reach.
+    /// A position is off its lane, on no road, on a lane closed to the class, or out of reach.
     pub fn route(
         &self,
         from: LanePosition,
@@ -172,8 +172,8 @@ impl Network {
         Route::new(self, search(self, from, to, class)?, from, to, class)
     }
 
-    /// Lengthens a route to a further destination. What was driven keeps its `s`, but for the last few
-    /// metres, where the smooth line takes notice of what follows.
+    /// Lengthens a route to a further destination. The existing part keeps its `s`, except the last few
+    /// metres, where the smooth line bends towards the new part.
     ///
     /// # Errors
     /// As [`Network::route`]; the route is then left as it was.
@@ -288,7 +288,7 @@ impl Route {
                     self.enter(network.lane(on.from).edge, s_start);
                 }
                 self.approach(option, s_start);
-                // The edge behind the junction is entered anew, be it the same one.
+                // The edge behind the junction counts as entered again, even if it is the same one.
                 self.edges.push(network.lane(on.to).edge);
                 self.edge_starts.push(s_end);
             }

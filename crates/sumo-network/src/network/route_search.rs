@@ -223,7 +223,7 @@ impl Search<'_> {
                 }
                 if goal_edge && exit_id == self.to.lane {
                     let way = self.goal_on(place.lane) - place.s;
-                    // Entered anew, every place is ahead; from the start, only what lies before it.
+                    // On an edge that is entered, every place is ahead; on the first edge, only the places after the start.
                     if (entry.is_some() || way >= AHEAD)
                         && let Some(changes) = fit(way, count, speed, self.mode)
                     {

@@ -1,4 +1,4 @@
-//! Smoothing a finely sampled line, and bringing its tight bends down to what a car can steer.
+//! Smoothing a finely sampled line, and relaxing its tight bends to curvatures that a car can steer.
 
 use nalgebra::{Point3, Vector3};
 

@@ -10,7 +10,7 @@ use std::path::Path;
 /// A file that unpacks to more than this is refused (bytes).
 const LARGEST: u64 = 4 << 30;
 
-/// Reads a whole file as text; gzip is told by its magic bytes. Text that is not UTF-8 is read as Latin-1.
+/// Reads a whole file as text; gzip is found by its magic bytes. Text that is not UTF-8 is read as Latin-1.
 pub(super) fn read_text(path: &Path) -> Result<String, NetworkError> {
     let bytes = std::fs::read(path).map_err(|source| NetworkError::Io { path: path.to_owned(), source })?;
     let bytes = if bytes.starts_with(&[0x1f, 0x8b]) {
@@ -49,7 +49,7 @@ pub(super) struct Walk<'a> {
 impl<'a> Walk<'a> {
     /// A walk over `text`, which came from `path`.
     pub fn new(path: &'a Path, text: &'a str) -> Self {
-        // A byte order mark is no part of the XML.
+        // A byte order mark is not part of the XML.
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         let mut reader = quick_xml::Reader::from_str(text);
         reader.config_mut().allow_dangling_amp = true;

@@ -42,7 +42,7 @@ variables! { Lane:
     NOISE_EMISSION: f64 = 0x66;
     /// Wh/s.
     ELECTRICITY_CONSUMPTION: f64 = 0x71;
-    /// m/s; the speed limit where nobody is.
+    /// m/s; the speed limit if the lane is empty.
     LAST_STEP_MEAN_SPEED: f64 = 0x11;
     /// 0..1.
     LAST_STEP_OCCUPANCY: f64 = 0x13;

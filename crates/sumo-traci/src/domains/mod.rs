@@ -91,7 +91,7 @@ pub const INVALID_DOUBLE: f64 = -1_073_741_824.0;
 /// SUMO's "no value" for integers.
 pub const INVALID_INT: i32 = -1_073_741_824;
 
-/// Why an object is taken out.
+/// Why an object is removed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(i8)]
 pub enum RemoveReason {

@@ -90,12 +90,12 @@ pub const fn walking_distance(to: &RoadPosition) -> Query<Person, f64, (&RoadPos
     Variable::new(0x83, "walking_distance").with((to, DrivingDistance))
 }
 
-/// A ride that persons ask for.
+/// A ride that persons have requested.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TaxiReservation {
     /// The reservation's own id.
     pub id: String,
-    /// Ids of those who ride.
+    /// Ids of the passengers.
     pub persons: Vec<String>,
     /// Persons of one group share a vehicle.
     pub group: String,

@@ -69,7 +69,7 @@ setters! { Simulation:
     /// File to load the state from.
     LOAD_STATE: String = 0x96;
     SET_SCALE: f64 = 0x8e;
-    /// Drops vehicles that wait to be inserted, those of this route or ("") all.
+    /// Drops vehicles that wait to be inserted: the vehicles of this route, or all ("").
     CLEAR_PENDING: String = 0x94;
     /// Writes to SUMO's log.
     WRITE_MESSAGE: String = 0x65;

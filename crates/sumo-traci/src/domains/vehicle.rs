@@ -195,17 +195,17 @@ setters! { Vehicle:
     SET_LATERAL_ALIGNMENT: String = 0xb9;
 }
 
-/// Who drives ahead on the route within `distance` (m; 0 looks as far as the vehicle brakes).
+/// The leader on the route within `distance` (m; 0: the braking distance).
 pub const fn leader(distance: f64) -> Query<Vehicle, Option<Leader>, f64> {
     Variable::new(0x68, "leader").with(distance)
 }
 
-/// Who drives behind within `distance` (m).
+/// The follower within `distance` (m).
 pub const fn follower(distance: f64) -> Query<Vehicle, Option<Leader>, f64> {
     Variable::new(0x78, "follower").with(distance)
 }
 
-/// Neighbours on the lanes beside: bit 1 = right, bit 2 = leaders, bit 4 = only those that block a change.
+/// Neighbours on the lanes beside: bit 1 = right, bit 2 = leaders, bit 4 = only vehicles that block a change.
 /// Not for subscriptions: SUMO leaves out the types of its items.
 pub const fn neighbors(mode: u8) -> Query<Vehicle, Vec<Leader>, u8> {
     Variable::new(0xbf, "neighbors").with(mode)
@@ -345,7 +345,7 @@ pub fn set_acceleration(batch: &mut Batch, id: &str, acceleration: f64, duration
     batch.set_raw(Vehicle, 0x72, "acceleration", id, (acceleration, duration))
 }
 
-/// Sets the speed (m/s) and acceleration (m/s2) that count as those of the last step.
+/// Sets the speed (m/s) and acceleration (m/s2) that SUMO takes as the last step's.
 pub fn set_previous_speed(batch: &mut Batch, id: &str, speed: f64, acceleration: f64) -> Ticket<()> {
     batch.set_raw(Vehicle, 0x3c, "previous_speed", id, (speed, acceleration))
 }

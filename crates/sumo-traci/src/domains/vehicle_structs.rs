@@ -1,4 +1,4 @@
-//! What vehicle variables and commands carry.
+//! The structures of vehicle variables and commands.
 
 use super::INVALID_DOUBLE;
 use crate::codec::{Decode, DecodeError, Encode, Reader, tag};
@@ -151,7 +151,7 @@ pub struct JunctionFoe {
     pub ego_lane: String,
     /// Internal lane of the foe.
     pub foe_lane: String,
-    /// Who must wait.
+    /// The vehicle that must wait.
     pub ego_response: bool,
     /// Whether the foe must wait.
     pub foe_response: bool,
@@ -248,7 +248,7 @@ impl Decode for Vec<Stop> {
 pub struct LaneChangeState {
     /// What the model wants.
     pub without_traci: i32,
-    /// What comes of it under orders.
+    /// The state under TraCI's commands.
     pub with_traci: i32,
 }
 
@@ -269,7 +269,7 @@ impl Argument for DrivingDistance {
     }
 }
 
-/// A new vehicle. Texts are those of SUMO's route files ("now", "random", "base", ...).
+/// A new vehicle. Texts have the values of SUMO's route files ("now", "random", "base", ...).
 #[derive(Clone, Copy, Debug)]
 pub struct Add<'a> {
     /// Route id; "" puts it on a random edge.
@@ -359,7 +359,7 @@ impl Default for MoveToXy<'_> {
 /// A stop to make.
 #[derive(Clone, Copy, Debug)]
 pub struct SetStop<'a> {
-    /// Edge id, or the id of the stopping place that `flags` tells.
+    /// Edge id, or id of the stopping place of the kind in `flags`.
     pub place: &'a str,
     /// Where to stop on the lane (m).
     pub position: f64,

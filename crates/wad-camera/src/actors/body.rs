@@ -7,7 +7,7 @@
 use super::palette::VehiclePalette;
 use super::wheel::wheel;
 use crate::model::MaterialId;
-use crate::scene::shape::{Shaper, V3, mix};
+use crate::shape::{Shaper, V3, mix};
 
 /// The lines of a body seen from the side and from above (m); x is forward from the middle.
 #[derive(Clone, Debug)]

@@ -18,7 +18,7 @@ impl Body {
     pub const ALL: [Self; 7] =
         [Self::Hatchback, Self::Saloon, Self::Estate, Self::Suv, Self::Coupe, Self::Minivan, Self::PanelVan];
 
-    /// The body for a car of these sizes (m); a type's name may tell.
+    /// The body for a car of these sizes (m); the type's name may decide.
     pub fn of(id: &str, length: f64, height: f64, key: u64) -> Self {
         let named = [
             ("hatch", Self::Hatchback),

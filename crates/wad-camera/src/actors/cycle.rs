@@ -1,9 +1,9 @@
-//! Motorcycles and bicycles, and those who ride them.
+//! Motorcycles and bicycles, and their riders.
 
 use super::palette::{PersonPalette, VehiclePalette};
 use super::person::{Detail, Seat, rider};
 use crate::model::Bone;
-use crate::scene::shape::{Shaper, V3, add, mix};
+use crate::shape::{Shaper, V3, add, mix};
 use std::f32::consts::TAU;
 
 /// Sizes (m) as built: length, width, height with rider.
@@ -124,12 +124,12 @@ pub(super) fn cyclist_bones() -> Vec<Bone> {
     ]
 }
 
-/// Who rides a motorcycle.
+/// The rider of a motorcycle.
 pub(super) fn motorcyclist(s: &mut Shaper, p: &PersonPalette, detail: Detail) {
     rider(s, p, &MOTORCYCLE_SEAT, false, detail);
 }
 
-/// Who rides a bicycle, with its pedals; see [`cyclist_bones`].
+/// The rider of a bicycle, with its pedals; see [`cyclist_bones`].
 pub(super) fn bicyclist(s: &mut Shaper, v: &VehiclePalette, p: &PersonPalette, detail: Detail) {
     rider(s, p, &cyclist(), true, detail);
     if detail != Detail::Near {

@@ -3,7 +3,7 @@
 use super::palette::VehiclePalette;
 use super::wheel::wheel;
 use crate::model::MaterialId;
-use crate::scene::shape::{Shaper, V3};
+use crate::shape::{Shaper, V3};
 
 /// A box along x with rounded edges: corners (m), radius of the long edges, how much the ends shrink.
 pub(super) fn rounded_box(s: &mut Shaper, lo: V3, hi: V3, radius: f32, ends: f32, material: MaterialId) {

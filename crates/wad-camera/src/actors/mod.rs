@@ -15,7 +15,7 @@ use super::model::{
     ActorFrame, Bone, Box3, Channel, Instance, Lamps, Level, Library, Mesh, Model, ModelId, Object,
     ObjectClass, RIDER_IDS, Rgb, SemanticTag, srgb,
 };
-use super::scene::shape::{Shaper, bounds_of};
+use crate::shape::{Shaper, bounds_of};
 use car::Body;
 use nalgebra::Vector3;
 use palette::{CAR_COLOURS, HAIRS, LEGS, ObjectPalette, PersonPalette, SKINS, TOPS, VehiclePalette, pick};
@@ -43,7 +43,7 @@ pub struct Cast {
     vans: Vec<(Body, Figure)>,
     bus: Figure,
     truck: Figure,
-    /// With those who ride them.
+    /// With their riders.
     motorcycle: (Figure, Figure),
     bicycle: (Figure, Figure),
     /// Walking and standing, by build: adults first.
@@ -154,7 +154,7 @@ impl Cast {
         .unwrap_or(self.bus)
     }
 
-    /// Who rides `actor`, and how far it goes (m) in a turn of what moves them.
+    /// The rider's figure for `actor`; None for what is not a cycle.
     fn rider(&self, actor: &Actor) -> Option<Figure> {
         match actor.actor_type.kind {
             ActorKind::Motorcycle => Some(self.motorcycle.1),
@@ -260,7 +260,7 @@ fn thing(library: &mut Library, palette: &ObjectPalette, barrier: bool) -> Figur
     Figure { model: library.model(made), length, width, height, turn: 1.0 }
 }
 
-/// A cycle, and who rides it: apart, since detectors tell them apart.
+/// A cycle and its rider, as separate objects, because detectors separate them.
 fn cycle(
     library: &mut Library,
     name: &str,
@@ -372,7 +372,7 @@ pub struct Animation {
     generation: u64,
 }
 
-/// A jump further than this (m) in a tick is no motion.
+/// A jump further than this (m) in a tick does not count as motion.
 const JUMP: f64 = 15.0;
 
 impl Animation {
@@ -393,8 +393,8 @@ impl Animation {
         *gone
     }
 
-    /// Fills `frame` with the road users of `world`, in its order: vehicles, those with a rider after the
-    /// rider, then pedestrians.
+    /// Fills `frame` with the road users of `world`, in its order: vehicles (a rider comes before its
+    /// cycle), then pedestrians.
     pub fn pose(&mut self, cast: &Cast, world: &WorldState, frame: &mut ActorFrame) {
         self.generation += 1;
         frame.time = world.time;
@@ -412,7 +412,7 @@ impl Animation {
             };
             frame.instances.push(instance);
         }
-        // Forget who has left.
+        // Forget road users that have left.
         if self.gone.len() > 2 * frame.instances.len() + 64 {
             let generation = self.generation;
             self.gone.retain(|_, (_, _, seen)| *seen == generation);
@@ -460,7 +460,7 @@ fn vehicle(cast: &Cast, actor: &Actor, gone: f64, id: u32) -> Instance {
         _ => ObjectClass::Car,
     };
     let mut bounds = Box3 { pose: actor.pose, size: [t.length, t.width, t.height] };
-    // Its own height, without who rides it.
+    // Its own height, without the rider.
     match t.kind {
         ActorKind::Motorcycle => bounds.size[2] *= f64::from(cycle::MOTORCYCLE_TOP / figure.height),
         ActorKind::Bicycle => bounds.size[2] *= f64::from(cycle::BICYCLE_TOP / figure.height),
@@ -471,7 +471,7 @@ fn vehicle(cast: &Cast, actor: &Actor, gone: f64, id: u32) -> Instance {
     instance
 }
 
-/// Who rides `actor`: a person, as COCO counts them.
+/// The rider of `actor`: a person, as in COCO.
 fn rider(cast: &Cast, figure: Figure, actor: &Actor, gone: f64, id: u32) -> Instance {
     let mut instance = vehicle(cast, actor, gone, id);
     instance.model = figure.model;

@@ -1,14 +1,14 @@
 //! Barriers and cones that close a lane.
 
 use super::palette::ObjectPalette;
-use crate::scene::shape::Shaper;
+use crate::shape::Shaper;
 
 /// Sizes (m) of the barrier as it is built: along the lane, across, height.
 pub(super) const BARRIER: [f32; 3] = [0.5, 2.4, 1.0];
 /// Sizes (m) of the cone as it is built.
 pub(super) const CONE: [f32; 3] = [0.4, 0.4, 0.75];
 
-/// Two striped boards on feet, a lamp at each end. It faces -x, to those who come.
+/// Two striped boards on feet, a lamp at each end. It faces -x, towards the traffic.
 pub(super) fn barrier(s: &mut Shaper, m: &ObjectPalette, stripes: usize) {
     let w = 0.5 * BARRIER[1];
     for y in [-0.8 * w, 0.8 * w] {

@@ -1,4 +1,4 @@
-//! What road users are made of. A material carries one semantic tag, so each kind has its own set.
+//! Materials of road users. A material carries one semantic tag, so each kind has its own set.
 
 use crate::model::{Channel, Library, Material, MaterialId, Rgb, SemanticTag, Texture, Tint, srgb};
 

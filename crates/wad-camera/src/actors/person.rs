@@ -2,9 +2,9 @@
 
 use super::palette::PersonPalette;
 use crate::model::{Bone, MaterialId};
-use crate::scene::shape::{Shaper, V3, add, mix};
+use crate::shape::{Shaper, V3, add, mix};
 
-/// A person's build; heights are those of an adult of 1.75 m.
+/// A person's build; heights are of an adult of 1.75 m.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Build {
     /// Breadth of shoulders and depth of the belly, 1 = average.
@@ -306,7 +306,7 @@ pub(super) struct Seat {
     pub helmet: bool,
 }
 
-/// Someone who sits on a cycle. Where `pedals`, bones 1 and 2 are the thighs, 3 and 4 the shins.
+/// A person on a cycle. With `pedals`, bones 1 and 2 are the thighs, 3 and 4 the shins.
 pub(super) fn rider(s: &mut Shaper, m: &PersonPalette, seat: &Seat, pedals: bool, detail: Detail) {
     let (sides, near) = match detail {
         Detail::Near => (10, true),

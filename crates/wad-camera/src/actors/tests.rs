@@ -113,7 +113,7 @@ fn normals_point_away_from_a_cars_middle() {
             .iter()
             .map(|t| {
                 let [a, b, c] = t.corners.map(|i| mesh.vertices[i as usize].position);
-                super::super::scene::shape::dot(a, super::super::scene::shape::cross(b, c)) / 6.0
+                crate::shape::dot(a, crate::shape::cross(b, c)) / 6.0
             })
             .sum();
         let whole = figure.length * figure.width * figure.height;

@@ -1,7 +1,7 @@
 //! Wheels: tyre, rim with spokes, hub.
 
 use super::palette::VehiclePalette;
-use crate::scene::shape::{Shaper, V3};
+use crate::shape::{Shaper, V3};
 use std::f32::consts::TAU;
 
 /// A wheel about an axle along y: centre, radius, width (m). Its finely made face looks to `side`

@@ -116,7 +116,7 @@ impl Lane for f32 {
             to[0] = byte(r) | byte(g) << 8 | byte(b) << 16;
         }
     }
-    // As the processor's instructions, the second where one is no number.
+    // As the processor's instructions, the second where one is NaN.
     #[inline(always)]
     fn min(self, other: Self) -> Self {
         if self < other { self } else { other }

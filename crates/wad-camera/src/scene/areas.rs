@@ -3,10 +3,10 @@
 use super::ground::uses;
 use super::markings::{innermost, opposite};
 use super::polygon::{area, cleaned, triangulate};
-use super::shape::{Shaper, V3};
 use super::street::{Site, car_park};
 use super::tiles::{Levels, Tiles};
 use crate::model::MaterialId;
+use crate::shape::{Shaper, V3};
 use nalgebra::Point3;
 use std::f64::consts::TAU;
 use sumo_network::geometry::{Point, Vector, polygon_contains, wrap_angle};

@@ -1,8 +1,8 @@
 //! Street lamps, benches, bins, bus shelters, signs: small things that are placed many times.
 
 use super::materials::Materials;
-use super::shape::{Shaper, V3, bounds_of};
 use crate::model::{Channel, Level, Library, MaterialId, Model, ModelId};
+use crate::shape::{Shaper, V3, bounds_of};
 use std::f32::consts::TAU;
 
 /// Their models. x is towards the road.
@@ -52,7 +52,7 @@ fn made(
     library.model(Model { name: name.to_string(), levels, bounds, casts_shadow: true, ..Model::default() })
 }
 
-/// A flat disc with `n` corners that faces -x (towards those who come), `turn` in turns.
+/// A flat disc with `n` corners that faces -x (towards the traffic), `turn` in turns.
 fn disc(s: &mut Shaper, x: f32, z: f32, radius: f32, n: usize, turn: f32, material: MaterialId) {
     let ring: Vec<V3> = (0..n)
         .map(|i| {

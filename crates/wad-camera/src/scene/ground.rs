@@ -1,4 +1,4 @@
-//! What the ground is used for, as a raster of half-metre cells, and how high it lies.
+//! The use and the height of the ground, as a raster of half-metre cells.
 
 use super::polygon::{cleaned, turn};
 use std::collections::HashMap;

@@ -1,4 +1,4 @@
-//! What the town is made of.
+//! The town's materials.
 
 use crate::model::{
     Channel, Facade, GroundFloor, Library, Material, MaterialId, Rgb, SemanticTag, Texture, Tint, Wall, srgb,

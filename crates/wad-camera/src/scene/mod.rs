@@ -1,8 +1,7 @@
 //! The town without its road users, built once from a network and its polygons.
 //!
-//! Deterministic from the network, the polygons and a seed. Everything that stands keeps off lanes,
-//! crossings and walkingareas: `ground` knows what each half metre is used for, and whatever is put up
-//! asks it first.
+//! Deterministic from the network, the polygons and a seed. Nothing stands on lanes, crossings or
+//! walkingareas: `ground` knows the use of each half metre, and every builder checks it first.
 
 mod areas;
 mod buildings;
@@ -12,7 +11,6 @@ mod markings;
 mod materials;
 mod polygon;
 mod roads;
-pub(crate) mod shape;
 mod signals;
 mod street;
 #[cfg(test)]

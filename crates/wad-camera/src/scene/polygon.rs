@@ -1,4 +1,4 @@
-//! Plane polygons as nets have them: into triangles whatever their shape, cut along tiles.
+//! Nets' plane polygons of any shape: triangulates them, and cuts them along tiles.
 
 use sumo_network::geometry::Point;
 

@@ -3,10 +3,10 @@
 use super::furniture::{HEAD, SMALL_HEAD};
 use super::ground::uses;
 use super::roads::{Surface, surface};
-use super::shape::Shaper;
 use super::street::Site;
 use super::tiles::Levels;
 use crate::model::{Box3, Instance, ModelId, Object, ObjectClass};
+use crate::shape::Shaper;
 use nalgebra::Point3;
 use sumo_network::geometry::{Point, Pose, Vector, direction};
 use sumo_network::network::{EdgeId, EdgeKind, Lane, LaneId, LinkDirection, Network, SignalIndex};
@@ -124,7 +124,7 @@ fn approach(site: &mut Site<'_>, id: EdgeId) {
     repeater(site, &signalled);
 }
 
-/// A head beyond the junction, for those who wait at the line and no longer see the near ones.
+/// A head beyond the junction, for vehicles at the line that no longer see the near ones.
 fn repeater(site: &mut Site<'_>, signalled: &[(LaneId, SignalIndex)]) {
     let network = site.network;
     let straight = |lane: LaneId| {

@@ -1,15 +1,15 @@
-//! What lines the streets: lamps, trees, hedges, benches, bins, bus stops, parked cars, signs, rails.
+//! Things along the streets: lamps, trees, hedges, benches, bins, bus stops, parked cars, signs, rails.
 
 use super::furniture::{BENCH, Furniture, LAMP_HEIGHT, LAMP_REACH};
 use super::ground::{Ground, Terrain, uses};
 use super::markings::opposite;
 use super::materials::Materials;
 use super::roads::{Surface, stations, surface};
-use super::shape::Shaper;
 use super::tiles::{Levels, Tiles};
 use super::trees::{Plants, leaf_colour};
 use crate::actors::Cast;
 use crate::model::{Box3, Instance, ModelId, Object, ObjectClass, PaintColour, STATIC_IDS};
+use crate::shape::Shaper;
 use nalgebra::Point3;
 use std::f64::consts::FRAC_PI_2;
 use sumo_network::geometry::{Point, Pose, Vector, direction};
@@ -107,7 +107,7 @@ impl Site<'_> {
         }
     }
 
-    /// The same where an author has put it, whatever is there.
+    /// The same at an author's place, without checking the ground.
     pub fn bench_at(&mut self, at: Point, heading: f64) {
         let pose = Pose::new(at.x, at.y, self.terrain.at(at), heading);
         let corners = [(-0.35, -0.95), (0.35, -0.95), (0.35, 0.95), (-0.35, 0.95)]

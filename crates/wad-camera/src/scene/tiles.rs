@@ -1,10 +1,10 @@
-//! The town cut into chunks: whatever is built is given to the tile that it lies in.
+//! The town cut into chunks: everything built goes to the tile that it lies in.
 
 use super::polygon::clipped;
-use super::shape::{V3, bounds_of};
 use crate::model::{
     CHUNK_SIZE, Chunk, Instance, Library, MaterialId, Mesh, Paint, PaintColour, PointLight, Triangle, Vertex,
 };
+use crate::shape::{V3, bounds_of};
 use nalgebra::Point3;
 use std::collections::BTreeMap;
 use sumo_network::geometry::{Point, Vector};

@@ -1,8 +1,8 @@
 //! Trees and bushes of a few kinds.
 
 use super::materials::Materials;
-use super::shape::{Shaper, V3, add, bounds_of, scaled, unit};
 use crate::model::{Level, Library, MaterialId, Mesh, Model, ModelId, Rgb, srgb};
+use crate::shape::{Shaper, V3, add, bounds_of, scaled, unit};
 use std::f32::consts::TAU;
 use sumo_network::seeds;
 

@@ -1,4 +1,4 @@
-//! Golden pictures: what the camera showed when somebody last looked and found it good.
+//! Golden pictures: the camera's output when a person last approved it.
 //!
 //! `WAD_COSIM_GOLDEN=write cargo test --release --lib golden` writes them anew; look at them before
 //! committing. The tolerance admits small changes of shading, texture and edges, as a faster renderer

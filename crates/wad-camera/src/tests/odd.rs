@@ -1,4 +1,4 @@
-//! Nets that nobody draws on purpose, or that lack what towns have: they render.
+//! Broken and bare nets: they still render.
 
 use super::places::{KINDS, Place};
 use crate::{Outputs, Preset, model::SemanticTag};

@@ -16,7 +16,9 @@ use wad_vehicle::{Control, EgoState};
 /// A grey road under a light sky, with a blue box (left, top, width, height) and perhaps a red mark.
 #[derive(Clone, Copy, Debug)]
 pub struct Picture {
+    /// With a red mark.
     pub red: bool,
+    /// Left, top, width, height (pixels).
     pub object: [usize; 4],
 }
 

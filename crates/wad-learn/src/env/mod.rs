@@ -11,10 +11,10 @@
 //!
 //! ```no_run
 //! # fn example() -> Result<(), Box<dyn std::error::Error>> {
-//! use wad_cosim::env::{Assets, Env, EnvOptions};
-//! use wad_cosim::latent::PooledEncoder;
-//! use wad_cosim::tasks::{TaskKind, TaskSpec};
-//! use wad_cosim::vehicle::Control;
+//! use wad_learn::env::{Assets, Env, EnvOptions};
+//! use wad_see::latent::PooledEncoder;
+//! use wad_sim::tasks::{TaskKind, TaskSpec};
+//! use wad_vehicle::Control;
 //!
 //! let assets = Assets::load("town3")?;
 //! let mut env = Env::new(assets, EnvOptions::training(), Box::new(PooledEncoder::default()))?;

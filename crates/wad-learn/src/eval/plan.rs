@@ -1,6 +1,7 @@
 //! Makes the plan of episodes from a suite and the user's selection.
 
 use super::routes::{RouteError, Routes};
+use super::suite::MOST_EPISODES;
 use super::{DriverSpec, Suite, SuiteError, SuiteTask};
 use crate::env::Assets;
 use serde::{Deserialize, Serialize};
@@ -37,9 +38,6 @@ pub struct Selection {
     /// Route file for a town without one.
     pub routes: Option<PathBuf>,
 }
-
-/// Most episodes of one task; more are taken for a typing error.
-pub(super) const MOST_EPISODES: u64 = 1_000_000;
 
 /// One planned episode.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -1,7 +1,6 @@
 //! Suites as data: tasks, towns, weathers, and the events that end an episode (spec.md "Ends",
 //! "Conditions"). A suite is a JSON file; the paper's are bundled.
 
-use super::plan::MOST_EPISODES;
 use super::routes::RouteError;
 use crate::env::Termination;
 use serde::{Deserialize, Serialize};
@@ -72,6 +71,9 @@ pub struct SuiteTask {
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub endless: bool,
 }
+
+/// Most episodes of one task; more are taken for a typing error.
+pub(super) const MOST_EPISODES: u64 = 1_000_000;
 
 /// Episodes of a scenario: start, traffic and the detector's faults differ by their seeds.
 const SCENARIO_EPISODES: u64 = 5;

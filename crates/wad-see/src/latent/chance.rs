@@ -1,5 +1,5 @@
-//! Random tensors from our own generator: torch's is one for all threads, so two trainings in a process
-//! would disturb each other, and its state cannot be saved.
+//! Random tensors from our own generator. torch has one generator for all threads, so two trainings in one
+//! process would disturb each other, and its state cannot be saved.
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;

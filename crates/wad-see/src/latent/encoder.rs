@@ -14,7 +14,7 @@ use wad_sim::bundled;
 
 /// Metadata keys of an encoder's file.
 pub mod keys {
-    /// What the file is; always [`super::KIND`].
+    /// The kind of file; always [`super::KIND`].
     pub const KIND: &str = "kind";
     /// JSON of [`super::Architecture`].
     pub const ARCHITECTURE: &str = "architecture";
@@ -30,7 +30,7 @@ pub mod keys {
     pub const HASH: &str = "hash";
 }
 
-/// What an encoder's file says it is.
+/// The metadata of an encoder's file.
 pub const KIND: &str = "wad-cosim encoder 1";
 
 /// The encoder-decoder, frozen. Its latent is standardised: over the training images each number has mean
@@ -39,7 +39,7 @@ pub struct TchEncoder {
     network: Autoencoder,
     /// Batch norm and standardisation folded in: weight and bias of each layer.
     layers: Vec<(Tensor, Tensor)>,
-    /// For one image at a time, where the processor can.
+    /// For one image at a time, if the processor has AVX-512.
     packed: Option<Packed>,
     scratch: Scratch,
     /// Mean and deviation of the raw latent (200).
@@ -87,7 +87,7 @@ impl TchEncoder {
         })
     }
 
-    /// From a file.
+    /// Reads a file.
     ///
     /// # Errors
     /// The file cannot be read or does not fit this program.
@@ -95,7 +95,7 @@ impl TchEncoder {
         Self::of(Weights::load(path)?, device)
     }
 
-    /// From weights.
+    /// An encoder from weights.
     ///
     /// # Errors
     /// They are of another network or of another camera.
@@ -150,7 +150,7 @@ impl TchEncoder {
         &self.metadata
     }
 
-    /// Where it computes.
+    /// The device that it computes on.
     pub fn device(&self) -> Device {
         self.device
     }

@@ -19,17 +19,26 @@ use crate::perception::TransformedImage;
 /// Why there is no latent.
 #[derive(Debug, thiserror::Error)]
 pub enum LatentError {
+    /// The network fails, or its input has another shape; says what is wrong.
     #[error("encoder: {0}")]
     Encoder(String),
+    /// No such encoder.
     #[error(
         "no encoder `{name}`: expected a .safetensors file, a folder that `train encoder` wrote, or a bundled \
          one ({})",
         if bundled.is_empty() { "this build has none".to_string() } else { bundled.join(", ") }
     )]
-    Unknown { name: String, bundled: Vec<String> },
+    Unknown {
+        /// The given name.
+        name: String,
+        /// The bundled encoders.
+        bundled: Vec<String>,
+    },
+    /// The weights cannot be read, or are of another network.
     #[cfg(feature = "learn")]
     #[error(transparent)]
     Weights(#[from] crate::weights::WeightsError),
+    /// libtorch fails.
     #[cfg(feature = "learn")]
     #[error("encoder: libtorch: {0}")]
     Torch(#[from] tch::TchError),
@@ -37,7 +46,7 @@ pub enum LatentError {
 
 /// Turns transformed images into latents.
 pub trait Encoder: Send {
-    /// Identifies the weights; agents belong to one encoder.
+    /// Hash of the weights; an agent belongs to one encoder.
     fn hash(&self) -> &str;
 
     /// The latent of one image, [`crate::observation::LATENT_SIZE`] numbers, into `latent`.
@@ -47,15 +56,15 @@ pub trait Encoder: Send {
     fn encode(&mut self, image: &TransformedImage, latent: &mut Vec<f32>) -> Result<(), LatentError>;
 }
 
-/// An encoder that can show what a latent holds.
+/// An encoder that can turn a latent back into an image.
 pub trait Decoder: Encoder {
-    /// The image that `latent` ([`crate::observation::LATENT_SIZE`] numbers) stands for, into `image`.
+    /// Writes the image of `latent` ([`crate::observation::LATENT_SIZE`] numbers) into `image`.
     ///
     /// # Errors
     /// The latent has another length, or the network fails.
     fn decode(&mut self, latent: &[f32], image: &mut TransformedImage) -> Result<(), LatentError>;
 
-    /// There and back: the reconstruction of an image.
+    /// Encodes and decodes: the reconstruction of an image.
     ///
     /// # Errors
     /// The network fails.

@@ -5,7 +5,8 @@
 //! latent as a 1x1 picture of 200 channels, seven transposed convolutions 3x3, stride 2, batch norm after
 //! the second and the fifth, ReLU, a sigmoid at the end. L2 regularization is Adam's weight decay.
 //!
-//! The paper gives the ends of the channels, 32 and 512; those between are [`Architecture::default`]'s.
+//! The paper gives the first and the last number of channels, 32 and 512; the others are
+//! [`Architecture::default`]'s.
 //!
 //! All parameters lie in one flat tensor, cut into views: one Adam step is a handful of operations over
 //! it, and a checkpoint is three tensors.
@@ -17,13 +18,14 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use tch::{Device, Kind, TchError, Tensor};
 
-/// What a network is made of.
+/// The sizes of a network's layers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Architecture {
     /// Channels after each of the encoder's convolutions.
     pub encoder: Vec<i64>,
     /// Channels after each of the decoder's convolutions but the last, which makes 3.
     pub decoder: Vec<i64>,
+    /// Numbers in the latent.
     pub latent: i64,
     /// The encoder makes a mean and a log variance of each number; the latent is the mean.
     pub variational: bool,
@@ -52,7 +54,9 @@ const EPSILON: f64 = 1e-5;
 /// A named tensor's place among the parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Slot {
+    /// The tensor's name in the weights file.
     pub name: String,
+    /// The tensor's shape.
     pub shape: Vec<i64>,
 }
 
@@ -147,12 +151,13 @@ impl Views {
 
 /// The encoder-decoder with its parameters.
 pub struct Autoencoder {
+    /// The sizes of the layers.
     pub architecture: Architecture,
     /// All parameters, flat, float32.
     pub theta: Tensor,
     /// Batch norm's running statistics.
     pub statistics: Vec<(String, Tensor)>,
-    /// What convolutions compute in: single precision, or bfloat16 (twice as fast in training where the
+    /// Number type of the convolutions: single precision, or bfloat16 (twice as fast in training where the
     /// processor has matrix units for it). Parameters, latents and pictures made are in single precision either way.
     pub precision: Kind,
     slots: Vec<Slot>,
@@ -160,7 +165,7 @@ pub struct Autoencoder {
 }
 
 impl Autoencoder {
-    /// With weights drawn from `rng` (He's normal; biases 0, scales 1).
+    /// A network with weights drawn from `rng` (He's normal; biases 0, scales 1).
     ///
     /// # Errors
     /// torch fails, e.g. out of memory.
@@ -364,7 +369,7 @@ impl Autoencoder {
         Ok(Self { architecture, theta, statistics, precision: Kind::Float, slots, decayed })
     }
 
-    /// What the encoder's convolution `i` (from 0) does to each channel after its sum: factor and offset,
+    /// Factor and offset of each channel after the sum of the encoder's convolution `i` (from 0),
     /// of batch norm where it has one.
     ///
     /// # Errors

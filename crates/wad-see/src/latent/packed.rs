@@ -1,8 +1,8 @@
-//! The encoder for one image, by hand: half-precision weights in the order in which AVX-512 wants them.
+//! The encoder for one image, without libtorch: half-precision weights in the order of AVX-512's loads.
 //!
-//! Of one image's encoding the last layers wait for memory: 10 MB of weights for 16 pixels and fewer. The
-//! file's half-precision numbers are half of that, and the processor widens them as it reads: no number
-//! changes, sums are in single precision. Batch norm and standardisation are a factor and an offset per
+//! For a single image the last layers are limited by memory: 10 MB of weights for 16 pixels or fewer. Half
+//! precision halves that, and the processor widens the weights as it reads them: no number changes, and
+//! sums are in single precision. Batch norm and standardisation are a factor and an offset per
 //! channel after the sum. Processors without AVX-512 leave the work to libtorch.
 
 use super::network::Autoencoder;

@@ -1,4 +1,4 @@
-//! An encoder that learns nothing: the image in coarse averages.
+//! An encoder without training: coarse averages of the image.
 
 use super::{Encoder, LatentError};
 use crate::observation::LATENT_SIZE;

@@ -1,4 +1,4 @@
-//! Detectors by name: what `--detector` takes.
+//! Detectors by name: the values of `--detector`.
 
 use super::{Detector, Faults, PerceptionError, TruthDetector};
 #[cfg(feature = "learn")]
@@ -11,13 +11,13 @@ pub const DETECTORS: &str = "truth (the renderer's boxes), truth:faulty (with a 
      centernet (the one that travels with this program), centernet:FILE (one that train detector wrote), \
      onnx:FILE (any COCO detector in ONNX; onnx alone: what scripts/fetch-detector fetched)";
 
-/// A detection with a lower score is none, unless a measurement asks for all of them.
+/// Detections with a lower score are dropped, unless a measurement needs all of them.
 pub const MIN_SCORE: f32 = 0.3;
 
 /// The detector called `name`; detections with a score below `min_score` (0 to 1) are dropped.
 ///
 /// # Errors
-/// No such name, its file or weights cannot be used, or this program was built without what it needs.
+/// The name is unknown, its file or weights cannot be used, or this build lacks a feature that it needs.
 pub fn detector(name: &str, min_score: f32) -> Result<Box<dyn Detector>, PerceptionError> {
     let unknown = || failed(name, format!("no detector has this name. Known: {DETECTORS}"));
     let (kind, file) = name.split_once(':').map_or((name, None), |(kind, file)| (kind, Some(file)));

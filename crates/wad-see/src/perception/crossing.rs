@@ -1,10 +1,10 @@
-//! Vehicles that will be in the ego's path: detections followed over the ground, and where they will be in some seconds.
+//! Vehicles that will be in the ego's path: tracks of detections on the ground, and their prediction.
 //!
-//! One picture does not tell a vehicle that comes from one that waits. So each detected vehicle is followed by a
-//! Kalman filter of its place and velocity on the ground, and is carried on in a straight line. Where that meets the
-//! ego's route at a time at which the ego can be there too, and the ego has to let others pass, it is the vehicle in
-//! front already: who turns left stops for those who come the other way. Nothing here comes from SUMO but the ego's
-//! route and its right of way.
+//! One picture does not show whether a vehicle moves or waits. So a Kalman filter tracks place and velocity
+//! of each detected vehicle on the ground, and a straight line predicts its way. Where the ego has to give way,
+//! and the prediction meets its route while the ego can be there, that vehicle counts as the vehicle in front.
+//! So an ego that turns left stops for oncoming vehicles. Nothing here comes from SUMO except the ego's route
+//! and its right of way.
 
 use super::{Detection, EgoFacts, GroundPlane};
 use crate::observation::LeadState;
@@ -13,20 +13,20 @@ use nalgebra::{Matrix2, Matrix4, Matrix4x2};
 use sumo_network::geometry::{Point, Vector, direction};
 use wad_camera::model::ObjectClass;
 
-/// How far ahead (s) vehicles are carried on, and in which steps.
+/// Time (s) that vehicles are predicted ahead, and its steps.
 const HORIZON: f64 = 4.5;
 const STEP: f64 = 0.25;
 /// Between one leaving a place and the other coming there (s).
 const MARGIN: f64 = 1.0;
-/// What the ego may accelerate by on its way there (m/s2).
+/// The ego's possible acceleration on its way there (m/s2).
 const EGO_ACCELERATION: f64 = 1.5;
 /// Slower ones are taken to stand (m/s).
 const SLOWEST: f64 = 1.5;
-/// Detections before a velocity is believed, and ticks without one until a vehicle is given up.
+/// Detections before a velocity is used, and ticks without one until a track is dropped.
 const BELIEVED: u32 = 4;
 const COAST: u32 = 3;
 
-/// A kind of vehicles that are told apart.
+/// The kinds of vehicles that are tracked separately.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     Vehicle,
@@ -41,7 +41,7 @@ impl Kind {
             ObjectClass::Person | ObjectClass::TrafficLight | ObjectClass::Bench => None,
         }
     }
-    /// What it may accelerate by (m/s2) and how fast something new may be (m/s), one standard deviation.
+    /// Standard deviations of the acceleration (m/s2) and of a new track's speed (m/s).
     fn doubts(self) -> (f64, f64) {
         match self {
             Self::Vehicle => (2.0, 8.0),
@@ -235,8 +235,7 @@ impl Mover {
         }
         // To the ego it stands where it will cross, unless it goes the ego's way.
         let closing_speed = on_route.state.speed - self.velocity.dot(&course).max(0.0);
-        // Only where the ego has to let others pass: elsewhere those who come the other way would seem to cross in
-        // each bend.
+        // Only where the ego has to give way: elsewhere oncoming vehicles would seem to cross in each bend.
         let link =
             facts.route.links.iter().find(|link| begin > link.stop_s - 3.0 && begin < link.end_s + 3.0)?;
         if facts.network.link(link.link).must_yield_to.is_empty() {
@@ -258,8 +257,8 @@ mod tests {
     use crate::perception::testing::{LENGTH, Road, seen};
     use wad_camera::CameraConfig;
 
-    /// What is foretold each tick of an ego that drives at `speed` from `s` on, and somebody who moves from
-    /// `place` on with `velocity` (world; m, m/s).
+    /// The prediction of each tick for an ego that drives at `speed` from `s` on, and a vehicle that moves
+    /// from `place` on with `velocity` (world; m, m/s).
     fn foretold(
         road: &Road,
         (s, speed): (f64, f64),
@@ -282,7 +281,7 @@ mod tests {
 
     const TICK: f64 = 0.167;
 
-    /// The first tick with somebody in the way, and what was told of him.
+    /// The first tick with a crossing vehicle, and its lead state.
     fn first(told: &[Option<LeadState>]) -> (f64, LeadState) {
         let at = told.iter().position(Option::is_some).unwrap();
         (at as f64, told[at].unwrap())

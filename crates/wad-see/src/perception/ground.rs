@@ -34,7 +34,7 @@ impl GroundPlane {
         self.view.pixel(&Point3::new(f64::from(x), f64::from(y), 0.0)).map(|(pixel, _)| pixel)
     }
 
-    /// What a pixel up or down is in distance (m) for something on the ground at `x` (m ahead).
+    /// Change of distance (m) per pixel up or down, for a point on the ground at `x` (m ahead).
     pub fn metres_per_row(&self, x: f32) -> f32 {
         let ahead = (x - self.view.eye.x as f32).max(0.5);
         ahead * ahead / (self.view.focal * self.view.eye.z as f32)

@@ -1,4 +1,4 @@
-//! What detectors' output tensors mean, told by their shapes.
+//! The meaning of detectors' output tensors, found by their shapes.
 //!
 //! | head | tensors (batch 1) | how it is read |
 //! |---|---|---|
@@ -15,8 +15,11 @@ use super::coco::{class_of, suppress};
 /// An output of a network: shape without the batch, values in C order.
 #[derive(Clone, Debug)]
 pub struct Tensor<'a> {
+    /// The output's name in the file.
     pub name: &'a str,
+    /// The sizes of its dimensions.
     pub shape: &'a [usize],
+    /// The numbers.
     pub values: &'a [f32],
 }
 
@@ -24,18 +27,43 @@ pub struct Tensor<'a> {
 #[derive(Clone, Debug, PartialEq)]
 pub enum Head {
     /// Side distances in pixels of the network's input.
-    Sides { heat: usize, sides: usize, classes: usize },
+    Sides {
+        /// Output with the classes' heat maps.
+        heat: usize,
+        /// Output with the distances of the four sides.
+        sides: usize,
+        /// Number of classes.
+        classes: usize,
+    },
     /// Offsets and sizes in cells.
-    SizeOffset { heat: usize, size: usize, offset: usize, classes: usize },
+    SizeOffset {
+        /// Output with the classes' heat maps.
+        heat: usize,
+        /// Output with widths and heights.
+        size: usize,
+        /// Output with the places within the cells.
+        offset: usize,
+        /// Number of classes.
+        classes: usize,
+    },
     /// One row per candidate, or one column where `transposed`.
-    Rows { rows: usize, classes: usize, objectness: bool, transposed: bool },
+    Rows {
+        /// Output with the candidates.
+        rows: usize,
+        /// Number of classes.
+        classes: usize,
+        /// A candidate has a score of its own before its classes'.
+        objectness: bool,
+        /// The candidates are columns.
+        transposed: bool,
+    },
     /// Finished rows: box, score, class.
     Finished,
 }
 
 /// Boxes of one class that overlap by more are one object.
 const SUPPRESSION_IOU: f32 = 0.5;
-/// Numbers of classes that can be told.
+/// Numbers of classes that are recognised.
 const CLASS_COUNTS: [usize; 2] = [80, 8];
 
 /// The head that outputs of these names and shapes (without the batch) belong to.

@@ -11,7 +11,7 @@ impl TransformedImage {
     /// Bytes in one.
     pub const BYTES: usize = TRANSFORMED_SIZE * TRANSFORMED_SIZE * 3;
 
-    /// From exactly [`Self::BYTES`] bytes; None for another number.
+    /// An image of exactly [`Self::BYTES`] bytes; None for another number.
     pub fn from_bytes(bytes: Vec<u8>) -> Option<Self> {
         (bytes.len() == Self::BYTES).then_some(Self(bytes))
     }

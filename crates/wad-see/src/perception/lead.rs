@@ -6,11 +6,11 @@ use crate::observation::LeadState;
 use sumo_network::geometry::Point;
 use wad_camera::model::ObjectClass;
 
-/// As far as anything is looked for (m from the front bumper).
+/// Largest distance of a vehicle in front (m from the front bumper).
 pub const SIGHT: f64 = 50.0;
 /// Half the breadth of the way that must be free (m): the ego's half and a hand's breadth.
 pub const HALF_WAY: f64 = 1.2;
-/// Ticks without a detection until the vehicle in front is given up.
+/// Ticks without a detection until the vehicle in front is dropped.
 const COAST: u32 = 2;
 
 /// A detection on the ground.
@@ -18,6 +18,7 @@ const COAST: u32 = 2;
 pub struct Candidate {
     /// Index in the detections.
     pub detection: usize,
+    /// Class of the detection.
     pub class: ObjectClass,
     /// Along the route from the ego's front bumper to its nearest point (m).
     pub gap: f64,
@@ -25,7 +26,7 @@ pub struct Candidate {
     pub ahead: f64,
 }
 
-/// How broad things of a class are seen from behind (m), and how far the lowest seen point (the wheels) is
+/// Width of the objects of a class from behind (m), and how far the lowest seen point (the wheels) is
 /// behind the nearest (the bumper, m).
 fn build(class: ObjectClass) -> (f32, f32) {
     match class {
@@ -62,7 +63,7 @@ fn locate(
     if f64::from(near) > SIGHT + facts.length {
         return None;
     }
-    // Its place on the route: the middle, and the ends of what is seen of its breadth.
+    // Its place on the route: the middle and both ends of its visible width.
     let state = &facts.on_route.state;
     let reach = f64::from(near) + 10.0;
     let offset = |y: f32| {
@@ -100,12 +101,12 @@ struct Track {
     missed: u32,
 }
 
-/// What others may accelerate by (m/s2), one standard deviation.
+/// Standard deviation of others' acceleration (m/s2).
 const ACCELERATION: f64 = 2.0;
 /// Error of a projected gap that does not come from the pixels (m), and of a box's lower edge (rows).
 const GAP_NOISE: f64 = 0.25;
 const ROW_NOISE: f64 = 0.5;
-/// What is not known of the speed of something new (m/s).
+/// Standard deviation of a new vehicle's speed (m/s).
 const SPEED_DOUBT: f64 = 4.0;
 
 impl LeadTracker {

@@ -10,6 +10,7 @@ pub const AT_INTERSECTION: f64 = 20.0;
 /// The next signalled link of the route.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LightAhead {
+    /// What it shows.
     pub state: SignalState,
     /// From the front bumper to the stop line (m).
     pub distance: f64,
@@ -28,7 +29,7 @@ impl LightAhead {
         Some(Self { state, distance: link.stop_s - front })
     }
 
-    /// Whether it asks to stop: red, red with yellow, or yellow.
+    /// Whether it requires to stop: red, red with yellow, or yellow.
     pub fn stops(&self) -> bool {
         self.state.is_red() || self.state == SignalState::Yellow
     }
@@ -39,14 +40,14 @@ impl LightAhead {
     }
 }
 
-/// Deceleration (m/s2) up to which a yellow light is obeyed, and how late what is decided acts (s).
+/// Deceleration (m/s2) up to which a yellow light is obeyed, and the delay until a decision acts (s).
 const YELLOW: f64 = 3.0;
 const DELAY: f64 = 0.2;
 
 /// Whether the ego has to stop for the light ahead, from tick to tick.
 ///
-/// For red it has to; for yellow where it can (spec.md "Events"), and then to the end: who brakes for a
-/// yellow light does not change its mind.
+/// For red it has to. For yellow it has to if it can (spec.md "Events"); once it brakes for a yellow light, the
+/// decision stays.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct StopLight {
     /// It has to stop for the light that was this far ahead (m).
@@ -93,7 +94,7 @@ mod tests {
         assert!(!ahead("GGG", 5.0).unwrap().is_red_here());
         let yellow = ahead("yGG", 5.0).unwrap();
         assert!(yellow.stops() && !yellow.is_red_here());
-        // Past the line it is no more the ego's.
+        // Past the line the light no longer concerns the ego.
         assert!(ahead("rGG", -0.5).is_none());
     }
 

@@ -1,8 +1,8 @@
-//! How well boxes are found: matching, recall, and COCO's average precision.
+//! Detection metrics: matching, recall, and COCO's average precision.
 //!
 //! Matching is COCO's: per picture and label, the detections in falling order of their score each take
-//! the free truth that they overlap most, if by the wanted IoU. Average precision is COCO's too: precision
-//! made monotonous and read at 101 recalls (0, 0.01 .. 1). Sizes are heights of boxes in pixels, not
+//! the unmatched truth that they overlap most, if the IoU reaches the threshold. Average precision is COCO's
+//! too: precision made monotonous and read at 101 recalls (0, 0.01 .. 1). Sizes are heights of boxes in pixels, not
 //! COCO's areas: a person and a car equally far away then fall into the same range.
 
 use super::Detection;
@@ -14,25 +14,29 @@ pub struct Truth {
     pub label: usize,
     /// Left, top, right, bottom (pixels).
     pub bounds: [f32; 4],
-    /// Neither to be found nor wrong to find: detections that lie in it by half or more do not count.
+    /// Neither a miss nor a false alarm: detections that lie in it by half or more do not count.
     pub ignored: bool,
 }
 
-/// A detection under the label that it is judged by.
+/// A detection and the label that it is matched by.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Found {
+    /// A class, or a group of classes; see [`Truth::label`].
     pub label: usize,
+    /// The detection.
     pub detection: Detection,
 }
 
 /// One picture's truths and detections.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Scored {
+    /// The true boxes and ignored regions.
     pub truths: Vec<Truth>,
+    /// The detections.
     pub found: Vec<Found>,
 }
 
-/// What became of a detection.
+/// How a detection is counted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fate {
     /// It found this truth (index).
@@ -43,11 +47,11 @@ pub enum Fate {
     False,
 }
 
-/// Detections of one picture that are judged, as in COCO.
+/// Largest number of detections of a picture that count, as in COCO.
 const MOST_DETECTIONS: usize = 100;
 
 /// The fates of `scored.found`, in its order. `counts` says whether a box of this height (pixels) is
-/// in the range that is judged; truths outside it are ignored, and detections outside it never false.
+/// in the wanted range; truths outside it are ignored, and detections outside it never false.
 pub fn fates(scored: &Scored, iou: f32, counts: impl Fn(f32) -> bool) -> Vec<Fate> {
     let height = |b: &[f32; 4]| b[3] - b[1];
     let mut order: Vec<usize> = (0..scored.found.len()).collect();
@@ -79,14 +83,14 @@ pub fn fates(scored: &Scored, iou: f32, counts: impl Fn(f32) -> bool) -> Vec<Fat
     fates
 }
 
-/// How much of `inner`'s area lies in `outer`, 0 to 1.
+/// Share of `inner`'s area inside `outer`, 0 to 1.
 fn share_inside(inner: &[f32; 4], outer: &[f32; 4]) -> f32 {
     let side = |k: usize| (inner[k + 2].min(outer[k + 2]) - inner[k].max(outer[k])).max(0.0);
     let area = (inner[2] - inner[0]) * (inner[3] - inner[1]);
     if area > 0.0 { side(0) * side(1) / area } else { 0.0 }
 }
 
-/// Average precision of one label over pictures; None where there is no truth to be found.
+/// Average precision of one label over pictures; None if there is no truth.
 pub fn average_precision<'a>(
     pictures: impl IntoIterator<Item = &'a Scored>,
     label: usize,

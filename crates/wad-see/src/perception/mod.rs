@@ -1,4 +1,4 @@
-//! Watch: what the agent sees in the camera's picture (paper, section "Detection Module").
+//! Perception: from the camera's picture to the agent's percept (paper, section "Detection Module").
 //!
 //! ```text
 //! Frame --Detector--> detections --\
@@ -11,6 +11,7 @@ pub mod centernet;
 mod choice;
 pub mod coco;
 mod crossing;
+mod facts;
 mod ground;
 pub mod heads;
 mod image;
@@ -33,13 +34,14 @@ mod truth;
 #[cfg(feature = "learn")]
 pub use choice::centernet_weights;
 pub use choice::{DETECTORS, MIN_SCORE, detector};
+pub use facts::EgoFacts;
 pub use ground::GroundPlane;
 pub use image::{TRANSFORMED_SIZE, TransformedImage};
 pub use lanes::{LaneBoundary, LaneDetector, LaneEstimate};
 pub use light::{AT_INTERSECTION, LightAhead, StopLight};
 #[cfg(feature = "vision")]
 pub use onnx::OnnxDetector;
-pub use pipeline::{EgoFacts, Percept, Perception};
+pub use pipeline::{Percept, Perception};
 pub use truth::{Faults, TruthDetector};
 
 use wad_camera::model::ObjectClass;
@@ -48,6 +50,7 @@ use wad_camera::{CameraConfig, Frame, Outputs};
 /// An object found in a picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Detection {
+    /// Its class.
     pub class: ObjectClass,
     /// Left, top, right, bottom (pixels of the picture; right and bottom exclusive).
     pub bounds: [f32; 4],
@@ -73,28 +76,43 @@ impl Detection {
     }
 }
 
-/// Why nothing could be detected.
+/// Why perception fails.
 #[derive(Debug, thiserror::Error)]
 pub enum PerceptionError {
+    /// The detector fails.
     #[error("detector {name}: {why}")]
-    Detector { name: String, why: String },
+    Detector {
+        /// The detector's name.
+        name: String,
+        /// What went wrong.
+        why: String,
+    },
+    /// The lane detection fails; says why.
     #[error("lane detection: {0}")]
     Lanes(String),
+    /// The picture's size is not the camera's.
     #[error("expected a picture of {expected:?} (width, height), found {found:?}: {hint}")]
-    Size { expected: (usize, usize), found: (usize, usize), hint: String },
+    Size {
+        /// Width and height expected (pixels).
+        expected: (usize, usize),
+        /// Width and height found (pixels).
+        found: (usize, usize),
+        /// What to do.
+        hint: String,
+    },
 }
 
 /// Finds objects of the eight classes in front of the ego.
 pub trait Detector: Send {
-    /// What it is called in tables and options, e.g. `truth` or `centernet`.
+    /// Its name in tables and options, e.g. `truth` or `centernet`.
     fn name(&self) -> &str;
 
-    /// What the camera must deliver for it.
+    /// The outputs that the camera must render for it.
     fn needs(&self) -> Outputs {
         Outputs::RGB
     }
 
-    /// Begins an episode: forgets what it remembers, draws its faults anew from `seed`.
+    /// Begins an episode: clears its memory and draws its faults from `seed`.
     fn reset(&mut self, seed: u64) {
         let _ = seed;
     }

@@ -10,7 +10,7 @@ use wad_camera::{CameraConfig, Frame};
 
 /// Side of the input where the file leaves it open (pixels).
 const OPEN_SIDE: usize = 640;
-/// What fills the part of the input that the picture leaves empty.
+/// Grey level of the part of the input that the picture leaves empty.
 const FILL: f64 = 114.0;
 
 /// A detector from a file.
@@ -32,7 +32,7 @@ impl OnnxDetector {
     /// Loads a file and tries it on an empty picture. Detections below `min_score` (0 to 1) are dropped.
     ///
     /// # Errors
-    /// The file cannot be read, is no ONNX, or is no detector that [`heads`] knows; OpenCV cannot load it.
+    /// The file cannot be read, is not ONNX, has no head that [`heads`] knows, or OpenCV cannot load it.
     pub fn load(path: &Path, min_score: f32) -> Result<Self, PerceptionError> {
         let name = format!("onnx:{}", path.display());
         let failed = |why: String| PerceptionError::Detector { name: name.clone(), why };
@@ -80,7 +80,7 @@ impl OnnxDetector {
         Ok(detector)
     }
 
-    /// Where [`Self::load`] looks when no file is named: what `scripts/fetch-detector` writes.
+    /// The file of [`Self::load`] if none is named: `scripts/fetch-detector` writes it.
     pub fn default_path() -> Option<PathBuf> {
         Some(wad_sim::bundled::cache_in(|name| std::env::var_os(name))?.join("centernet-coco.onnx"))
     }

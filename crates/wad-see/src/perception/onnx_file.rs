@@ -1,4 +1,4 @@
-//! The little of an ONNX file that must be known before OpenCV reads it: the input's name and shape.
+//! Reads the input's name and shape from an ONNX file, before OpenCV reads it.
 //!
 //! ONNX is a protocol buffer (onnx.proto): `ModelProto.graph` = 7; `GraphProto.initializer` = 5, `input`
 //! = 11; `ValueInfoProto.name` = 1, `type` = 2; `TypeProto.tensor_type` = 1; its `shape` = 2; `dim` = 1;
@@ -7,6 +7,7 @@
 /// The network's input.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Input {
+    /// Its name.
     pub name: String,
     /// None where the file leaves a side open.
     pub shape: Vec<Option<usize>>,
@@ -15,7 +16,7 @@ pub struct Input {
 /// The first input that is not one of the weights.
 ///
 /// # Errors
-/// What is wrong with the bytes, for a person.
+/// The text says what is wrong with the bytes.
 pub fn input(bytes: &[u8]) -> Result<Input, String> {
     let broken = || "it is not an ONNX file, or it is cut off".to_string();
     let graph = field(bytes, 7).map_err(|()| broken())?.into_iter().next().ok_or_else(broken)?;

@@ -14,7 +14,7 @@ use super::{Detection, GroundPlane, LaneEstimate, PerceptionError, TRANSFORMED_S
 use wad_camera::Frame;
 use wad_camera::model::ObjectClass;
 
-/// What must not be hit.
+/// Colour of road users, which the ego must not hit.
 pub const BLUE: [u8; 3] = [0, 0, 255];
 /// Lane boundaries.
 pub const GREEN: [u8; 3] = [0, 255, 0];

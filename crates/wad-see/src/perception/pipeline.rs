@@ -1,6 +1,7 @@
 //! All stages of a tick in order: detect, lanes, light, vehicle in front, transformed image, raw state.
 
 use super::crossing::CrossingTracker;
+use super::facts::EgoFacts;
 use super::lead::{self, LeadTracker};
 use super::light::{LightAhead, StopLight};
 use super::paint::Painter;
@@ -8,54 +9,27 @@ use super::{
     Detection, Detector, GroundPlane, LaneDetector, LaneEstimate, PerceptionError, TransformedImage,
 };
 use crate::observation::{LeadState, RawState};
-use std::sync::Arc;
-use sumo_network::network::{Network, Route};
 use wad_camera::{CameraConfig, Frame, Outputs};
-use wad_sim::bridge::Ego;
-use wad_sim::criteria::EgoOnRoute;
-
-/// What the ego knows beside its camera: its own motion, its waypoints, and the signals' states.
-#[derive(Clone, Copy, Debug)]
-pub struct EgoFacts<'a> {
-    pub network: &'a Network,
-    pub route: &'a Route,
-    pub on_route: EgoOnRoute,
-    /// The ego's length (m).
-    pub length: f64,
-    /// State strings by traffic light, as [`sumo_network::world::WorldState::traffic_lights`].
-    pub signals: &'a [Option<Arc<str>>],
-    /// Time since the last tick (s).
-    pub tick: f64,
-}
-
-impl<'a> EgoFacts<'a> {
-    /// Those of an ego after a tick of `tick` s.
-    pub fn of(network: &'a Network, ego: &'a Ego, tick: f64) -> Self {
-        Self {
-            network,
-            route: ego.route(),
-            on_route: ego.on_route(),
-            length: ego.params().length,
-            signals: &ego.world().traffic_lights,
-            tick,
-        }
-    }
-}
 
 /// What was perceived in a tick.
 #[derive(Clone, Debug)]
 pub struct Percept {
+    /// The objects found in the picture.
     pub detections: Vec<Detection>,
+    /// The boundaries of the ego's lane.
     pub lanes: LaneEstimate,
     /// The next signal on the route.
     pub light: Option<LightAhead>,
     /// The ego is at the intersection and the light is red: painted.
     pub light_red: bool,
-    /// The road user in the ego's path, and the one that will be where the ego has to let it pass. The nearer
-    /// of them is the raw state's vehicle in front.
+    /// The road user in the ego's path. The nearer of it and `crossing` is the raw state's vehicle in
+    /// front.
     pub lead: Option<LeadState>,
+    /// A vehicle that will be in the ego's path where the ego has to give way.
     pub crossing: Option<LeadState>,
+    /// The encoder's input.
     pub transformed: TransformedImage,
+    /// The raw states, in units.
     pub raw: RawState,
 }
 
@@ -73,7 +47,7 @@ pub struct Perception {
 }
 
 impl Perception {
-    /// With a detector, for frames of `camera`.
+    /// Perception with a detector, for frames of `camera`.
     ///
     /// # Errors
     /// This build cannot detect lanes.
@@ -105,7 +79,7 @@ impl Perception {
         &self.camera
     }
 
-    /// What the camera must deliver.
+    /// The outputs that the camera must render.
     pub fn needs(&self) -> Outputs {
         Outputs { rgb: true, ..self.detector.needs() }
     }
@@ -124,7 +98,7 @@ impl Perception {
         self.stop_light.reset();
     }
 
-    /// All stages. `frame` is what [`Perception::camera`] saw after the tick that `facts` are of.
+    /// Runs all stages. `frame` is [`Perception::camera`]'s frame after the tick of `facts`.
     ///
     /// # Errors
     /// The frame is not the camera's, or a stage fails.
@@ -184,7 +158,7 @@ impl Perception {
         self.painter.paint(frame, &self.ground, detections, lanes, *light_red, transformed)
     }
 
-    /// What the last tick perceived.
+    /// The last tick's percept.
     pub fn percept(&self) -> &Percept {
         &self.percept
     }

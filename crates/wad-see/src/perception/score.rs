@@ -1,12 +1,12 @@
-//! Detectors judged by the camera's ground truth: the score of docs/detector.md.
+//! Scores detectors against the camera's ground truth (docs/detector.md).
 //!
-//! Two judgements over the same frames. The *realism score* asks how much of our pictures a detector
-//! trained elsewhere believes: recall at a score of 0.3 in groups of classes, since a van is a car to one
+//! Two scores over the same frames. The *realism score* measures how much of our pictures a detector
+//! trained elsewhere finds: recall at a score of 0.3 in groups of classes, since a van is a car to one
 //! and a truck to another. *Average precision* is COCO's, class by class, for any detector.
 //!
-//! A hit overlaps the box of an object's visible pixels by an IoU of 0.5 or more. Objects of which less
-//! than [`LEAST_VISIBLE`] shows, and those lower than the wanted height, are neither to be found nor wrong
-//! to find: detections that lie in their box by half or more do not count.
+//! A hit overlaps the box of an object's visible pixels by an IoU of 0.5 or more. Objects with less than
+//! [`LEAST_VISIBLE`] visible, or lower than the wanted height, count neither as misses nor as false alarms:
+//! detections that lie in their box by half or more do not count.
 
 use super::Detection;
 use super::coco::{CLASSES, class_index, class_name};
@@ -16,19 +16,22 @@ use std::collections::BTreeMap;
 use wad_camera::model::ObjectClass;
 use wad_camera::{Frame, ObjectTruth, Preset};
 
-/// Least share of an object that must be seen for it to be judged.
+/// Least visible share of an object that counts.
 pub const LEAST_VISIBLE: f32 = 0.3;
-/// Score from which a detection is believed.
+/// Score from which a detection counts.
 pub const BELIEVED: f32 = 0.3;
-/// Lowest box in the range that training is judged by, and in the range reported apart (pixels).
+/// Lowest box of the range that selects weights in training (pixels).
 pub const TALL: f32 = 24.0;
+/// Lowest box of the range that is reported apart (pixels).
 pub const SMALL: f32 = 12.0;
 
 /// Classes that count as one in the realism score.
 pub struct Group {
+    /// Its name in reports.
     pub name: &'static str,
+    /// The classes that it has.
     pub classes: &'static [ObjectClass],
-    /// Lowest box that is judged (pixels).
+    /// Lowest box that counts (pixels).
     pub height: f32,
     /// Least recall wanted, if any.
     pub goal: Option<f64>,
@@ -55,14 +58,17 @@ pub const GROUPS: [Group; 5] = [
 /// False alarms per frame that are too many.
 pub const FALSE_ALARM_GOAL: f64 = 1.0;
 
-/// One frame to be judged.
+/// One frame to score.
 pub struct View {
+    /// The weather of the frame.
     pub weather: Preset,
+    /// The camera's ground truth.
     pub objects: Vec<ObjectTruth>,
+    /// The detections.
     pub found: Vec<Detection>,
 }
 
-/// How much of an object shows, 0 to 1: its visible pixels by those that its kind fills of its whole box
+/// Visible share of an object, 0 to 1: its visible pixels by the pixels that its kind fills of its whole box
 /// (left, top, right, bottom).
 pub fn visible_share(class: ObjectClass, visible_pixels: u32, [l, t, r, b]: [f32; 4]) -> f32 {
     let fill = match class {
@@ -98,8 +104,9 @@ impl View {
         }
     }
 
-    /// For the realism score: labels are indices of [`GROUPS`]; only what is believed. A rider is part of
-    /// the motorcycle or bicycle here and a person to COCO: people found on one do not count.
+    /// For the realism score: labels are indices of [`GROUPS`]; only detections with a score of [`BELIEVED`]
+    /// or more. A rider is part of the motorcycle or bicycle here and a person to COCO: people found on one
+    /// do not count.
     pub fn by_group(&self) -> Scored {
         const PERSON: usize = 1;
         let group = |class| GROUPS.iter().position(|g| g.classes.contains(&class)).unwrap_or(0);
@@ -123,28 +130,35 @@ impl View {
 /// The realism score of some frames.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Realism {
+    /// Number of frames.
     pub frames: usize,
     /// By the names of [`GROUPS`].
     pub groups: BTreeMap<&'static str, GroupScore>,
-    /// By the class of what is there, found as any class of its group.
+    /// By true class; any class of its group counts as found.
     pub classes: BTreeMap<&'static str, ClassScore>,
+    /// False alarms of all groups per frame.
     pub false_alarms_per_frame: f64,
 }
 
 /// One group's part in it.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct GroupScore {
+    /// Objects that count.
     pub truths: usize,
+    /// Objects that were found.
     pub hits: usize,
     /// None without truths.
     pub recall: Option<f64>,
+    /// Detections without an object.
     pub false_alarms: usize,
 }
 
 /// How many of one class's objects were found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct ClassScore {
+    /// Objects that count.
     pub truths: usize,
+    /// Objects that were found.
     pub hits: usize,
 }
 
@@ -195,14 +209,17 @@ pub fn realism<'a>(views: impl IntoIterator<Item = &'a View>) -> Realism {
 /// Average precision of one class, or the mean of all.
 #[derive(Clone, Debug, Serialize)]
 pub struct Precision {
+    /// The class's name, or `all`.
     pub class: &'static str,
     /// Objects at least [`TALL`] high, visible enough.
     pub truths: usize,
-    /// At an IoU of 0.5, and the mean over 0.5 to 0.95; None without truths.
+    /// Average precision at an IoU of 0.5; None without truths.
     pub ap50: Option<f64>,
+    /// Mean average precision over IoUs of 0.5 to 0.95; None without truths.
     pub ap: Option<f64>,
     /// Objects from [`SMALL`] to [`TALL`] high.
     pub truths_small: usize,
+    /// Their average precision at an IoU of 0.5; None without truths.
     pub ap50_small: Option<f64>,
 }
 

@@ -1,4 +1,4 @@
-//! The stages of a tick as pictures for people.
+//! The stages of perception as pictures for display.
 
 use super::paint::{BLUE, GREEN, RED, is_obstacle};
 use super::{Detection, GroundPlane, Percept, TRANSFORMED_SIZE, TransformedImage};

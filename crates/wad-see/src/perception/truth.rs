@@ -1,4 +1,4 @@
-//! The detector that asks the renderer: boxes of what is visible, if wanted with a real detector's faults.
+//! The detector `truth`: the renderer's boxes of visible objects, optionally with a real detector's faults.
 
 use super::{Detection, Detector, PerceptionError};
 use rand::RngExt;
@@ -8,7 +8,7 @@ use sumo_network::seeds::{self, normal};
 use wad_camera::model::ObjectClass;
 use wad_camera::{CameraConfig, Frame, ObjectTruth, Outputs};
 
-/// What a detector gets wrong. Sizes are in pixels of a picture 512 wide.
+/// The faults of a detector. Sizes are in pixels of a picture 512 wide.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Faults {
@@ -18,17 +18,18 @@ pub struct Faults {
     pub half_size: f64,
     /// Half of the objects of which this share is visible are missed; 0: occlusion does not matter.
     pub half_visible: f64,
-    /// How alike a miss is from one tick to the next: 0 each tick anew, 1 for ever.
+    /// How long a miss lasts: 0 is drawn again each tick, 1 lasts for ever.
     pub persistence: f64,
-    /// Standard deviation of each side of a box, as a share of the box's size, and at least in pixels.
+    /// Standard deviation of each side of a box, as a share of the box's size.
     pub jitter: f64,
+    /// Least standard deviation of each side of a box (pixels).
     pub least_jitter: f64,
     /// False alarms that begin in a tick, on average. Each lasts two ticks on average.
     pub false_alarms: f64,
 }
 
 impl Faults {
-    /// None at all.
+    /// No faults.
     pub const NONE: Self = Self {
         miss: 0.0,
         half_size: 0.0,
@@ -39,7 +40,7 @@ impl Faults {
         false_alarms: 0.0,
     };
 
-    /// About those of a small network that runs in real time.
+    /// About the faults of a small network that runs in real time.
     pub const HONEST: Self = Self {
         miss: 0.02,
         half_size: 9.0,
@@ -66,7 +67,7 @@ pub struct TruthDetector {
     ghosts: Vec<Detection>,
 }
 
-/// Objects that show fewer pixels than this in a picture of 512 x 512 are nobody's to see.
+/// Objects with fewer visible pixels than this in a picture of 512 x 512 are never detected.
 const LEAST_PIXELS: f32 = 12.0;
 
 impl Default for TruthDetector {
@@ -76,12 +77,12 @@ impl Default for TruthDetector {
 }
 
 impl TruthDetector {
-    /// Without faults.
+    /// A detector without faults.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// With faults.
+    /// A detector with faults.
     pub fn with_faults(faults: Faults) -> Self {
         Self { faults, rng: seeds::rng(0, "detector"), luck: Vec::new(), ghosts: Vec::new() }
     }

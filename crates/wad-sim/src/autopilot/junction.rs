@@ -1,5 +1,5 @@
 //! The junctions on the route: where the ego's path meets the paths of other links and crossings.
-//! Pure geometry, worked out once per link of the route.
+//! Pure geometry, computed once per link of the route.
 
 use super::params::EgoModel;
 use sumo_network::geometry::{Point, Vector, direction};
@@ -7,7 +7,7 @@ use sumo_network::network::{CrossingId, LaneId, LinkDirection, LinkId, Network, 
 
 /// Spacing of the samples along both paths (m).
 const STEP: f64 = 0.75;
-/// How far upstream others are looked for (m).
+/// How far upstream others are searched (m).
 const UPSTREAM: f64 = 130.0;
 /// Half the width of a foe (m) and the air between (m).
 const FOE_HALF_WIDTH: f64 = 1.0;
@@ -99,8 +99,8 @@ impl LinkPlan {
             .collect();
         let clear_s = crossings.iter().map(|c| c.to_s).fold(link.end_s, f64::max);
         let wait_s = match own.via.as_slice() {
-            // Without a signal it waits at the line: who entered first goes first in SUMO, and would be
-            // waited for while it waits.
+            // Without a signal it waits at the line: in SUMO the first vehicle inside goes first, so others
+            // would wait for the waiting ego.
             [first, _, ..] if own.signal.is_some() => {
                 let s = link.stop_s + network.lane(*first).shape.length();
                 (s > link.stop_s + 1.0 && s < link.end_s).then_some(s)

@@ -1,5 +1,5 @@
-//! Vehicles in the ego's way: those whose footprint lies in the swept corridor, and those that are
-//! about to move into it.
+//! Vehicles in the ego's way: their footprint lies in the swept corridor, or they are about to move
+//! into it.
 
 use super::params::{AutopilotParams, EgoModel};
 use super::path::Path;
@@ -76,7 +76,7 @@ fn corners(actor: &Actor, out: &mut Vec<Point>) {
     }
 }
 
-/// All vehicles near the path in its frame, and those in the way or about to be, nearest first.
+/// All vehicles near the path in its frame, and the vehicles in the way or about to be, nearest first.
 pub fn find(
     path: &Path,
     ego_s: f64,
@@ -148,8 +148,8 @@ pub fn find(
     (located, obstacles)
 }
 
-/// When a vehicle that goes on as it does will have left the swept corridor (s); infinite where it does
-/// not within three seconds.
+/// Time until a vehicle leaves the swept corridor at its present motion (s); infinite if it does not leave
+/// within three seconds.
 fn clear_time(path: &Path, v: &Located, actor: &Actor, hint: usize, margin: f64) -> f64 {
     if v.across.abs() < 0.5 && v.along >= -0.5 {
         return f64::INFINITY;
@@ -173,7 +173,7 @@ fn clear_time(path: &Path, v: &Located, actor: &Actor, hint: usize, margin: f64)
 
 /// A vehicle beside the path that drifts into it within the next seconds.
 fn cut_in(path: &Path, v: &Located, actor: &Actor, ego_s: f64, ego: &EgoModel) -> Option<Obstacle> {
-    // Only those that go the ego's way, whose front is ahead of the ego's centre by half a car.
+    // Only vehicles in the ego's direction whose front is half a car ahead of the ego's centre.
     let rear = v.s - v.half_along;
     if v.along < 0.5 || rear < ego_s - 0.1 * ego.length || v.across.abs() < 0.2 {
         return None;

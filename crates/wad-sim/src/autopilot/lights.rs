@@ -6,10 +6,10 @@ use super::speed::time_to_cover;
 use sumo_network::network::{LinkId, Network};
 use sumo_network::world::{SignalState, WorldState};
 
-/// What a light asks for.
+/// What a light requires.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// Go; `yields` when those with right of way come first.
+    /// Go; `yields`: vehicles with right of way go first.
     Go { yields: bool },
     /// Stand at the line.
     Stop,
@@ -53,8 +53,8 @@ impl Lights {
             None if distance < params.unknown_light_distance => Verdict::Stop,
             None => by_rules,
             Some(SignalState::Red | SignalState::RedYellow) => {
-                // Whoever was to stop brakes to the last, though it be too late; only one that the light
-                // took by surprise drives on.
+                // An ego that planned to stop brakes even if it is too late. Only an ego that the light
+                // surprised drives on.
                 let late = needed >= params.emergency_deceleration && speed >= 2.0;
                 if late && self.stopping_for != Some(plan.link) {
                     by_rules

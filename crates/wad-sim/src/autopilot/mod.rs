@@ -1,7 +1,7 @@
-//! The rule-based expert: collects data, and is the yardstick for every agent.
+//! The rule-based expert: drives for data sets, and is the baseline for every agent.
 //!
 //! It sees the whole [`WorldState`], drives a [`Route`] and answers one [`Decision`] per tick:
-//! path, then what each rule allows as an acceleration, then the smallest of those, then the pedals.
+//! path, then the acceleration that each rule allows, then the smallest of them, then the pedals.
 //! It draws no random numbers; equal input gives equal output.
 
 mod junction;
@@ -35,30 +35,61 @@ use wad_vehicle::{Control, EgoState};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Reason {
-    /// Nothing: it accelerates as it likes.
+    /// Nothing: it accelerates freely.
     Free,
     /// The speed limit.
     Limit,
     /// A curve ahead.
     Curve,
     /// A vehicle ahead: gap (m) and speed along the path (m/s).
-    Leader { gap: f64, speed: f64 },
+    Leader {
+        /// Bumper to bumper (m).
+        gap: f64,
+        /// Its speed along the path (m/s).
+        speed: f64,
+    },
     /// A vehicle with which the ego merges: gap (m) and speed (m/s).
-    Merge { gap: f64, speed: f64 },
+    Merge {
+        /// To its place on the common path, bumper to bumper (m).
+        gap: f64,
+        /// Its speed (m/s).
+        speed: f64,
+    },
     /// A light (or stop sign) at this distance (m) from the front bumper.
-    RedLight { distance: f64 },
+    RedLight {
+        /// To the stop line (m).
+        distance: f64,
+    },
     /// Others with right of way; where it will stand (m from the front bumper).
-    Yield { distance: f64 },
+    Yield {
+        /// To the stopping point (m).
+        distance: f64,
+    },
     /// No room beyond the junction; distance of the stop line (m).
-    JunctionBlocked { distance: f64 },
+    JunctionBlocked {
+        /// To the stop line (m).
+        distance: f64,
+    },
     /// A pedestrian away from crossings; where it will stand (m from the front bumper).
-    Pedestrian { distance: f64 },
+    Pedestrian {
+        /// To the stopping point (m).
+        distance: f64,
+    },
     /// A pedestrian on or about to step onto a crossing; the same.
-    Crossing { distance: f64 },
-    /// No gap yet on the lane that the route needs.
-    LaneChange { distance: f64 },
-    /// The end of the route is near.
-    RouteEnd { distance: f64 },
+    Crossing {
+        /// To the stopping point (m).
+        distance: f64,
+    },
+    /// No gap yet on the lane that the route needs; where it will wait (m from the front bumper).
+    LaneChange {
+        /// To the waiting point (m).
+        distance: f64,
+    },
+    /// The end of the route is near, at this distance (m) from the front bumper.
+    RouteEnd {
+        /// To the route's end (m).
+        distance: f64,
+    },
     /// Far off the route's line.
     OffRoute,
 }
@@ -75,20 +106,25 @@ pub struct Leader {
 /// What to do over the next tick, and why.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Decision {
+    /// The pedals and the wheel.
     pub control: Control,
+    /// What decided the speed.
     pub reason: Reason,
     /// Speed wanted here without others (m/s): limits and curves.
     pub target_speed: f64,
     /// Acceleration asked for (m/s2).
     pub acceleration: f64,
+    /// The vehicle ahead, if there is one.
     pub leader: Option<Leader>,
     /// State of the next signal and the distance of its stop line from the front bumper (m).
     pub light: Option<(SignalState, f64)>,
     /// Held by a light, a jam (a leader slower than 2 m/s), right of way, a pedestrian or a full junction.
     pub held: bool,
-    /// Indicators and brake lights to show.
+    /// Left indicator.
     pub blinker_left: bool,
+    /// Right indicator.
     pub blinker_right: bool,
+    /// Brake lights.
     pub brake_light: bool,
 }
 
@@ -165,8 +201,8 @@ impl Autopilot {
         }
     }
 
-    /// Somebody else drove the last tick, whatever was decided: to be said before the next
-    /// [`Autopilot::control`], or the pedals' correction learns from what it did not do.
+    /// Call it if another driver drove the last tick, before the next [`Autopilot::control`]. Otherwise the
+    /// pedals' correction learns from another driver's control.
     pub fn overruled(&mut self) {
         self.pedals.overruled();
     }
@@ -357,7 +393,7 @@ impl Autopilot {
     }
 
     /// The stop line of `plan`, `distance` ahead (m): its light, and whether there is room behind the junction.
-    /// Whether those with right of way are to be let pass (None: it stops here), and what the light shows.
+    /// Whether to give way to vehicles with right of way (None: it stops here), and what the light shows.
     fn approach_line(
         &mut self,
         plan: &LinkPlan,

@@ -1,4 +1,4 @@
-//! What can be tuned, and what the autopilot must know of the vehicle that it drives.
+//! The autopilot's parameters, and its model of the vehicle that it drives.
 
 use serde::{Deserialize, Serialize};
 use wad_vehicle::{EgoParams, GRAVITY};
@@ -29,8 +29,9 @@ pub struct EgoModel {
     pub rolling: f64,
     /// Deceleration by the engine at a released throttle, fading below 3 m/s (m/s2). Default 0.23.
     pub engine_braking: f64,
-    /// Cornering stiffness as a share of the wheel load, front and rear (1/rad). Default 10 and 12.
+    /// Cornering stiffness of the front axle as a share of its wheel load (1/rad). Default 10.
     pub cornering_front: f64,
+    /// The same of the rear axle (1/rad). Default 12.
     pub cornering_rear: f64,
     /// Air drag over mass (1/m): deceleration per speed squared. Default 0.00027.
     pub drag: f64,
@@ -141,7 +142,7 @@ pub struct AutopilotParams {
     pub pedestrian_gap: f64,
     /// Sideways room to a moving pedestrian (m). Default 0.6.
     pub pedestrian_margin: f64,
-    /// How far ahead others are looked at (m). Default 100.
+    /// How far ahead other road users count (m). Default 100.
     pub sight: f64,
 }
 

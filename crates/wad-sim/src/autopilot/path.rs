@@ -1,4 +1,4 @@
-//! The path planned ahead, sampled every metre, and where others stand on it.
+//! The planned path ahead, sampled every metre, and the places of others on it.
 
 use super::params::{AutopilotParams, EgoModel};
 use sumo_network::geometry::{Point, Vector, wrap_angle};

@@ -133,7 +133,7 @@ fn walk(
             velocity = along.normalize() * actor.speed.max(1.0);
         }
     }
-    // Those on a sidewalk, or at a kerb where they have to wait, stay there.
+    // Pedestrians on a sidewalk, or at a kerb where they have to wait, stay there.
     let footway = if zone.is_some() { None } else { actor.lane.and_then(|l| footway(network, l)) };
     let horizon = match (zone, footway) {
         (Some(_), _) => 2.0 * params.pedestrian_horizon,

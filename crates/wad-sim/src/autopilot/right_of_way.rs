@@ -31,7 +31,7 @@ impl ByLane {
     }
 }
 
-/// The ego's motion as the gaps are judged by.
+/// The ego's motion, for judging the gaps.
 #[derive(Clone, Copy, Debug)]
 pub struct Motion {
     /// Bumpers on the route (m).
@@ -43,13 +43,13 @@ pub struct Motion {
     pub top: f64,
     /// 0 (patient) to 1 (takes the smallest gaps).
     pub impatience: f64,
-    /// Whether standing vehicles are not waited for any more.
+    /// Whether the ego no longer waits for standing vehicles.
     pub breaks_deadlock: bool,
-    /// Whether those with right of way are to be let pass.
+    /// Whether the ego gives way to vehicles with right of way.
     pub yields: bool,
     /// Whether a light rules the junction.
     pub signalled: bool,
-    /// Whether it has stood opposite another who stands too for so long that it goes first.
+    /// Whether the ego and another have waited for each other for so long that the ego goes first.
     pub ends_standoff: bool,
 }
 
@@ -60,10 +60,10 @@ pub struct Hold {
     pub stop_s: f64,
 }
 
-/// Waiting for one who waits for the ego ends after this (s).
+/// Waiting for a vehicle that waits for the ego ends after this (s).
 pub const STANDOFF: f64 = 3.0;
 
-/// Someone to line up behind at a merge.
+/// A vehicle to follow at a merge.
 #[derive(Clone, Copy, Debug)]
 pub struct Merging {
     /// m and m/s.
@@ -71,7 +71,7 @@ pub struct Merging {
     pub speed: f64,
 }
 
-/// What the traffic at a junction asks for.
+/// What the traffic at a junction requires.
 #[derive(Clone, Debug, Default)]
 pub struct Outcome {
     pub hold: Option<Hold>,
@@ -168,7 +168,7 @@ pub fn judge(
                 if approach.beyond == 0.0 && !approach.certain && turns_elsewhere(actor, conflict.direction) {
                     continue;
                 }
-                // A red or yellow light holds those who can still stop.
+                // A red or yellow light holds vehicles that can still stop.
                 let needed = actor.speed * actor.speed / (2.0 * ((-x).max(0.0) + LINE_SLACK));
                 if stopped_by_light && needed < 4.8 {
                     continue;
@@ -215,15 +215,15 @@ fn consider(
     // Once in the junction it clears it rather than stand in the next one's way.
     let entered = ego.front_s > plan.stop_s + 1.0
         && plan.wait_s.is_none_or(|w| w > conflict.enter_s + 0.3 || ego.front_s > w + 0.3);
-    // Without a light SUMO's vehicles wait for those who are in the junction, whoever has right of way:
-    // one who stands before the ego's path waits for the ego.
+    // Without a light SUMO's vehicles wait for vehicles inside the junction, even with right of way: a
+    // vehicle that stands before the ego's path waits for the ego.
     let committed = entered && !ego.signalled;
     if committed && standing && (!in_zone || conflict.merge && ego.ends_standoff) {
         // What stands in the path itself is a leader.
         return;
     }
 
-    // At a merge, whoever is ahead on the common stretch leads.
+    // At a merge, the vehicle ahead on the common stretch leads.
     if conflict.merge && (in_zone || foe.inside && foe.x > 0.0) {
         let ours = conflict.leave_s - ego.front_s;
         let theirs = conflict.foe_leave - foe.x;

@@ -115,7 +115,7 @@ pub fn curve_speed(curvature: f64, params: &AutopilotParams) -> f64 {
     (params.lateral_acceleration / curvature.abs().max(1e-4)).sqrt()
 }
 
-/// The mean delay of what is decided for a tick of `tick_s` (s), with the pedals' own lag.
+/// Mean delay of a decision for a tick of `tick_s` (s), with the pedals' own lag.
 pub fn latency(tick_s: f64) -> f64 {
     0.5 * tick_s + 0.1
 }
@@ -139,7 +139,7 @@ pub fn profile(path: &Path, route_s: f64, speed: f64, tick_s: f64, params: &Auto
         } else {
             slow_down(speed, allowed, distance, params.comfortable_deceleration)
         };
-        // In a long tick it would end up slower than anything asks for.
+        // In a long tick it would end up slower than any rule requires.
         let a = if speed > allowed { a.max((allowed - speed) / tick_s) } else { a };
         if a < result.acceleration {
             result.acceleration = a;
@@ -161,7 +161,7 @@ pub struct Pedals {
 }
 
 impl Pedals {
-    /// Forgets what was asked: somebody else pressed the pedals, and what came of it says nothing.
+    /// Forgets the last request, because another driver used the pedals and the response is not ours.
     pub fn overruled(&mut self) {
         (self.asked, self.correction) = (None, 0.0);
     }

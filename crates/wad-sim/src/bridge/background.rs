@@ -1,4 +1,4 @@
-//! Background traffic by hand: how much there is, and whether a place is free.
+//! Requests about background traffic: its size, and whether a place is free.
 
 use super::{Bridge, BridgeError, OBSTACLE};
 use crate::traffic::{self, Counts, Population};
@@ -27,8 +27,8 @@ impl Bridge {
         Ok(true)
     }
 
-    /// Keeps `counts` of background traffic alive from now on; see [`Population::resize`]. False where
-    /// the population is the config's own.
+    /// Keeps `counts` of background traffic alive from now on; see [`Population::resize`]. False if
+    /// the traffic is the config's own.
     pub fn resize_traffic(&mut self, counts: Counts) -> bool {
         let Some(population) = &mut self.population else { return false };
         if population.wanted() != counts {
@@ -37,13 +37,12 @@ impl Bridge {
         true
     }
 
-    /// The same whatever the population was: the config's own gives way, with the next step, to one that
-    /// is kept alive.
+    /// The same for any population: the next step replaces the config's own traffic by a population that is
+    /// kept alive.
     ///
     /// # Errors
     /// SUMO fails.
     pub async fn set_traffic(&mut self, counts: Counts) -> Result<(), BridgeError> {
-        self.resized = true;
         if self.resize_traffic(counts) {
             return Ok(());
         }
@@ -56,6 +55,7 @@ impl Bridge {
         for id in replies.get(vehicles).map_err(sumo_traci::Error::from)? {
             if self.traffic_alone && id != OBSTACLE && !self.egos.contains(&id) {
                 vehicle::remove(&mut self.batch, &id, RemoveReason::Vaporized);
+                self.taken_out += 1;
             }
         }
         let persons = replies.get(persons).map_err(sumo_traci::Error::from)?;
@@ -69,9 +69,8 @@ impl Bridge {
         Ok(())
     }
 
-    /// Takes background vehicles within `radius` (m) of `place` away with the next step; they come
-    /// back elsewhere. `lanes` are the lanes looked at. False where one stays that is not the
-    /// population's.
+    /// Removes background vehicles within `radius` (m) of `place` with the next step; they come back
+    /// elsewhere. Checks `lanes` only. False if a vehicle stays, because it is not the population's.
     ///
     /// # Errors
     /// SUMO fails.

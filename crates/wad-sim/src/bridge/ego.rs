@@ -11,8 +11,11 @@ use wad_vehicle::{Contact, Control, EgoParams, EgoState, EgoVehicle, MovingBody,
 /// Blinkers and brake light that others see.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Lamps {
+    /// Left indicator.
     pub blinker_left: bool,
+    /// Right indicator.
     pub blinker_right: bool,
+    /// Brake lights.
     pub brake: bool,
 }
 
@@ -35,20 +38,20 @@ pub struct Ego {
     pub(super) world: WorldState,
     /// The world before the last step.
     pub(super) previous: WorldState,
-    /// Road users that it meets and SUMO knows nothing of.
+    /// Road users in its world that SUMO does not know.
     pub(super) extras: Vec<Actor>,
     /// Its centre and front bumper on the route.
     s: f64,
     d: f64,
     front_s: f64,
     lamps: Lamps,
-    /// The route has changed since SUMO heard of it.
+    /// The route has changed since it was last sent to SUMO.
     route_is_news: bool,
-    /// It has been put down where SUMO's route of it does not lead.
+    /// It was moved to a place that its route in SUMO does not lead to.
     is_elsewhere: bool,
     /// Reports in a row in which SUMO refused the route.
     refusals: u32,
-    /// How many of the route's edges SUMO has been told of.
+    /// How many of the route's edges SUMO knows.
     told_edges: usize,
     /// Names of the stretches that SUMO has: it forgets none.
     known_routes: HashSet<String>,
@@ -61,11 +64,11 @@ pub(super) struct Reported {
     pose: Ticket<()>,
 }
 
-/// Edges of the route that SUMO is told of at once, and how many ahead of the ego it always knows.
+/// Edges of the route that one message sends to SUMO, and how many ahead of the ego SUMO always knows.
 const TOLD_EDGES: usize = 5;
 const KEPT_EDGES: usize = 3;
 
-/// So many refusals of a route in a row are more than a junction's border explains.
+/// More refusals of a route in a row than a junction's border explains.
 const REFUSALS: u32 = 3;
 
 /// Added to the keys of barriers and cones, which physics takes for fixed bodies.
@@ -102,7 +105,7 @@ impl Ego {
         ego
     }
 
-    /// Puts it down elsewhere, standing, on another route.
+    /// Places it elsewhere, standing, on another route.
     pub fn respawn(&mut self, route: Route, start: f64) {
         self.respawn_beside(route, start, 0.0, 0.0);
     }
@@ -116,7 +119,7 @@ impl Ego {
         self.is_elsewhere = true;
     }
 
-    /// Forgets all but what it is made of: for another SUMO. To be followed by a respawn.
+    /// Forgets everything but its parameters, for another SUMO. Call respawn afterwards.
     pub fn forget(&mut self) {
         (self.world, self.previous) = Default::default();
         self.extras.clear();
@@ -125,13 +128,13 @@ impl Ego {
         self.known_routes.clear();
     }
 
-    /// Road users that stand in its world from the next step on, and that SUMO knows nothing of: it has
-    /// no persons who stand in a lane.
+    /// Adds road users to its world from the next step on that SUMO does not know: SUMO has no persons
+    /// who stand in a lane.
     pub fn set_extras(&mut self, extras: Vec<Actor>) {
         self.extras = extras;
     }
 
-    /// Gives it a route that it is on at `s` (m).
+    /// Gives it another route, on which it is at `s` (m).
     pub fn set_route(&mut self, route: Route, s: f64) {
         self.route = route;
         self.s = s;
@@ -144,12 +147,12 @@ impl Ego {
         &self.route
     }
 
-    /// What it sees after the last tick.
+    /// The world in its sight after the last tick.
     pub fn world(&self) -> &WorldState {
         &self.world
     }
 
-    /// What it saw before the last tick: what its last control was chosen from.
+    /// The world in its sight before the last tick, on which its last control is based.
     pub fn previous_world(&self) -> &WorldState {
         &self.previous
     }
@@ -159,7 +162,7 @@ impl Ego {
         &self.vehicle
     }
 
-    /// What a report calls the fixed body of that key, see [`crate::criteria::Situation`].
+    /// Label of the fixed body with that key, see [`crate::criteria::Situation`].
     pub fn static_label(&self, key: u64) -> String {
         let body = usize::try_from(key).ok().and_then(|index| self.vehicle.statics().get(index));
         match body {
@@ -169,7 +172,7 @@ impl Ego {
         }
     }
 
-    /// What it is made of.
+    /// Its parameters.
     pub fn params(&self) -> &EgoParams {
         self.vehicle.params()
     }
@@ -184,7 +187,7 @@ impl Ego {
         self.vehicle.state()
     }
 
-    /// How it looks to others, brake lights and all.
+    /// How others see it, with lamps.
     pub fn as_actor(&self) -> Actor {
         crate::replay::Body::of(self.params()).actor(&self.state())
     }
@@ -194,7 +197,7 @@ impl Ego {
         EgoOnRoute { state: self.state(), s: self.s, d: self.d, front_s: self.front_s }
     }
 
-    /// The lamps that others are to see from the next tick on.
+    /// Sets the lamps that others see from the next tick on.
     pub fn set_lamps(&mut self, lamps: Lamps) {
         self.lamps = lamps;
     }
@@ -206,7 +209,7 @@ impl Ego {
             let last = before.and_then(|all| Some(&all[all.binary_search_by(|a| a.id.cmp(&actor.id)).ok()?]));
             going_on(body(actor, PartnerKind::Vehicle), last, duration)
         });
-        // Walkers start and stop at once: how they did so last says nothing of the next tick.
+        // Walkers start and stop at once: the last change does not predict the next tick.
         let pedestrians = self.world.pedestrians.iter().map(|actor| body(actor, PartnerKind::Pedestrian));
         let moving: Vec<MovingBody> = vehicles.chain(pedestrians).collect();
         let contacts = self.vehicle.tick(control, duration, &moving);
@@ -228,7 +231,7 @@ impl Ego {
         self.route.at(self.s).lane
     }
 
-    /// Appends what brings it into SUMO: type, route, vehicle, colour.
+    /// Appends the commands that add it to SUMO: type, route, vehicle, colour.
     pub(super) fn insert(&mut self, network: &Network, batch: &mut Batch) {
         let params = self.vehicle.params();
         let type_id = format!("{}_type", self.id);
@@ -237,7 +240,7 @@ impl Ego {
         batch.set(vehicle_type::SET_WIDTH, &type_id, params.width);
         batch.set(vehicle_type::SET_HEIGHT, &type_id, params.height);
         batch.set(vehicle_type::SET_MAX_SPEED, &type_id, 60.0);
-        // Those behind keep a gap for how hard it can brake: SUMO's cars brake at 4.5 m/s2, so they expect that.
+        // Followers keep a gap that depends on its braking: SUMO's cars brake at 4.5 m/s2, so they expect that.
         batch.set(vehicle_type::SET_APPARENT_DECEL, &type_id, params.hardest_braking());
         let route_id = self.define_route(network, batch);
         vehicle::add(
@@ -246,7 +249,7 @@ impl Ego {
             &vehicle::Add { route: &route_id, vehicle_type: &type_id, ..vehicle::Add::default() },
         );
         batch.set(vehicle::SET_COLOR, &self.id, Color::rgb(220, 30, 30));
-        // All checks off: its motion is ours, SUMO is only told of it.
+        // All of SUMO's checks off: we compute the motion, SUMO only receives it.
         batch.set(vehicle::SET_SPEED_MODE, &self.id, 0);
         batch.set(vehicle::SET_LANE_CHANGE_MODE, &self.id, 0);
         self.route_is_news = false;
@@ -255,8 +258,8 @@ impl Ego {
 
     /// Appends its pose and lamps, and its route where that changed, to the next step's message.
     pub(super) fn report(&mut self, network: &Network, batch: &mut Batch) -> Reported {
-        // On a route that does not lead where it is SUMO keeps it off the road, where nobody sees it, and
-        // refuses every route that does. So first it is put on its edge, which becomes all of its route.
+        // If its route does not lead to its place, SUMO keeps it off the road, invisible to traffic, and
+        // refuses every route that does. So it is first put on its edge, which becomes its whole route.
         let elsewhere = std::mem::take(&mut self.is_elsewhere);
         let mut route = None;
         if !elsewhere && (self.route_is_news || self.needs_more_edges()) {
@@ -298,7 +301,7 @@ impl Ego {
     pub(super) fn confirm(&mut self, reported: Reported, replies: &Replies) -> Result<(), CommandError> {
         match reported.route.map(|route| replies.get(route)) {
             Some(Err(refusal)) => {
-                // SUMO sees it on another edge for a tick, at a junction's border: said again.
+                // SUMO sees it on another edge for a tick, at a junction's border: send it again.
                 tracing::debug!("{refusal}");
                 self.route_is_news = true;
                 self.refusals += 1;
@@ -310,7 +313,7 @@ impl Ego {
         replies.get(reported.pose)
     }
 
-    /// Whether SUMO must hear of more edges: the told ones end within [`KEPT_EDGES`].
+    /// Whether SUMO needs more edges: the ones that it knows end within [`KEPT_EDGES`].
     fn needs_more_edges(&self) -> bool {
         let end = self.route.edges.len();
         self.told_edges < end && self.told_edges < self.route.edge_index_at(self.front_s) + KEPT_EDGES
@@ -327,7 +330,7 @@ impl Ego {
         name
     }
 
-    /// The edges that SUMO is told of: some way along the route, so that others notice the ego at a
+    /// The edges sent to SUMO: the next part of the route, so that others notice the ego at a
     /// junction, which they do only while its route goes on beyond it (eclipse-sumo/sumo issue 6140).
     /// Beyond the route's end one more edge is added for the same reason. No more than that: the
     /// cost of each tick's move_to_xy grows with the route.

@@ -57,7 +57,7 @@ pub struct BridgeOptions {
     pub tick_timeout: f64,
     /// Folder for SUMO's files: effective config, log, redirected outputs.
     pub output_dir: PathBuf,
-    /// The config is a scenario: what it has drawn stays beside the background population, but for its ego.
+    /// The config is a scenario: its own road users stay beside the background population, except its ego.
     #[serde(default)]
     pub scenario: bool,
     /// Lanes that the scenario closes: the background population keeps off them from the start.
@@ -87,7 +87,7 @@ impl BridgeOptions {
 /// The paper's six ticks a second, in SUMO's whole milliseconds.
 pub const DEFAULT_TICK_MS: f64 = 167.0;
 
-/// The vehicle type that a scenario draws its ego with: the drawn vehicle gives way to the real ego.
+/// The vehicle type of a scenario's ego: the real ego replaces that vehicle.
 pub const EGO_TYPE: &str = "ego";
 
 /// Id of the vehicle that stands in the ego's way in the obstacle task.
@@ -96,7 +96,7 @@ pub const OBSTACLE: &str = "obstacle";
 /// A running co-simulation.
 pub struct Bridge {
     client: TcpClient,
-    /// None where attached to somebody else's SUMO.
+    /// None where attached to a SUMO that is not ours.
     process: Option<SumoProcess>,
     _core: Option<SharedCore>,
     network: Arc<Network>,
@@ -107,12 +107,12 @@ pub struct Bridge {
     /// Where background traffic drives: the network less the lanes that are closed.
     traffic_roads: Arc<Network>,
     traffic_seed: u64,
-    /// Those that the config brings are taken out.
+    /// The config's own traffic is removed.
     traffic_alone: bool,
     /// Ids of the egos.
     egos: Vec<String>,
-    /// Vehicles have been taken out by hand: arrivals no longer tell how many there are.
-    resized: bool,
+    /// Vehicles that the next step removes: SUMO does not report their arrival.
+    taken_out: usize,
     director: Option<Box<dyn Director>>,
     batch: Batch,
     sight: f64,
@@ -217,7 +217,7 @@ impl Bridge {
             traffic_seed,
             traffic_alone,
             egos: Vec::new(),
-            resized: false,
+            taken_out: 0,
             director: None,
             batch: Batch::new(),
             sight: options.sight,
@@ -274,7 +274,7 @@ impl Bridge {
         self.process.as_ref().map(SumoProcess::id)
     }
 
-    /// Has somebody act beside the egos from the first spawn on: a scenario's events. To be set before it.
+    /// Sets the director that plays a scenario's events. Call it before the first spawn.
     pub fn set_director(&mut self, director: Box<dyn Director>) {
         self.director = Some(director);
     }
@@ -331,8 +331,8 @@ impl Bridge {
         Ok(())
     }
 
-    /// The connection, for what the bridge does not ask for itself. It must not step SUMO, and what it
-    /// sets holds from the next tick on.
+    /// The connection, for commands that the bridge does not send. Do not step SUMO with it; what it sets
+    /// holds from the next tick on.
     pub fn client_mut(&mut self) -> &mut TcpClient {
         &mut self.client
     }
@@ -359,6 +359,9 @@ impl Bridge {
         self.signals.follow(&self.network, &observers, &mut self.batch);
         let reported: Vec<_> =
             egos.iter_mut().map(|ego| ego.report(&self.network, &mut self.batch)).collect();
+        if let Some(population) = &mut self.population {
+            self.taken_out += population.taken_out();
+        }
         self.batch.step();
         let sent = Instant::now();
         let replies = match self.client.send(&self.batch).await {
@@ -381,9 +384,10 @@ impl Bridge {
         let subscriptions = replies.subscriptions();
         self.signals.read(&self.network, &subscriptions);
         let events = StepEvents::read(&replies).map_err(sumo_traci::Error::from)?;
-        self.in_network = (self.in_network + events.departed.len()).saturating_sub(events.arrived.len());
+        let gone = events.arrived.len() + std::mem::take(&mut self.taken_out);
+        self.in_network = (self.in_network + events.departed.len()).saturating_sub(gone);
         self.counts.0 = self.in_network.saturating_sub(egos.len());
-        // SUMO's own number of persons counts those who have yet to depart.
+        // SUMO's own number of persons also counts persons who have not departed yet.
         self.counts.1 =
             (self.counts.1 + events.departed_persons.len()).saturating_sub(events.arrived_persons.len());
         for ego in egos.iter_mut() {
@@ -415,11 +419,8 @@ impl Bridge {
                 .collect();
             let pose = ego.map(|ego| ego.state().pose);
             population.update(&events, &replies, pose, &near, &mut self.batch);
-            // Those that the population itself took out do not arrive.
+            // Road users that the population removed do not arrive.
             self.counts.1 = population.alive().pedestrians;
-            if self.resized {
-                self.counts.0 = population.alive().vehicles;
-            }
         }
         Ok(replies)
     }
@@ -455,7 +456,7 @@ impl Bridge {
     /// Ends the co-simulation: closes the connection and waits for an own SUMO to end.
     ///
     /// # Errors
-    /// SUMO did not take leave properly; it is gone all the same.
+    /// SUMO did not close the connection properly. It has ended even so.
     pub async fn close(self) -> Result<(), BridgeError> {
         let closed = self.client.close().await;
         if let Some(mut process) = self.process {

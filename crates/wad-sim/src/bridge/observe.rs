@@ -11,13 +11,13 @@ use sumo_traci::{Batch, TcpClient, person, vehicle, vehicle_type};
 /// Ticks after which an actor that is out of sight is forgotten.
 const FORGET_AFTER: u64 = 2000;
 
-/// Begins the types of things that SUMO takes for vehicles.
+/// Prefix of the types of objects that are vehicles in SUMO.
 const OBJECTS: &str = "wad_object";
 
 /// Remembers ids and types of the actors seen, so that a tick copies numbers only.
 ///
-/// What can be known without SUMO is not subscribed to, since each value costs SUMO about a
-/// microsecond: types are asked for once per actor, lane positions come from the lane's shape, and
+/// It only subscribes to values that cannot be computed here, since each value costs SUMO about a
+/// microsecond: types are queried once per actor, lane positions come from the lane's shape, and
 /// speeds from the way since the last tick.
 #[derive(Debug, Default)]
 pub struct ActorCatalog {
@@ -85,7 +85,7 @@ impl ActorCatalog {
     }
 
     /// Vehicles (without the ego `id` itself) and pedestrians round the ego after a tick of `tick` s,
-    /// each ordered by id. Those who come into sight are asked about, which costs a message.
+    /// each ordered by id. New ones in sight are queried, which costs a message.
     pub async fn observe(
         &mut self,
         client: &mut TcpClient,

@@ -11,12 +11,12 @@ pub struct SignalWatch {
     watched: Vec<TrafficLightId>,
     states: Vec<Option<Arc<str>>>,
     sight: f64,
-    /// Where the subscriptions were last looked over.
+    /// Where the subscriptions were last updated.
     last: Option<Vec<Point>>,
 }
 
-/// How far an observer moves before the subscriptions are looked over (m), and how much further than
-/// that a light is kept, so that none flickers in and out.
+/// How far an observer moves before the subscriptions are updated (m), and how much farther away than that a
+/// light is kept, so that none flickers in and out.
 const MOVED: f64 = 10.0;
 const KEEP: f64 = 30.0;
 

@@ -1,4 +1,4 @@
-//! Who caused a collision (spec.md "Events").
+//! Which side caused a collision (spec.md "Events").
 
 use super::{Event, Situation};
 use serde::{Deserialize, Serialize};
@@ -7,7 +7,7 @@ use sumo_network::network::{EdgeKind, LinkId};
 use sumo_network::world::Actor;
 use wad_vehicle::{Contact, PartnerKind};
 
-/// Who caused a collision.
+/// Which side caused a collision.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Cause {

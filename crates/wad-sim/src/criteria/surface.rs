@@ -7,7 +7,7 @@ use sumo_network::network::{EdgeKind, JunctionId, Network, VehicleClass};
 /// Slack for the tyre's own width and for the file's rounding (m).
 const TOLERANCE: f64 = 0.15;
 
-/// How far from a point the lanes are looked for (m): the largest junction's centre is still near
+/// How far from a point lanes are searched (m): the largest junction's centre is still near
 /// one of its lanes.
 const REACH: f64 = 8.0;
 

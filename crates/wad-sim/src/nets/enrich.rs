@@ -1,4 +1,4 @@
-//! What a net has none of is added: signals, sidewalks, crossings. Its lanes stay on their lines.
+//! Adds signals, sidewalks and crossings to a net that has none. Its lanes stay on their lines.
 
 use super::restore::{Moved, compare, restore};
 use super::{NetError, arguments, run};
@@ -9,26 +9,31 @@ use std::path::Path;
 use sumo_network::network::{EdgeKind, Junction, Network, VehicleClass};
 use sumo_traci::process::SumoInstall;
 
-/// What is to be added.
+/// What to add.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Wanted {
+    /// Traffic lights.
     pub signals: bool,
+    /// Sidewalks.
     pub sidewalks: bool,
+    /// Pedestrian crossings.
     pub crossings: bool,
 }
 
 /// What was added.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Enriched {
-    /// Before and after.
+    /// Traffic lights before and after.
     pub signals: (usize, usize),
+    /// Lanes for pedestrians alone, before and after.
     pub sidewalks: (usize, usize),
+    /// Pedestrian crossings before and after.
     pub crossings: (usize, usize),
-    /// Signals of the old net that netconvert did without, by id: most control nothing that drives.
+    /// Signals of the old net that netconvert dropped, by id: most control no traffic.
     pub dropped_signals: Vec<String>,
     /// Lanes that netconvert moved and that were put back.
     pub put_back: usize,
-    /// Where the lanes lie now, measured against the old net: none is off its line.
+    /// The lanes compared with the old net: none is off its line.
     pub moved: Moved,
 }
 
@@ -43,7 +48,7 @@ pub fn sidewalks(network: &Network) -> usize {
 }
 
 impl Wanted {
-    /// What a net has none of.
+    /// The elements that a net lacks.
     pub fn missing(network: &Network) -> Self {
         Self {
             signals: network.traffic_lights.is_empty(),
@@ -59,7 +64,7 @@ const TOWN: f64 = 19.5;
 /// Writes the net of `from` with what is `wanted` to `to`.
 ///
 /// # Errors
-/// netconvert fails, a lane would leave its line, or SUMO does not read what came of it; nothing is written then.
+/// netconvert fails, a lane would leave its line, or SUMO cannot read the new net; nothing is written then.
 pub fn enrich(from: &Path, to: &Path, wanted: Wanted) -> Result<Enriched, NetError> {
     let install = SumoInstall::find()?;
     let old = Network::load(from)?;

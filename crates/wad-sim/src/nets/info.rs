@@ -7,44 +7,61 @@ use serde::Serialize;
 use std::collections::BTreeSet;
 use sumo_network::network::{EdgeKind, LaneId, Network, Shapes};
 
-/// What a net is.
+/// Facts about a net.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Facts {
-    /// Width and height of the box round it (m), and how far apart its lowest and highest road lie (m).
+    /// Width and height of its bounding box (m).
     pub size_m: (f64, f64),
+    /// Height between its lowest and its highest road (m).
     pub climb_m: f64,
+    /// Junctions.
     pub junctions: usize,
+    /// Edges outside junctions.
     pub roads: usize,
-    /// Lanes for cars, and their length together (km).
+    /// Lanes for cars.
     pub lanes: usize,
+    /// Length of these lanes together (km).
     pub lane_km: f64,
-    /// km/h.
+    /// The speed limits that occur (km/h).
     pub speed_limits_kmh: Vec<u32>,
+    /// Traffic drives on the left.
     pub left_hand: bool,
+    /// Traffic lights.
     pub signals: usize,
+    /// Roundabouts.
     pub roundabouts: usize,
+    /// Lanes for pedestrians alone.
     pub sidewalks: usize,
+    /// Pedestrian crossings.
     pub crossings: usize,
+    /// Polygons of buildings.
     pub buildings: usize,
-    /// The share of the lanes' length that hangs together: cars get from everywhere in it to everywhere.
+    /// The share of the lanes' length in the largest connected part, where every place is reachable from every
+    /// other by car.
     pub connected: f64,
+    /// For each task, whether the net has a place for it.
     pub tasks: Vec<TaskPlaces>,
+    /// What hinders driving here, each with a remedy.
     pub problems: Vec<NetProblem>,
 }
 
 /// Whether a task can be placed.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TaskPlaces {
+    /// The task.
     pub task: TaskKind,
+    /// The net has at least one place for it.
     pub placed: bool,
-    /// How many ways it has, where they are counted, or why there is none.
+    /// The number of its routes, where they are counted, or the reason why there is none.
     pub note: String,
 }
 
-/// Something that hinders, and the remedy.
+/// A problem for driving, and its remedy.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct NetProblem {
+    /// The problem.
     pub what: String,
+    /// The remedy.
     pub fix: String,
 }
 

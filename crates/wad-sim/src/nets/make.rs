@@ -9,11 +9,13 @@ use sumo_traci::process::SumoInstall;
 /// A folder that `run` takes.
 #[derive(Clone, Debug)]
 pub struct Made {
-    /// `NAME.sumocfg`, and the net and polygons that it names.
+    /// `NAME.sumocfg`.
     pub config: PathBuf,
+    /// The net that it names.
     pub net: PathBuf,
+    /// The polygons that it names, if there are any.
     pub polygons: Option<PathBuf>,
-    /// What netconvert and polyconvert warned of.
+    /// Warnings of netconvert and polyconvert.
     pub warnings: Vec<String>,
 }
 
@@ -92,8 +94,8 @@ fn or_clean<T>(out: &Path, made: Result<T, NetError>) -> Result<T, NetError> {
     made
 }
 
-/// What builds with plain sources: a `.netccfg`, or any of `X.nod.xml`, `X.edg.xml`, ... of which those with
-/// the same beginning are taken along.
+/// Plain sources of a net: a `.netccfg`, or any of `X.nod.xml`, `X.edg.xml`, ... which brings the others that
+/// begin with `X`.
 const PLAIN: &str = "a .netccfg, or one of the plain files NAME.nod.xml and NAME.edg.xml";
 
 /// Builds a net from plain sources into the new folder `out`.
@@ -170,7 +172,7 @@ pub fn import(source: &Path, out: &Path) -> Result<Made, NetError> {
     let made = (|| {
         let mut given = vec![OsString::from(option), source.into()];
         if option == "--sumo-net-file" {
-            // A SUMO net is taken as it is: netconvert would compute its geometry anew.
+            // A SUMO net is copied unchanged: netconvert would compute its geometry again.
             copy_net(source, &net)?;
             return finish(out, &name, net.clone(), None, Vec::new());
         }

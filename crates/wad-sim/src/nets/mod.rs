@@ -1,11 +1,11 @@
-//! Nets from elsewhere: what is in one, and SUMO's tools that build, import and enrich them.
+//! Nets from other sources: facts and problems of a net, and SUMO's tools that build, import and enrich nets.
 //!
 //! ```text
 //! plain XML, OpenDRIVE, OSM, a bare net --build, import, enrich--> NAME.net.xml, NAME.poly.xml, NAME.sumocfg
 //! ```
 //!
-//! The work is netconvert's and polyconvert's, those of the SUMO that drives too; what is ours is which
-//! options they get, and to see to it that lanes stay where they were.
+//! netconvert and polyconvert of the SUMO that drives do the work. This module chooses their options and
+//! checks that lanes stay in place.
 
 mod enrich;
 mod info;
@@ -25,28 +25,71 @@ use sumo_traci::process::{InstallError, SumoInstall};
 /// Why a net could not be made.
 #[derive(Debug, thiserror::Error)]
 pub enum NetError {
+    /// SUMO is not installed, or its version is too old.
     #[error(transparent)]
     Install(#[from] InstallError),
+    /// The net cannot be read.
     #[error(transparent)]
     Network(#[from] NetworkError),
+    /// A file cannot be read.
     #[error("cannot read {}: {source}", path.display())]
-    Read { path: PathBuf, source: std::io::Error },
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// A file cannot be written.
     #[error("cannot write {}: {source}", path.display())]
-    Write { path: PathBuf, source: std::io::Error },
-    #[error("{} is there already: name another folder with --out, or remove it first", path.display())]
-    Taken { path: PathBuf },
-    #[error("`{}` is no source of a net: expected {expected}", path.display())]
-    Source { path: PathBuf, expected: &'static str },
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// The target exists.
+    #[error("{} exists already: name another folder with --out, or remove it first", path.display())]
+    Taken {
+        /// The target's folder.
+        path: PathBuf,
+    },
+    /// The given file is not a map or net that can be imported.
+    #[error("`{}` is not a source of a net: expected {expected}", path.display())]
+    Source {
+        /// The given file.
+        path: PathBuf,
+        /// The kinds of files that can be.
+        expected: &'static str,
+    },
+    /// netconvert or polyconvert failed.
     #[error("{tool} failed on {}: {said}", path.display())]
-    Tool { tool: &'static str, path: PathBuf, said: String },
+    Tool {
+        /// The tool's name.
+        tool: &'static str,
+        /// The file that it worked on.
+        path: PathBuf,
+        /// Its last messages.
+        said: String,
+    },
+    /// Enriching would move lanes away from their lines.
     #[error(
         "{} lanes would leave their line, `{}` by {:.2} m: nothing is written", .0.lanes, .0.worst_lane, .0.worst
     )]
     Moved(Moved),
+    /// A net's XML has another form than netconvert's.
     #[error("`{}` is not XML as netconvert writes it: {problem}", path.display())]
-    Malformed { path: PathBuf, problem: String },
+    Malformed {
+        /// The net.
+        path: PathBuf,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// The net has everything that enriching adds.
     #[error("nothing to add to `{}`: it has signals, sidewalks and crossings already; ask for more of them with --signals, --sidewalks, --crossings", path.display())]
-    Nothing { path: PathBuf },
+    Nothing {
+        /// The net.
+        path: PathBuf,
+    },
 }
 
 /// Runs one of SUMO's tools; `about` is what an error names. Returns its warnings.

@@ -1,6 +1,6 @@
-//! Lanes kept on their line. netconvert computes all geometry anew when it reads a net: lanes end elsewhere
-//! where a junction grows for a crossing, which is meant, and shift sideways where the net was built with
-//! other options, which is not. Here each lane is put back onto the line that it had, between the new ends.
+//! Keeps lanes on their lines. netconvert computes all geometry again when it reads a net. Lanes end earlier
+//! where a junction grows for a crossing, which is wanted. They also shift sideways if the net was built with
+//! other options, which is not wanted. So each lane is put back onto its old line, between the new ends.
 
 use super::NetError;
 use nalgebra::Point3;
@@ -12,18 +12,22 @@ use std::path::Path;
 use sumo_network::geometry::{Point, Polyline};
 use sumo_network::network::{EdgeKind, LaneId, Network, VehicleClass};
 
-/// How far a net's lanes lie from where another has them.
+/// How far the lanes of two nets lie apart.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Moved {
-    /// Lanes for cars that both nets have, and those that are missing.
+    /// Lanes for cars that both nets have.
     pub compared: usize,
+    /// Lanes for cars of the first net that the second lacks.
     pub missing: usize,
-    /// Lanes that leave their line by more than 2 cm, how far the worst does (m), and its name.
+    /// Lanes that leave their line by more than 2 cm.
     pub lanes: usize,
+    /// How far the worst of these leaves its line (m).
     pub worst: f64,
+    /// The name of the worst lane.
     pub worst_lane: String,
-    /// Lanes that end or begin elsewhere along their line, and how far the most (m).
+    /// Lanes that end or begin elsewhere along their line.
     pub cut: usize,
+    /// How far the worst of these is cut or grows (m).
     pub most_cut: f64,
 }
 

@@ -10,19 +10,23 @@ use sumo_network::world::{Actor, ActorKind, ActorType, VehicleSignals, WorldStat
 use wad_camera::Preset;
 use wad_vehicle::{Control, EgoState};
 
-/// Says which program writes it, and how.
+/// The format's name and version.
 pub const FORMAT: &str = "wad-cosim recording 1";
 
 /// The first line: what holds for the whole recording.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Header {
+    /// The format's name and version.
     pub format: String,
-    /// The CONFIG that was driven on, as it was given, and the town's name.
+    /// The CONFIG that was driven on, as it was given.
     pub config: String,
+    /// The town's name.
     pub town: String,
     /// Length of a tick (ms).
     pub tick_ms: f64,
+    /// The weather.
     pub weather: Preset,
+    /// The ego's size.
     pub ego: Body,
     /// The route's centre line as it was at the start, a point every few metres (m).
     pub route: Vec<[f64; 2]>,
@@ -31,7 +35,7 @@ pub struct Header {
 }
 
 impl Header {
-    /// With neither route nor lights.
+    /// A header without route and lights.
     pub fn new(config: &str, town: &str, tick_ms: f64, weather: Preset, ego: Body) -> Self {
         let (config, town) = (config.to_string(), town.to_string());
         Self {
@@ -50,8 +54,11 @@ impl Header {
 /// The ego's size (m).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Body {
+    /// Front to rear (m).
     pub length: f64,
+    /// Side to side (m).
     pub width: f64,
+    /// Above the ground (m).
     pub height: f64,
 }
 
@@ -137,10 +144,10 @@ fn ego_state(text: &EgoText) -> Result<EgoState, String> {
 }
 
 fn exact(text: &str) -> Result<f64, String> {
-    text.parse().map_err(|_| format!("`{text}` is no number"))
+    text.parse().map_err(|_| format!("`{text}` is not a number"))
 }
 
-/// What earlier lines said.
+/// What earlier lines defined.
 #[derive(Debug, Default)]
 pub struct Memory {
     types: BTreeMap<String, Arc<ActorType>>,
@@ -149,7 +156,7 @@ pub struct Memory {
 }
 
 impl Memory {
-    /// Of a town with so many traffic lights, none of them in sight.
+    /// For a town with this many traffic lights, none of them in sight.
     pub fn new(lights: usize) -> Self {
         Self { lights: vec![None; lights], ..Self::default() }
     }

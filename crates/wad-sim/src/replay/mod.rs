@@ -1,12 +1,12 @@
-//! Recorded drives: what an ego and those in its sight did, tick by tick, to be played or driven again.
+//! Recorded drives: the ego and the road users in its sight, tick by tick, to play or to drive again.
 //!
 //! A recording is one file, `states.jsonl.gz`: JSON Lines, compressed. Its first line is a [`Header`];
-//! each further line is one tick. The ego is kept exactly; others to a millimetre, with 64 bits per tick
-//! that stand for every bit of the whole state ([`digest`]), so that a second simulation can be compared.
+//! each further line is one tick. The ego is kept exactly; others to a millimetre, with a hash per
+//! tick over every bit of the state ([`digest`]), to compare a second simulation with it.
 //!
 //! ```no_run
-//! # fn example() -> Result<(), wad_cosim::replay::ReplayError> {
-//! use wad_cosim::replay::Recording;
+//! # fn example() -> Result<(), wad_sim::replay::ReplayError> {
+//! use wad_sim::replay::Recording;
 //! let recording = Recording::open("runs/nocrash/episodes/wad-t-000".as_ref())?;
 //! for frame in recording.frames() {
 //!     println!("{:.1} s: {:?}, {} others", frame.world.time, frame.ego.pose, frame.world.vehicles.len());
@@ -37,13 +37,27 @@ pub const FILE: &str = "states.jsonl.gz";
 /// Why a recording cannot be written or read.
 #[derive(Debug, thiserror::Error)]
 pub enum ReplayError {
+    /// The file cannot be opened, read or written.
     #[error("cannot {what} the recording {}: {source}", path.display())]
-    File { what: &'static str, path: PathBuf, source: std::io::Error },
+    File {
+        /// What failed: a verb.
+        what: &'static str,
+        /// The file.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// The file is not a recording.
     #[error(
-        "{} is no recording: {why}; expected a folder with {FILE}, as `eval` keeps of each failure, or that file",
+        "{} is not a recording: {why}; expected a folder with {FILE}, as `eval` keeps of a failure, or that file",
         path.display()
     )]
-    Format { path: PathBuf, why: String },
+    Format {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        why: String,
+    },
 }
 
 /// The state after one tick.
@@ -51,18 +65,19 @@ pub enum ReplayError {
 pub struct Frame {
     /// Ticks of the episode so far; 0 is the state before the first control.
     pub tick: u64,
-    /// What was driven in the tick, exactly.
+    /// The tick's control, exactly.
     pub control: Control,
     /// The ego, exactly.
     pub ego: EgoState,
-    /// Its place on its route: along it, and to the left of it (m).
+    /// Its place along its route (m).
     pub s: f64,
+    /// Its offset to the left of its route (m).
     pub d: f64,
-    /// Those in its sight, to the millimetre, without their lanes; and the lights in its sight.
+    /// The road users in its sight, to the millimetre, without their lanes; and the lights in its sight.
     pub world: WorldState,
     /// What happened in the tick.
     pub events: Vec<Event>,
-    /// Stands for every bit of the state; see [`digest`].
+    /// Hash of the whole state; see [`digest`].
     pub bits: u64,
 }
 
@@ -77,7 +92,7 @@ impl Recording {
     /// Reads the recording at `path`: the file, or the folder that it lies in.
     ///
     /// # Errors
-    /// It cannot be read, or is none, or is cut short.
+    /// It cannot be read, is not a recording, or is cut short.
     pub fn open(path: &Path) -> Result<Self, ReplayError> {
         let path = if path.is_dir() { path.join(FILE) } else { path.to_path_buf() };
         let broken = |why: String| ReplayError::Format { path: path.clone(), why };
@@ -107,7 +122,7 @@ impl Recording {
         Ok(Self { header, frames })
     }
 
-    /// What holds for all of it.
+    /// Its header.
     pub fn header(&self) -> &Header {
         &self.header
     }

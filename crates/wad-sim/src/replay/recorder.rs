@@ -1,4 +1,4 @@
-//! Records a drive, in memory until it is known whether anybody wants it.
+//! Records a drive in memory, until it is clear whether to keep it.
 
 use super::ReplayError;
 use super::format::{ActorLine, Header, Line, NewLine, TypeLine, ego_numbers};
@@ -17,12 +17,17 @@ use wad_vehicle::{Control, EgoState};
 pub struct Moment<'a> {
     /// Ticks so far; 0 before the first control.
     pub tick: u64,
+    /// The control that was driven in the tick.
     pub control: Control,
+    /// The ego's motion after the tick.
     pub ego: &'a EgoState,
-    /// Place on the route: along it, and to the left of it (m).
+    /// The ego's place along its route (m).
     pub s: f64,
+    /// The ego's offset to the left of its route (m).
     pub d: f64,
+    /// The road users and lights in the ego's sight.
     pub world: &'a WorldState,
+    /// What happened in the tick.
     pub events: &'a [Event],
 }
 
@@ -121,7 +126,7 @@ fn line(actor: &Actor) -> ActorLine {
     ActorLine(actor.key, x, y, z, heading, rounded(actor.speed, 1e2), actor.signals.0)
 }
 
-/// 64 bits that stand for every bit of a state (FNV-1a): the control, the ego's motion, everybody in its
+/// A 64-bit hash (FNV-1a) over every bit of a state: the control, the ego's motion, all road users in its
 /// sight with id, pose, speed and lamps, and the lights.
 pub fn digest(moment: &Moment<'_>) -> u64 {
     let mut hash = 0xcbf2_9ce4_8422_2325_u64;

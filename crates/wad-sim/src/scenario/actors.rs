@@ -1,4 +1,4 @@
-//! What stands: vehicles, barriers and cones, as vehicles in SUMO, so that its traffic takes notice of them.
+//! Standing obstacles: vehicles, barriers and cones, as vehicles in SUMO, so that its traffic reacts to them.
 
 use super::things::{Closure, ObjectShape};
 use crate::destination::EGO_CLASS;
@@ -47,7 +47,7 @@ impl Stage {
         let type_id = format!("{}_{:.0}", shape.type_id(), 100.0 * width);
         if self.types.insert(type_id.clone()) {
             vehicle_type::copy(batch, "DEFAULT_VEHTYPE", &type_id);
-            // Of no class: it may stand where nobody may drive.
+            // Class `ignoring`: it may stand on any lane.
             batch.set(vehicle_type::SET_VEHICLE_CLASS, &type_id, "ignoring");
             batch.set(vehicle_type::SET_LENGTH, &type_id, length);
             batch.set(vehicle_type::SET_WIDTH, &type_id, width);
@@ -95,8 +95,8 @@ impl Stage {
         id
     }
 
-    /// Closes a lane over a stretch: barriers across it, and nobody's lane any more where the road has
-    /// another for cars.
+    /// Closes a lane over a stretch: puts barriers across it, and forbids it to all classes if the road has
+    /// another lane for cars.
     pub fn close(&mut self, network: &Network, id: &str, closure: &Closure, batch: &mut Batch) {
         let lane = network.lane(closure.at.lane);
         if has_other_lane(network, closure.at.lane) {
@@ -113,7 +113,7 @@ impl Stage {
     }
 }
 
-/// Whether the road of a lane has another for cars: else nobody could get through, and SUMO has them wait.
+/// Whether the road of a lane has another lane for cars. Otherwise traffic has to wait.
 pub fn has_other_lane(network: &Network, lane: LaneId) -> bool {
     let edge = network.edge(network.lane(lane).edge);
     edge.lanes.iter().any(|&other| other != lane && network.lane(other).permissions.allows(EGO_CLASS))
@@ -132,7 +132,7 @@ pub struct Held {
 }
 
 impl Held {
-    /// To be said with every step.
+    /// Holds it in place; needed with every step.
     pub fn hold(&self, batch: &mut Batch) {
         let (front, angle) = self.pose.to_sumo(self.length);
         let to = vehicle::MoveToXy {

@@ -1,4 +1,4 @@
-//! Makes a scenario happen in SUMO: puts its things there, and plays its events as the ego comes near.
+//! Plays a scenario in SUMO: adds its obstacles, and starts its events as the ego comes near.
 
 use super::Scenario;
 use super::actors::{Held, PREFIX, Stage};
@@ -60,7 +60,7 @@ enum Braking {
     Standing(f64),
 }
 
-/// Somebody who stands still for good: no step of theirs.
+/// For a person who never moves.
 const NEVER: Trigger = Trigger { distance: Some(-1.0), time: None };
 /// As long as SUMO keeps a person waiting (s).
 const LONG: f64 = 1e6;
@@ -70,6 +70,7 @@ const USUAL: i32 = 31;
 const PASSED: (f64, f64) = (40.0, 6.0);
 
 impl Director {
+    /// A director for one run of `scenario`.
     pub fn new(scenario: Arc<Scenario>) -> Self {
         Self { scenario, stage: Stage::default(), held: Vec::new(), acts: Vec::new() }
     }
@@ -164,7 +165,7 @@ impl bridge::Director for Director {
                 }
                 Kind::Person(walker) => {
                     let Some(id) = self.person(scene, thing, walker, batch) else { continue };
-                    // Turned to whoever comes.
+                    // Faces the traffic.
                     let heading = thing.pose.heading + std::f64::consts::PI;
                     let (from, trigger) = (thing.point, NEVER);
                     self.acts.push(Act::Walk {
@@ -237,7 +238,7 @@ impl Act {
                 }
                 let gone = began.map_or(0.0, |began| (*speed * (scene.time - began)).min(*way));
                 let at = *from + direction(*heading) * gone;
-                // Any lane that lies there: traffic brakes for who is on its lane.
+                // Any lane at that place: traffic brakes for persons on its lane.
                 let to = vehicle::MoveToXy {
                     x: at.x,
                     y: at.y,

@@ -11,7 +11,7 @@ use sumo_network::network::{EdgeKind, LaneId, LanePosition, Network, Route};
 use wad_camera::Preset;
 use wad_vehicle::EgoParams;
 
-/// What the ego's element says.
+/// The ego's element, read.
 #[derive(Clone, Debug)]
 pub struct EgoPlan {
     pub kind: TaskKind,
@@ -64,7 +64,7 @@ pub fn find<'a>(
     Some(ego)
 }
 
-/// Reads it; None where it cannot be driven, and the problems say why.
+/// Reads the ego; None if it cannot be driven, with the reason in `problems`.
 pub fn read(
     element: &Element,
     elements: &[Element],
@@ -91,7 +91,7 @@ pub fn read(
             Preset::default()
         }
     };
-    // What is drawn is there anyway: as-is is nobody beside it.
+    // Drawn road users are there anyway: as-is adds no others.
     let traffic = match element.param("wad.traffic").map(str::parse::<TrafficSpec>) {
         None => kind.traffic(),
         Some(Ok(TrafficSpec::AsIs)) => TrafficSpec::Empty,
@@ -166,7 +166,7 @@ impl Ends<'_> {
         Some(open)
     }
 
-    /// The first and last edge, and those between, of a route that is given edge by edge.
+    /// All edges of a route that is given edge by edge.
     fn edges(&self, element: &Element) -> Option<Vec<String>> {
         let own = element.route.clone();
         let named = || {

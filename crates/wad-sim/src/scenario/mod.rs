@@ -35,28 +35,34 @@ use wad_camera::Preset;
 /// A scenario that can be driven.
 #[derive(Clone, Debug)]
 pub struct Scenario {
+    /// The name: its configuration's file name without the extension.
     pub name: String,
     /// Its `.sumocfg`.
     pub config: PathBuf,
+    /// The ego's task.
     pub task: TaskKind,
-    /// Where the ego starts, what it passes, where it is to arrive; the obstacle of the obstacle task.
+    /// The ego's start, via points and destination; the obstacle of the obstacle task.
     pub placement: Placement,
+    /// The ego's route.
     pub route: Route,
+    /// The weather.
     pub weather: Preset,
-    /// Background traffic beside the vehicles that the scenario has drawn.
+    /// Background traffic beside the scenario's own vehicles.
     pub traffic: TrafficSpec,
     /// s; None: the task's own limit.
     pub time_limit: Option<f64>,
+    /// Obstacles and events.
     pub things: Vec<Thing>,
     /// Lanes that it closes to SUMO's traffic, by id.
     pub closed_lanes: Vec<String>,
 }
 
-/// What was found in a scenario's folder.
+/// The result of reading a scenario: the scenario, if it can be driven, and its mistakes.
 #[derive(Debug)]
 pub struct Inspection {
-    /// None where the ego or its route is broken.
+    /// None if the ego or its route is broken.
     pub scenario: Option<Scenario>,
+    /// Mistakes in its files, each with a remedy.
     pub problems: Vec<Problem>,
 }
 
@@ -64,7 +70,7 @@ impl Inspection {
     /// The scenario, where nothing is wrong with it.
     ///
     /// # Errors
-    /// All that is wrong.
+    /// All mistakes found.
     pub fn into_scenario(self) -> Result<Scenario, ScenarioError> {
         match self.scenario {
             Some(scenario) if self.problems.is_empty() => Ok(scenario),
@@ -103,7 +109,7 @@ fn about_config(config: &Path, error: &ConfigError) -> Problem {
     Problem::of_file(
         config,
         error.to_string(),
-        "repair it, or make the scenario anew with wad-cosim scenario new",
+        "repair it, or make a new scenario with wad-cosim scenario new",
     )
 }
 
@@ -139,7 +145,7 @@ pub fn inspect_on(config: &SumoConfig, network: &Network) -> Inspection {
     Inspection { scenario, problems }
 }
 
-/// Whether a configuration is a scenario: one of its route files has somebody of type `ego`.
+/// Whether a configuration is a scenario: one of its route files has a trip or vehicle of type `ego`.
 pub fn has_ego(config: &SumoConfig) -> bool {
     elements(config, &mut Vec::new())
         .iter()
@@ -172,7 +178,7 @@ impl Scenario {
     /// The scenario of a `.sumocfg`.
     ///
     /// # Errors
-    /// All that is wrong with it.
+    /// All its mistakes.
     pub fn load(config: &Path) -> Result<Self, ScenarioError> {
         inspect(config).into_scenario()
     }

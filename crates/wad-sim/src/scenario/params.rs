@@ -3,7 +3,7 @@
 use super::problem::{Problem, meant, near};
 use super::xml::Element;
 
-/// What begins every parameter of ours.
+/// Prefix of all our parameters.
 pub const PREFIX: &str = "wad.";
 
 /// Parameters of the ego.

@@ -1,4 +1,4 @@
-//! What is wrong with a scenario: file, element, and what to do.
+//! A scenario's mistakes: file, element, and what to do.
 
 use serde::Serialize;
 use std::fmt;
@@ -7,13 +7,16 @@ use std::path::{Path, PathBuf};
 /// One mistake.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Problem {
+    /// The file with the mistake.
     pub file: PathBuf,
-    /// From 1; None where it is about the file as a whole.
+    /// From 1; None if it is about the file as a whole.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub line: Option<usize>,
-    /// Tag and id, e.g. ``trip `ego` ``; empty where it is about the file as a whole.
+    /// Tag and id, e.g. ``trip `ego` ``; empty if it is about the file as a whole.
     pub element: String,
+    /// What is wrong.
     pub what: String,
+    /// The remedy.
     pub fix: String,
 }
 
@@ -43,7 +46,7 @@ impl fmt::Display for Problem {
     }
 }
 
-/// A scenario that cannot be driven as it is.
+/// A scenario with mistakes.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{}", list(.0))]
 pub struct ScenarioError(pub Vec<Problem>);
@@ -56,7 +59,7 @@ fn list(problems: &[Problem]) -> String {
     }
 }
 
-/// Those of `names` that `found` may have been meant for, nearest first: the end of a fix.
+/// The entries of `names` nearest to `found`, nearest first, for "did you mean".
 pub fn near<'a>(found: &str, names: impl IntoIterator<Item = &'a str>) -> Vec<&'a str> {
     let folded = |s: &str| s.replace(['-', '_', '.', ' '], "").to_ascii_lowercase();
     let wanted = folded(found);

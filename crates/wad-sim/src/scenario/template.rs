@@ -1,4 +1,4 @@
-//! New scenarios: a task or an event on a town, as the SUMO files that netedit goes on with.
+//! New scenarios: a task or an event in a town, as SUMO files to edit in netedit.
 
 use crate::destination::EGO_CLASS;
 use crate::tasks::{Placement, Places, Spot, TaskError, TaskKind};
@@ -8,21 +8,23 @@ use sumo_network::geometry::{Point, Vector};
 use sumo_network::network::{EdgeKind, LaneId, LanePosition, Network, Route, VehicleClass};
 use wad_vehicle::EgoParams;
 
-/// Something to begin from.
+/// A template of a scenario.
 #[derive(Clone, Copy, Debug)]
 pub struct Template {
+    /// Its name on the command line.
     pub name: &'static str,
+    /// One line about it.
     pub about: &'static str,
-    /// The task that the ego is given, and the place that is looked for.
+    /// The ego's task, and the kind of place for it.
     task: TaskKind,
     place: Place,
     draw: fn(&Stretch<'_>) -> Vec<Drawn>,
 }
 
-/// Where a template can be put.
+/// The kind of place that a template needs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Place {
-    /// Where its task can.
+    /// A place of its task.
     Task,
     /// Along a road without a junction, of this many lanes for cars at the least.
     Road { lanes: usize },
@@ -127,18 +129,45 @@ const fn task(name: &'static str, about: &'static str, task: TaskKind) -> Templa
 /// Why there is no new scenario.
 #[derive(Debug, thiserror::Error)]
 pub enum TemplateError {
+    /// No such template.
     #[error("no template is called `{found}`: {fix}")]
-    Unknown { found: String, fix: String },
-    #[error("{} is there already: give another name, or remove it first", path.display())]
-    Taken { path: PathBuf },
+    Unknown {
+        /// The given name.
+        found: String,
+        /// The names to choose from.
+        fix: String,
+    },
+    /// The scenario's folder exists.
+    #[error("{} exists already: give another name, or remove it first", path.display())]
+    Taken {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// The name is not usable as a file name.
     #[error("`{name}` cannot be the name of a scenario: use letters, digits, `_` and `-`")]
-    Name { name: String },
+    Name {
+        /// The given name.
+        name: String,
+    },
+    /// The net has no place for the template.
     #[error("this net has no place for `{template}`: {why}")]
-    NoPlace { template: &'static str, why: String },
+    NoPlace {
+        /// The template's name.
+        template: &'static str,
+        /// Which condition fails.
+        why: String,
+    },
+    /// The net has no place for the template's task.
     #[error(transparent)]
     Task(#[from] TaskError),
+    /// A file cannot be written.
     #[error("cannot write {}: {source}", path.display())]
-    Write { path: PathBuf, source: std::io::Error },
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
 }
 
 /// The template of that name.
@@ -176,7 +205,7 @@ impl Drawn {
 struct Stretch<'a> {
     network: &'a Network,
     route: &'a Route,
-    /// The lane that the ego starts on, where its things are put on that lane whatever the route does.
+    /// The lane that the ego starts on, if the template's things go on that lane whatever the route does.
     start: Option<LanePosition>,
 }
 
@@ -225,7 +254,7 @@ impl Stretch<'_> {
     }
 }
 
-/// Draws before a template counts as one that cannot be put anywhere.
+/// Random draws before placing a template fails.
 const DRAWS: u64 = 400;
 /// Way of an event's scenario along one road (m), and where the ego starts on it.
 const ROAD: f64 = 190.0;
@@ -291,11 +320,14 @@ impl Template {
     }
 }
 
-/// Where a scenario's net comes from: the net and its polygons, as the configuration is to name them.
+/// A scenario's net: the net and its polygons, as the configuration names them.
 #[derive(Clone, Debug)]
 pub struct Base<'a> {
+    /// The network that the net file holds.
     pub network: &'a Network,
+    /// Path of the net, for `net-file`.
     pub net: String,
+    /// Paths of polygons and points, for `additional-files`.
     pub additional: Vec<String>,
 }
 
@@ -388,7 +420,7 @@ fn trip(
         let seconds = (route.length() / (10.0 / 3.6)).ceil().max(60.0);
         params.push(("wad.time_limit".to_string(), format!("{seconds}")));
     }
-    // The lane to arrive on is said, whatever way leads to its edge.
+    // Name the destination's lane, not only its edge.
     params.insert(1, ("wad.destination".to_string(), format!("{}@{arrive:.2}", network.lane(to.lane).id)));
     let mut text = format!(
         "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n\n<routes {SCHEMA}routes_file.xsd\">\n    \

@@ -1,4 +1,4 @@
-//! What an author puts beside the ego: obstacles and events, as points and polygons by type.
+//! A scenario's obstacles and events: points and polygons by type.
 
 use super::params::{PREFIX, Reader};
 use super::problem::{Problem, meant, near};
@@ -12,7 +12,7 @@ use sumo_network::network::{
 };
 use sumo_network::world::ActorKind;
 
-/// Types of points that mean something to us.
+/// Types of points that a scenario may use.
 pub const POINTS: &[&str] = &[
     "obstacle.car",
     "obstacle.van",
@@ -31,7 +31,7 @@ pub const POINTS: &[&str] = &[
     "event.lane_closed",
 ];
 
-/// Types of polygons that mean something to us.
+/// Types of polygons that a scenario may use.
 pub const POLYGONS: &[&str] = &["roadworks"];
 
 /// Vehicles by the name that an author gives, of the fleet's models.
@@ -49,47 +49,64 @@ pub struct Trigger {
 /// A stretch of a lane that is closed, from `s` over `length` (m of its shape).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Closure {
+    /// Where it begins.
     pub at: LanePosition,
+    /// Its length (m).
     pub length: f64,
 }
 
-/// What a thing is.
+/// The kind of a thing, with its parameters.
 #[derive(Clone, Debug)]
 pub enum Kind {
-    /// A vehicle that stands in a lane.
+    /// A vehicle parked in a lane.
     Vehicle(&'static Model),
-    /// A person who stands there.
+    /// A standing person.
     Person(&'static Walker),
-    /// A barrier (m wide) or a cone.
+    /// A barrier or a cone.
     Object {
+        /// Barrier or cone.
         shape: ObjectShape,
+        /// Width (m).
         width: f64,
     },
+    /// A bench beside the road.
     Bench,
     /// Lanes under a polygon, fenced off.
     RoadWorks(Vec<Closure>),
-    /// Steps off the kerb at `speed` (m/s) and goes `way` (m) across the road.
+    /// A person who steps off the kerb and crosses the road.
     Pedestrian {
+        /// The kind of person.
         walker: &'static Walker,
+        /// Walking speed (m/s).
         speed: f64,
+        /// Length of the way (m).
         way: f64,
+        /// When the person starts.
         trigger: Trigger,
     },
     /// A vehicle ahead of the ego brakes hard here.
     Brake {
+        /// The vehicle that brakes.
         leader: Leader,
+        /// Deceleration (m/s2).
         deceleration: f64,
+        /// How long it brakes (s).
         duration: f64,
     },
     /// Two vehicles that ran into each other.
     Accident([&'static Model; 2]),
     /// A traffic light out of order.
     SignalOff {
+        /// SUMO's id of the traffic light.
         light: String,
+        /// When the light fails.
         trigger: Trigger,
     },
+    /// A lane is closed during the run.
     LaneClosed {
+        /// The closed stretch.
         closure: Closure,
+        /// When it is closed.
         trigger: Trigger,
     },
 }
@@ -100,18 +117,25 @@ pub enum Leader {
     /// One of the scenario's own, by id.
     Drawn(String),
     /// One that drives `gap` (m) ahead of the ego, bumper to bumper, from the start.
-    Ahead { model: &'static Model, gap: f64 },
+    Ahead {
+        /// The vehicle's model.
+        model: &'static Model,
+        /// Distance to the ego (m).
+        gap: f64,
+    },
 }
 
-/// Things of the road that are no vehicles.
+/// Objects on the road other than vehicles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ObjectShape {
+    /// A striped barrier across a lane.
     Barrier,
+    /// A traffic cone.
     Cone,
 }
 
 impl ObjectShape {
-    /// SUMO's vehicle type of it, of this width class.
+    /// Its SUMO vehicle type.
     pub fn type_id(self) -> &'static str {
         match self {
             Self::Barrier => "wad_object_barrier",
@@ -119,7 +143,7 @@ impl ObjectShape {
         }
     }
 
-    /// Length and height (m), and the width of one that is not told.
+    /// Length, height and default width (m).
     pub fn sizes(self) -> (f64, f64, f64) {
         match self {
             Self::Barrier => (0.5, 1.0, 2.4),
@@ -131,20 +155,24 @@ impl ObjectShape {
 /// A thing and its place.
 #[derive(Clone, Debug)]
 pub struct Thing {
+    /// The point's or polygon's id.
     pub id: String,
+    /// Obstacle or event, with its parameters.
     pub kind: Kind,
     /// Where the author put it.
     pub point: Point,
-    /// The nearest lane for cars, the place on it (m), and the lane's direction there.
+    /// The nearest lane for cars.
     pub lane: LaneId,
+    /// The nearest place on that lane (m).
     pub s: f64,
-    /// m, left of the lane's middle.
+    /// Offset to the left of the lane's middle (m).
     pub d: f64,
+    /// The place on the lane's middle, in the lane's direction.
     pub pose: Pose,
 }
 
 impl Thing {
-    /// What the obstacle task wants the ego to stand before.
+    /// Its kind of obstacle for the obstacle task.
     pub fn obstacle_kind(&self) -> Option<ObstacleKind> {
         Some(match &self.kind {
             Kind::Person(_) => ObstacleKind::Person,
@@ -217,7 +245,7 @@ pub fn read(
     things
 }
 
-/// A type that is none of ours: it may be meant for one, and it may carry our parameters.
+/// An unknown type: it may be a misspelt one, and it may carry our parameters.
 fn stranger(element: &Element, kind: &str, own: &[&str], other: &[&str], problems: &mut Vec<Problem>) {
     let a = if element.tag == "poi" { "a point" } else { "a polygon" };
     if other.contains(&kind) {
@@ -229,7 +257,7 @@ fn stranger(element: &Element, kind: &str, own: &[&str], other: &[&str], problem
     {
         problems.push(element.problem(format!("unknown type `{kind}`"), meant(kind, own)));
     } else if element.params.iter().any(|p| p.key.starts_with(PREFIX)) {
-        let what = format!("it has parameters of ours, but its type `{kind}` means nothing");
+        let what = format!("it has wad.* parameters, but its type `{kind}` is unknown");
         problems.push(element.problem(what, meant(kind, own)));
     }
 }
@@ -268,7 +296,7 @@ fn read_point(
         let (what, fix) = match element.get("lane") {
             Some(lane) => (format!("its lane `{lane}` is not in the net"), "move it onto a lane of this net"),
             None => (
-                "it has no place in the net's metres".to_string(),
+                "its position is not in the net's coordinates".to_string(),
                 "draw it as a POI on a lane, or as a plain POI rather than one with longitude and latitude",
             ),
         };
@@ -341,7 +369,7 @@ fn on_the_way(reader: &mut Reader<'_>, at: Point, trigger: &Trigger, route: Opti
     }
 }
 
-/// What stands on a lane so wide (m).
+/// The obstacle of that type on a lane of this width (m).
 fn obstacle(reader: &mut Reader<'_>, name: &str, lane_width: f64) -> Kind {
     let shape = match name {
         "barrier" => ObjectShape::Barrier,
@@ -390,7 +418,7 @@ fn kind_of(
             let name = reader.choice("wad.person", &["adult", "child", "senior"], "adult");
             let speed = reader.number("wad.speed", 1.8, 0.2, 6.0, "metres a second");
             let way = reader.number("wad.way", at.d.abs() + 8.0, 0.5, 60.0, "metres");
-            // So near that it is a surprise, so far that who is awake can still stop: 2.5 s at the limit.
+            // Near enough for a surprise, far enough for an attentive driver to stop: 2.5 s at the limit.
             let trigger = trigger(reader, Some((2.5 * lane.speed_limit).max(15.0)));
             on_the_way(reader, found.position, &trigger, route);
             walkable(reader, network);
@@ -516,14 +544,14 @@ fn light(reader: &mut Reader<'_>, network: &Network, point: Point) -> Option<Str
     }
 }
 
-/// How closely a polygon is looked at along a lane (m).
+/// Spacing of the samples of a polygon along a lane (m).
 const STEP: f64 = 0.5;
 
 fn read_polygon(reader: &mut Reader<'_>, network: &Network) -> Option<Thing> {
     reader.only(&[]);
     let Some(polygon) = shape(reader.element, network).1.filter(|p| p.shape.len() > 2) else {
         reader.wrong(
-            "it has no area in the net's metres",
+            "its area is not in the net's coordinates",
             "draw it again with three corners or more, without longitude and latitude",
         );
         return None;

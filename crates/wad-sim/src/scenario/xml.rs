@@ -69,7 +69,7 @@ pub fn read(path: &Path) -> Result<Vec<Element>, Problem> {
             line: Some(line),
             ..Problem::of_file(
                 path,
-                format!("is no proper XML: {why}"),
+                format!("is not well-formed XML: {why}"),
                 "save it again in netedit, or repair this line",
             )
         };

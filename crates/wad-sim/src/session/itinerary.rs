@@ -1,4 +1,4 @@
-//! From destination to destination: where an ego goes that has nowhere in particular to go.
+//! Random destinations, one after the other, for an ego without a fixed route.
 
 use super::Session;
 use crate::bridge::BridgeError;
@@ -8,29 +8,31 @@ use std::f64::consts::FRAC_PI_2;
 use sumo_network::geometry;
 use sumo_network::network::{LanePosition, NearLane, Network, Route};
 
-/// A shorter way to the next destination is not worth going (m).
+/// Shortest route to a next destination (m).
 const SHORTEST: f64 = 60.0;
-/// How far from a lane the ego may be to set out on it (m).
+/// Farthest lane from the ego on which a new route may begin (m).
 const FIND_WITHIN: f64 = 30.0;
-/// Places drawn for one that is long enough, and for one that is free.
+/// Random draws for a long enough route, and for a free place.
 const DRAWS: usize = 20;
 
-/// Draws destinations, and the ways to them.
+/// Draws destinations and the routes to them.
 pub struct Itinerary {
     destinations: Destinations,
 }
 
-/// Why there is nowhere to go.
+/// Why there is no next destination.
 #[derive(Debug, thiserror::Error)]
 pub enum ItineraryError {
+    /// SUMO failed.
     #[error(transparent)]
     Bridge(#[from] BridgeError),
+    /// The network has no such place, or none to drive to.
     #[error(transparent)]
     Destination(#[from] DestinationError),
 }
 
 impl Itinerary {
-    /// On the roads of `network`, drawn with `rng`.
+    /// Draws destinations on the roads of `network` with `rng`.
     ///
     /// # Errors
     /// No lane is open to the ego.
@@ -57,7 +59,7 @@ impl Itinerary {
         best
     }
 
-    /// Sends ego `index`, which has arrived, to another destination; false where no way leads on.
+    /// Gives ego `index`, which has arrived, a route to another destination. False if no route leads on.
     pub fn go_on(&mut self, session: &mut Session, index: usize) -> bool {
         let network = session.network().clone();
         let ego = session.ego(index);
@@ -70,13 +72,17 @@ impl Itinerary {
                 session.seat_mut(index).set_route(route, here - from.s);
                 return true;
             }
-            Ok(route) => tracing::info!("only {:.0} m of way on, starting elsewhere", route.length()),
-            Err(error) => tracing::info!("no way on from the destination, starting elsewhere: {error}"),
+            Ok(route) => {
+                tracing::info!("the next route has only {:.0} m: starting elsewhere", route.length())
+            }
+            Err(error) => {
+                tracing::info!("no route leads on from the destination: starting elsewhere: {error}")
+            }
         }
         false
     }
 
-    /// Puts ego `index` down at another place, a free one where one is found.
+    /// Places ego `index` elsewhere, at a free place if one is found.
     ///
     /// # Errors
     /// SUMO fails, or no place leads to another.
@@ -97,7 +103,7 @@ impl Itinerary {
         Ok(())
     }
 
-    /// Sends ego `index` from where it is to `to`, or to a place that is drawn; false where no way leads there.
+    /// Gives ego `index` a route from its place to `to`, or to a random place. False if no route leads there.
     pub fn leave_for(&mut self, session: &mut Session, index: usize, to: Option<LanePosition>) -> bool {
         let network = session.network().clone();
         let ego = session.ego(index);

@@ -1,7 +1,7 @@
-//! One tick of the co-simulation for any number of egos: the only place where a tick happens.
+//! One tick of the co-simulation for any number of egos. Nothing else steps the simulation.
 //!
 //! ```text
-//! decide   the expert, where it drives or is asked        Session::plan, Act
+//! decide   the expert, if it drives or is asked           Session::plan, Act
 //! signal   blinkers and brake lights for the others       Lamps
 //! move     each ego's physics, contacts                   Ego::advance
 //! step     poses to SUMO, one step, new worlds back       Bridge::step
@@ -44,16 +44,19 @@ pub enum Act {
 pub struct Tick {
     /// What was driven.
     pub control: Control,
-    /// What the expert decided, where it drove or was asked.
+    /// The expert's decision, if it drove or was asked.
     pub decision: Option<Decision>,
-    /// Motion and place on the route before and after.
+    /// Motion and place on the route at the tick's begin.
     pub before: EgoOnRoute,
+    /// The same at the tick's end.
     pub after: EgoOnRoute,
+    /// What the ego touched.
     pub contacts: Vec<Contact>,
+    /// What happened, as the criteria see it.
     pub events: Vec<Event>,
 }
 
-/// Where the wall time of the ticks so far went (s).
+/// Wall time of the ticks so far, by part (s).
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Timings {
     /// The expert's decisions.
@@ -77,8 +80,8 @@ pub struct Session {
 }
 
 impl Session {
-    /// Starts SUMO in the town of `assets`, and brings the egos of `seats` into it. A scenario that the town
-    /// has is played where `options.scenario` says so.
+    /// Starts SUMO in the town of `assets`, and brings the egos of `seats` into it. Plays the town's
+    /// scenario if `options.scenario` is set.
     ///
     /// # Errors
     /// See [`BridgeError`]; nothing is left running.
@@ -105,7 +108,7 @@ impl Session {
         &self.bridge
     }
 
-    /// The same, for what is to be asked of SUMO beside the ticks.
+    /// The same, mutable, for messages to SUMO between the ticks.
     pub fn bridge_mut(&mut self) -> &mut Bridge {
         &mut self.bridge
     }
@@ -123,37 +126,37 @@ impl Session {
     /// Ego number `index`.
     ///
     /// # Panics
-    /// There are not so many.
+    /// `index` is out of range.
     pub fn ego(&self, index: usize) -> &Ego {
         self.seats[index].ego()
     }
 
-    /// The same, to be changed.
+    /// The seat of ego number `index`.
     ///
     /// # Panics
-    /// There are not so many.
+    /// `index` is out of range.
     pub fn seat_mut(&mut self, index: usize) -> &mut Seat {
         &mut self.seats[index]
     }
 
-    /// Bridge and ego together, for what concerns both.
+    /// Bridge and seat together, for calls that need both.
     ///
     /// # Panics
-    /// There are not so many egos.
+    /// `index` is out of range.
     pub fn bridge_and_seat(&mut self, index: usize) -> (&mut Bridge, &mut Seat) {
         (&mut self.bridge, &mut self.seats[index])
     }
 
-    /// Where the time went.
+    /// Wall time by part.
     pub fn timings(&self) -> Timings {
         self.timings
     }
 
-    /// What the expert of ego `index` decides for the next tick. It looks once a tick, however often it is
-    /// asked.
+    /// What the expert of ego `index` decides for the next tick. It decides once a tick, however
+    /// often it is asked.
     ///
     /// # Panics
-    /// There are not so many egos.
+    /// `index` is out of range.
     pub fn plan(&mut self, index: usize) -> Decision {
         let clock = Instant::now();
         let tick = self.bridge.tick();
@@ -200,7 +203,7 @@ impl Session {
         Ok(self.step(&[act]).await?.remove(0))
     }
 
-    /// One step of SUMO in which no ego moves: it learns where they are put down, and they get a world.
+    /// One step of SUMO in which no ego moves: SUMO learns the egos' new places, and each ego gets a world.
     ///
     /// # Errors
     /// As [`Session::step`].
@@ -215,16 +218,16 @@ impl Session {
         stepped
     }
 
-    /// Puts ego `index` down on `route` at `s` (m), standing, with a memory that begins anew. It is there from
-    /// the next step on.
+    /// Places ego `index` on `route` at `s` (m), standing, and clears its memory. SUMO sees it there from the
+    /// next step on.
     ///
     /// # Panics
-    /// There are not so many egos.
+    /// `index` is out of range.
     pub fn place(&mut self, index: usize, route: Route, s: f64) {
         self.seats[index].place(route, s, (0.0, 0.0));
     }
 
-    /// Lets SUMO go at once, and keeps the egos for another session.
+    /// Drops SUMO at once, and returns the seats for another session.
     pub fn into_seats(self) -> Vec<Seat> {
         self.seats
     }
@@ -232,7 +235,7 @@ impl Session {
     /// Ends SUMO in an orderly way.
     ///
     /// # Errors
-    /// SUMO did not take leave properly; it is gone all the same.
+    /// SUMO did not close the connection properly. It has ended even so.
     pub async fn close(self) -> Result<(), BridgeError> {
         self.bridge.close().await
     }

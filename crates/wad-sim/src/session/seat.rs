@@ -1,4 +1,4 @@
-//! An ego in a session: its vehicle, who judges it, and the expert that could drive it.
+//! An ego in a session: its vehicle, its criteria, and the expert that can drive it.
 
 use super::{Act, Tick};
 use crate::assets::Assets;
@@ -11,12 +11,12 @@ use wad_vehicle::{Control, EgoParams};
 /// Pressed further than this the brake pedal lights the brake lights.
 const BRAKE_LIGHT: f64 = 0.05;
 
-/// One ego with its criteria and its expert.
+/// An ego with its criteria and its expert.
 pub struct Seat {
     ego: Ego,
     criteria: Criteria,
     expert: Autopilot,
-    /// The expert's for the next tick.
+    /// The expert's decision for the next tick.
     decision: Option<Decision>,
     params: (AutopilotParams, CriteriaParams),
 }
@@ -42,24 +42,24 @@ impl Seat {
         &self.ego
     }
 
-    /// The ego, to be changed.
+    /// The ego, mutable.
     pub fn ego_mut(&mut self) -> &mut Ego {
         &mut self.ego
     }
 
-    /// Who judges it.
+    /// Its criteria.
     pub fn criteria(&self) -> &Criteria {
         &self.criteria
     }
 
     /// Puts the ego down on `route` at `s` (m), standing, `left` of the route's line (m) and turned to the left
-    /// by `turn` (rad). Expert and criteria forget what was.
+    /// by `turn` (rad). Expert and criteria start again.
     pub fn place(&mut self, route: Route, s: f64, (left, turn): (f64, f64)) {
         self.ego.respawn_beside(route, s, left, turn);
         self.begin();
     }
 
-    /// Expert and criteria forget what was.
+    /// Expert and criteria start again.
     pub fn begin(&mut self) {
         let (autopilot, criteria) = self.params;
         self.expert = Autopilot::new(autopilot, EgoModel::from(self.ego.params()));

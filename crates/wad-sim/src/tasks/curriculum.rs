@@ -12,24 +12,44 @@ use wad_camera::Preset;
 /// Why a curriculum cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum CurriculumError {
+    /// The file cannot be read.
     #[error("cannot read the curriculum {}: {source}", path.display())]
-    Read { path: PathBuf, source: std::io::Error },
-    #[error("{} is no curriculum: {problem}; scenarios/curriculum.json is one", path.display())]
-    Malformed { path: PathBuf, problem: String },
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// The file is not a curriculum.
+    #[error("{} is not a curriculum: {problem}; scenarios/curriculum.json is an example", path.display())]
+    Malformed {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// A value is out of range.
     #[error("{}: {problem}", path.display())]
-    Value { path: PathBuf, problem: String },
+    Value {
+        /// The file.
+        path: PathBuf,
+        /// Which value, and what was expected.
+        problem: String,
+    },
 }
 
 /// One stage.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stage {
+    /// The task of its episodes.
     pub task: TaskKind,
     /// The next stage comes when this share (0..1) of the last `window` episodes of this task was
     /// successful.
     pub threshold: f64,
+    /// Number of episodes over which the success rate is taken.
     pub window: usize,
-    /// Environment steps after which the next stage comes all the same; None: never.
+    /// Environment steps after which the next stage comes in any case; None: never.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub most_steps: Option<u64>,
     /// Background traffic; None: the task's own.
@@ -47,6 +67,7 @@ pub struct Curriculum {
     pub weathers: Vec<Preset>,
     /// Share (0..1) of episodes that go back to an earlier stage's task, drawn evenly.
     pub replay: f64,
+    /// The stages, easiest first.
     pub stages: Vec<Stage>,
 }
 
@@ -54,7 +75,7 @@ impl Curriculum {
     /// Reads a curriculum.
     ///
     /// # Errors
-    /// The file cannot be read, has a field that is not known or lacks one, or a value that cannot be.
+    /// The file cannot be read, has an unknown or a missing field, or a value out of range.
     pub fn load(path: &Path) -> Result<Self, CurriculumError> {
         let text = std::fs::read_to_string(path)
             .map_err(|source| CurriculumError::Read { path: path.to_path_buf(), source })?;
@@ -98,7 +119,7 @@ impl Curriculum {
     }
 }
 
-/// Where training is in a curriculum; saved with checkpoints.
+/// Training's progress in a curriculum; saved with checkpoints.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Progress {
     /// Index of the stage.

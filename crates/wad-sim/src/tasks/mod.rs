@@ -1,7 +1,7 @@
 //! The driving tasks: the paper's five in rising difficulty, composite, and navigation.
 //!
-//! A [`TaskSpec`] says what is to be driven; [`Places`] finds one of the many places on a net where that
-//! can be done, from a seed; a [`Placement`] is such a place, and enough to drive it again.
+//! A [`TaskSpec`] describes a task. [`Places`] draws a place for it on a net, from a seed. A [`Placement`] is
+//! such a place, and has everything to drive it again.
 //!
 //! | task | route | traffic | tick limit | success |
 //! |---|---|---|---|---|
@@ -33,16 +33,23 @@ use std::fmt;
 use std::str::FromStr;
 use wad_camera::Preset;
 
-/// What is to be driven.
+/// The driving tasks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TaskKind {
+    /// 400 m without a turn.
     Straight,
+    /// 400 m with one turn.
     OneTurn,
+    /// Through a roundabout, out by the third arm.
     Roundabout,
+    /// Stop before an obstacle in the lane.
     Obstacle,
+    /// 500 m over signalled junctions.
     Cross,
+    /// A random route in traffic.
     Composite,
+    /// A random route to its end.
     Navigation,
 }
 
@@ -62,7 +69,7 @@ impl TaskKind {
     pub const FIVE: [Self; 5] =
         [Self::Straight, Self::OneTurn, Self::Roundabout, Self::Obstacle, Self::Cross];
 
-    /// As in options and results, e.g. `one_turn`.
+    /// Its name in options and results, e.g. `one_turn`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Straight => "straight",
@@ -83,7 +90,7 @@ impl TaskKind {
         }
     }
 
-    /// Whether the lights on its route are held at green: stopping at red is first asked in `cross`.
+    /// Whether the lights on its route are held at green: `cross` is the first task with red lights.
     pub fn lights_are_green(self) -> bool {
         matches!(self, Self::Straight | Self::OneTurn | Self::Roundabout)
     }
@@ -117,14 +124,16 @@ impl FromStr for TaskKind {
     }
 }
 
-/// An episode to be: the task, its surroundings, and, where it is to be driven again, its place.
+/// An episode to drive: the task, traffic and weather, and its place if it is fixed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TaskSpec {
+    /// Which task.
     pub kind: TaskKind,
     /// Background traffic; None: the task's own.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub traffic: Option<TrafficSpec>,
+    /// The weather.
     #[serde(default)]
     pub weather: Preset,
     /// None: the task's own.

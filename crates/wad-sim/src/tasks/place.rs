@@ -22,20 +22,26 @@ pub struct Spot {
     pub s: f64,
 }
 
-/// What stands in the ego's lane.
+/// The kind of an obstacle in the ego's lane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ObstacleKind {
+    /// A passenger car.
     Car,
+    /// A truck.
     Truck,
+    /// A bus.
     Bus,
+    /// A motorcycle.
     Motorcycle,
+    /// A bicycle.
     Bicycle,
+    /// A person.
     Person,
 }
 
 impl ObstacleKind {
-    /// All of them: of the paper's eight classes those that can stand on a road.
+    /// All of them: the paper's classes that can stand on a road.
     pub const ALL: [Self; 6] =
         [Self::Car, Self::Truck, Self::Bus, Self::Motorcycle, Self::Bicycle, Self::Person];
 }
@@ -44,21 +50,24 @@ impl ObstacleKind {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ObstaclePlacement {
+    /// What stands there.
     pub kind: ObstacleKind,
     /// The end of it that the ego comes to.
     pub at: Spot,
 }
 
-/// Where a task takes place: enough to drive it again on the same net.
+/// The place of a task: enough to drive it again on the same net.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Placement {
     /// The ego's centre at the start, standing.
     pub from: Spot,
+    /// The destination.
     pub to: Spot,
     /// Passed on the way, in this order.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub via: Vec<Spot>,
+    /// The obstacle of the obstacle task.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub obstacle: Option<ObstaclePlacement>,
 }
@@ -105,7 +114,7 @@ impl Placement {
     }
 }
 
-/// Random draws before a task counts as one that cannot be placed.
+/// Random draws before placing a task fails.
 const DRAWS: usize = 200;
 /// Random routes (m).
 const ROUTE_LENGTH: std::ops::Range<f64> = 500.0..1600.0;
@@ -115,7 +124,7 @@ const ARM: (f64, f64) = (40.0, 160.0);
 const TO_OBSTACLE: (f64, f64) = (60.0, 120.0);
 const BEYOND_OBSTACLE: f64 = 25.0;
 
-/// What a net has for each task, found when first asked for.
+/// The places of a net for each task, found at the first query.
 #[derive(Debug, Default)]
 pub struct Places {
     straight: OnceLock<Result<Vec<Way>, TaskError>>,

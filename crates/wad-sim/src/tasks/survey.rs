@@ -1,4 +1,4 @@
-//! The ways on a net where the tasks can be driven, found once per net.
+//! The routes of a net that suit each task, found once per net.
 
 use super::{TaskError, TaskKind};
 use crate::destination::EGO_CLASS;
@@ -14,7 +14,7 @@ pub const END_MARGIN: f64 = 12.0;
 pub const STOP_MARGIN: f64 = 15.0;
 /// A straight way's heading stays within this of its first (rad).
 const STRAIGHT: f64 = 0.26;
-/// More ways than this are not needed (and on a large net not looked for).
+/// Most ways searched: more are not needed.
 const MOST_WAYS: usize = 4000;
 /// A junction with this many incoming roads is a cross intersection.
 const ARMS: usize = 4;
@@ -45,7 +45,7 @@ impl Way {
     }
 }
 
-/// What a way must be.
+/// The conditions on a route.
 #[derive(Clone, Copy)]
 struct Wish {
     task: TaskKind,

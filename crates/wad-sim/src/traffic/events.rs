@@ -1,19 +1,21 @@
-//! Who came and went in a step.
+//! Departures and arrivals of a step.
 
 use sumo_traci::simulation::{self, Simulation};
 use sumo_traci::subscription::Subscribed;
 use sumo_traci::{Batch, CommandError, Replies, Ticket, VariableId};
 
-/// Who came and went in the last step, as SUMO says.
+/// SUMO's departures and arrivals of the last step.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StepEvents<'a> {
     /// Simulation time after the step (s).
     pub time: f64,
-    /// Vehicles that SUMO put on the road, and those that reached their end.
+    /// Vehicles that departed.
     pub departed: Vec<&'a str>,
+    /// Vehicles that arrived.
     pub arrived: Vec<&'a str>,
-    /// The same of persons.
+    /// Persons who departed.
     pub departed_persons: Vec<&'a str>,
+    /// Persons who arrived.
     pub arrived_persons: Vec<&'a str>,
 }
 
@@ -37,7 +39,7 @@ impl<'a> StepEvents<'a> {
         batch.subscribe(Simulation, "", &Self::variables())
     }
 
-    /// What the subscription brought with a step.
+    /// Reads the subscription's results of a step.
     ///
     /// # Errors
     /// The variables were not subscribed to.

@@ -17,9 +17,13 @@ pub type Rgb = [u8; 3];
 /// A normal distribution cut off at both ends, redrawn when outside (SUMO's `normc`).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Normc {
+    /// The mean.
     pub mean: f64,
+    /// The standard deviation.
     pub deviation: f64,
+    /// The lower bound.
     pub min: f64,
+    /// The upper bound.
     pub max: f64,
 }
 
@@ -45,18 +49,23 @@ impl Normc {
 pub struct Model {
     /// SUMO's vehicle type id.
     pub id: &'static str,
+    /// The kind of road user.
     pub kind: ActorKind,
+    /// SUMO's vehicle class, which says where it may drive.
     pub class: VehicleClass,
     /// SUMO's `guiShape`.
     pub shape: &'static str,
     /// Share of the fleet (per thousand).
     pub share: u32,
-    /// m.
+    /// Front to rear (m).
     pub length: f64,
+    /// Side to side (m).
     pub width: f64,
+    /// Above the ground (m).
     pub height: f64,
-    /// Largest acceleration and comfortable deceleration (m/s2).
+    /// Largest acceleration (m/s2).
     pub accel: f64,
+    /// Comfortable deceleration (m/s2).
     pub decel: f64,
     /// Hardest braking (m/s2).
     pub emergency_decel: f64,
@@ -244,8 +253,9 @@ pub struct Walker {
     pub id: &'static str,
     /// Share of all pedestrians (per cent).
     pub share: u32,
-    /// m.
+    /// Side to side (m).
     pub width: f64,
+    /// Above the ground (m).
     pub height: f64,
     /// Wanted walking speed (m/s), drawn per pedestrian.
     pub speed: Normc,
@@ -290,8 +300,8 @@ const CLOTHES: &[(u32, Rgb)] = &[
     (3, [150, 90, 140]),
 ];
 
-/// Draws a model among those that `possible` lets through (by its index in [`FLEET`]);
-/// None where none is possible.
+/// Draws one of the models that `possible` accepts (by its index in [`FLEET`]);
+/// None if none is possible.
 pub fn draw_model(rng: &mut ChaCha8Rng, possible: impl Fn(usize) -> bool) -> Option<usize> {
     pick_weighted(
         rng,

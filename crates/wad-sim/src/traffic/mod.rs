@@ -1,4 +1,4 @@
-//! Background traffic on demand: exactly so many vehicles and pedestrians alive, at seeded random
+//! Background traffic on demand: a fixed number of vehicles and pedestrians alive, at seeded random
 //! places on seeded random trips.
 //!
 //! [`TrafficSpec`] says how many; [`Population`] keeps them alive. It never talks to SUMO itself: it
@@ -6,11 +6,11 @@
 //! the last one brought. On a tick where nothing is due it asks SUMO three numbers at most.
 //!
 //! ```no_run
-//! # async fn example(mut client: wad_cosim::traci::TcpClient) -> Result<(), Box<dyn std::error::Error>> {
+//! # async fn example(mut client: sumo_traci::TcpClient) -> Result<(), Box<dyn std::error::Error>> {
 //! use std::{path::Path, sync::Arc};
-//! use wad_cosim::network::Network;
-//! use wad_cosim::traci::Batch;
-//! use wad_cosim::traffic::{Counts, Options, Population, StepEvents};
+//! use sumo_network::network::Network;
+//! use sumo_traci::Batch;
+//! use wad_sim::traffic::{Counts, Options, Population, StepEvents};
 //!
 //! let network = Arc::new(Network::load(Path::new("town5.net.xml"))?);
 //! let mut population = Population::new(network, Counts::new(70, 100), 1, Options::default());
@@ -58,10 +58,10 @@ use sumo_traci::subscription::Subscribed;
 use sumo_traci::{Batch, RemoveReason, Replies, Ticket, person, vehicle};
 use vehicles::{Scene, Vehicles};
 
-/// How a population behaves.
+/// The settings of a population.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Options {
-    /// Where nobody is put.
+    /// Areas where no road user is added.
     pub avoid: Avoid,
     /// Length of a vehicle's trip, drawn between these (m), 500 at the least. The longer, the rarer
     /// are vehicles replaced.
@@ -70,10 +70,10 @@ pub struct Options {
     pub walk_length: (f64, f64),
     /// A vehicle that has stood still for longer (s), out of the ego's sight, is replaced.
     pub stuck_after: f64,
-    /// Takes out vehicles and persons that are neither the population's nor in `keep`, in the tick
-    /// after they departed: those that a config's additional files bring.
+    /// Removes vehicles and persons of a config's additional files, in the tick after they departed: all
+    /// that are neither in the population nor in `keep`.
     pub alone: bool,
-    /// Ids of others who stay: the ego's.
+    /// Ids of others that stay, e.g. the ego's.
     pub keep: Vec<String>,
 }
 
@@ -100,6 +100,8 @@ pub struct Population {
     options: Options,
     vehicles: Vehicles,
     pedestrians: Pedestrians,
+    /// Vehicles from the config that were taken out; see [`Population::taken_out`].
+    others_out: usize,
 }
 
 impl Population {
@@ -116,6 +118,7 @@ impl Population {
             vehicles: Vehicles::new(Arc::clone(&network), options.clone(), stream(1)),
             pedestrians: Pedestrians::new(network, options.clone(), stream(2)),
             options,
+            others_out: 0,
         }
     }
 
@@ -130,7 +133,7 @@ impl Population {
         fleet::define(batch);
     }
 
-    /// Puts everybody into the town, to depart with the next step: the caller sends the batch with
+    /// Adds the whole population to the town, to depart with the next step: the caller sends the batch with
     /// a step. Returns how many found a place: fewer than asked for where the town is full, or has
     /// no sidewalks; a warning says so, and the population is kept at that number.
     pub fn populate(&mut self, batch: &mut Batch, ego: Option<Pose>) -> Counts {
@@ -160,9 +163,9 @@ impl Population {
         Counts::new(vehicles, pedestrians)
     }
 
-    /// Follows one step, and appends to the next tick's batch what is needed: replacements, longer
-    /// trips, questions. `events` and `replies` are those of the message that carried the step, whose
-    /// batch this population appended to; `near` are the positions of road users near the ego (m).
+    /// Reads one step, and appends to the next tick's batch what is needed: replacements, longer trips,
+    /// queries. `events` and `replies` belong to the message that carried the step, whose batch this
+    /// population appended to; `near` are the positions of road users near the ego (m).
     ///
     /// A vehicle or pedestrian that arrived in the step is back, elsewhere and out of sight, with the
     /// next one.
@@ -182,7 +185,7 @@ impl Population {
         self.pedestrians.update(events, replies, scene, batch);
     }
 
-    /// Keeps `counts` alive from now on. Those who are too many go with the caller's next message; more
+    /// Keeps `counts` alive from now on. Surplus ones are removed with the caller's next message; more
     /// come, out of the ego's sight, with the next updates. A net without sidewalks gets no pedestrians.
     pub fn resize(&mut self, counts: Counts, batch: &mut Batch) {
         self.wanted = counts;
@@ -191,22 +194,28 @@ impl Population {
         self.pedestrians.resize(pedestrians, batch);
     }
 
-    /// Never takes out the vehicle `id`: an ego.
+    /// Never removes the vehicle `id`: an ego.
     pub fn keep(&mut self, id: &str) {
         self.options.keep.push(id.to_string());
     }
 
-    /// How many are to be kept alive.
+    /// The wanted size of the population.
     pub fn wanted(&self) -> Counts {
         self.wanted
     }
 
-    /// Takes vehicles out with the caller's next message, to come back elsewhere: they stand where the
-    /// ego is put down.
+    /// Removes vehicles with the caller's next message and adds them elsewhere: they are where the ego is
+    /// placed.
     pub fn evict<'a>(&mut self, ids: impl IntoIterator<Item = &'a str>, batch: &mut Batch) {
         for id in ids {
             self.vehicles.evict(id, batch);
         }
+    }
+
+    /// How many vehicles that were in the network were taken out since the last call: with the caller's next
+    /// message they are gone, and SUMO does not say that they arrive.
+    pub fn taken_out(&mut self) -> usize {
+        self.vehicles.taken_out() + std::mem::take(&mut self.others_out)
     }
 
     /// How many of the population are in the network, as of the last [`Population::update`].
@@ -219,15 +228,18 @@ impl Population {
         self.vehicles.owns(id) || self.pedestrians.owns(id)
     }
 
-    fn remove_others(&self, events: &StepEvents<'_>, batch: &mut Batch) {
+    fn remove_others(&mut self, events: &StepEvents<'_>, batch: &mut Batch) {
+        let mut others_out = 0;
         let foreign = |id: &&&str| !self.owns(id) && !self.options.keep.iter().any(|k| k == **id);
         for id in events.departed.iter().filter(foreign) {
-            tracing::debug!(id, "vehicle from the config is taken out");
+            tracing::debug!(id, "vehicle from the config is removed");
             vehicle::remove(batch, id, RemoveReason::Vaporized);
+            others_out += 1;
         }
         for id in events.departed_persons.iter().filter(foreign) {
-            tracing::debug!(id, "person from the config is taken out");
+            tracing::debug!(id, "person from the config is removed");
             person::remove(batch, id, RemoveReason::Vaporized);
         }
+        self.others_out += others_out;
     }
 }

@@ -1,4 +1,4 @@
-//! The background pedestrians: where they start, how far they walk, and what becomes of them.
+//! The background pedestrians: where they start, how far they walk, and when they are replaced.
 
 use super::Options;
 use super::draw::between;
@@ -117,7 +117,7 @@ impl Pedestrians {
         }
     }
 
-    /// A random place on a sidewalk where `allowed` lets somebody stand.
+    /// A random place on a sidewalk that `allowed` permits.
     fn draw_place(&mut self, allowed: impl Fn(Point) -> bool) -> Option<(EdgeId, f64)> {
         for _ in 0..DRAWS {
             let (edge, at) = self.walks.draw_start(&mut self.rng, &self.network)?;
@@ -171,7 +171,7 @@ impl Pedestrians {
         self.append(&walks, slot, time, batch);
     }
 
-    /// Walks one after the other from a place on; empty where nobody can walk.
+    /// Walks one after the other from a place on; empty if no walk starts there.
     fn draw_walks(&mut self, mut edge: EdgeId, mut at: f64) -> Vec<Walk> {
         let (shortest, longest) = self.options.walk_length;
         let mut wanted = between(&mut self.rng, shortest, longest);
@@ -185,7 +185,7 @@ impl Pedestrians {
         walks
     }
 
-    /// Appends walks to a pedestrian's plan, and sees to it that it is looked at before they end.
+    /// Appends walks to a pedestrian's plan, and schedules a check before they end.
     fn append(&mut self, walks: &[Walk], slot: usize, time: f64, batch: &mut Batch) {
         let Some(Member { id, serial, about, .. }) = self.slots.get_mut(slot) else { return };
         let mut edges: Vec<&str> = Vec::new();

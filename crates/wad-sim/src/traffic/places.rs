@@ -1,4 +1,4 @@
-//! Where somebody may be put: the sight rule, and who stands where at the start.
+//! Places for background road users: the sight rule, and the occupied places at the start.
 
 use super::draw::between;
 use super::roads::{Roads, StartLane};
@@ -7,21 +7,21 @@ use serde::{Deserialize, Serialize};
 use sumo_network::geometry::{Point, Pose};
 use sumo_network::network::{LaneId, Network};
 
-/// Where nobody is put, seen from the ego.
+/// Areas round the ego where no road user is added.
 ///
 /// The sight rule: everything within [`Avoid::sight`] of the ego's centre, in any direction, counts
-/// as seen, whatever stands between (views from behind and above exist too). Replacements are put
-/// where they cannot be seen; where the town is too small for that, as far off as it allows.
+/// as seen, even behind a building (views from behind and above exist too). Replacements are added out
+/// of sight; where the town is too small for that, as far off as it allows.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Avoid {
-    /// Nobody comes or goes nearer to the ego than this during the run (m), unless the town has no
-    /// place further off.
+    /// No road user is added or removed nearer to the ego than this during the run (m), unless the town
+    /// has no place further off.
     pub sight: f64,
-    /// Nobody stands nearer to the ego than this at the start (m).
+    /// No road user is nearer to the ego than this at the start (m).
     pub start: f64,
-    /// Nobody stands this far ahead of the ego in its lane at the start (m).
+    /// No road user is this far ahead of the ego in its lane at the start (m).
     pub start_ahead: f64,
-    /// Replacements keep this distance from those who are near the ego (m).
+    /// Replacements keep this distance from road users near the ego (m).
     pub actors: f64,
 }
 
@@ -35,7 +35,7 @@ impl Default for Avoid {
 const OWN_LANE: f64 = 3.0;
 
 impl Avoid {
-    /// Whether somebody may stand at `point` at the start.
+    /// Whether a road user may be at `point` at the start.
     pub fn allows_at_start(&self, ego: Option<Pose>, point: Point) -> bool {
         let Some(ego) = ego else { return true };
         let local = ego.to_local(point);
@@ -48,7 +48,7 @@ impl Avoid {
         ego.is_some_and(|ego| (ego.xy() - point).norm() < self.sight)
     }
 
-    /// Whether `point` keeps its distance from those near the ego.
+    /// Whether `point` keeps its distance from road users near the ego.
     pub fn clear_of(&self, near: &[Point], point: Point) -> bool {
         near.iter().all(|other| (other - point).norm() >= self.actors)
     }
@@ -76,10 +76,10 @@ const GAPS: [f64; 3] = [20.0, 9.0, 4.0];
 /// Random places tried with each gap before all lanes are searched.
 const DRAWS: usize = 24;
 
-/// Who stands where before the first step.
+/// The occupied places before the first step.
 #[derive(Debug)]
 pub(super) struct Occupancy {
-    /// By lane: rear and front bumper (m) of everybody, from the lane's begin on.
+    /// By lane: rear and front bumper (m) of every vehicle, from the lane's begin on.
     taken: Vec<Vec<(f64, f64)>>,
 }
 
@@ -147,7 +147,7 @@ impl Occupancy {
     }
 }
 
-/// Whether a vehicle's both ends are where nobody minds.
+/// Whether both ends of a vehicle are at allowed points.
 fn stands_clear(
     network: &Network,
     lane: LaneId,

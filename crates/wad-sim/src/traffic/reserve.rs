@@ -1,18 +1,18 @@
 //! Edges lately seen empty: places where a replacement gets onto the road at once.
 //!
-//! Up to three edges' vehicle counts are asked per tick, and only while few fresh answers are at hand.
+//! Queries the vehicle counts of up to three edges per tick, and only while there are few fresh answers.
 
 use std::collections::VecDeque;
 use sumo_network::network::{EdgeId, Network};
 use sumo_traci::{Batch, Replies, Ticket, edge};
 
-/// An answer older than this (s) says nothing any more.
+/// An answer older than this (s) is out of date.
 const FRESH: f64 = 2.0;
-/// Enough answers at hand.
+/// Number of fresh answers that is enough.
 const ENOUGH: usize = 6;
 /// Questions in one tick at the most.
 const PER_TICK: usize = 3;
-/// For so long (s) an edge that was used is not used again.
+/// An edge that was used is not used again for this time (s).
 const REST: f64 = 4.0;
 
 #[derive(Debug)]
@@ -42,7 +42,7 @@ impl Reserve {
         }
     }
 
-    /// Whether another answer is wanted.
+    /// Whether to query another edge.
     pub fn wants_more(&self) -> bool {
         self.empty.len() + self.asked.len() < ENOUGH && self.asked.len() < PER_TICK
     }
@@ -59,12 +59,12 @@ impl Reserve {
         self.empty.iter().rev().filter(usable).copied().collect()
     }
 
-    /// Notes that somebody was put on an edge.
+    /// Notes that a vehicle was added on an edge.
     pub fn used(&mut self, edge: EdgeId, time: f64) {
         self.used[edge.index()] = time;
     }
 
-    /// Whether somebody was put there a moment ago.
+    /// Whether a vehicle was added there recently.
     pub fn is_used(&self, edge: EdgeId, time: f64) -> bool {
         time - self.used[edge.index()] < REST
     }

@@ -7,10 +7,10 @@ use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 use sumo_network::network::{EdgeId, EdgeKind, LaneId, LinkDirection, Network, VehicleClass};
 
-/// How far one leg of a trip reaches at most (m): it keeps the search small on nets of any size.
+/// Longest leg of a trip (m): it keeps the search small on nets of any size.
 const LEG_MIN: f64 = 400.0;
 const LEG_MAX: f64 = 1200.0;
-/// What a U-turn costs in the choice of a way (s).
+/// Cost of a U-turn in the choice of a way (s).
 const TURN_AROUND_COST: f64 = 90.0;
 /// Bicycles keep off roads faster than this (m/s) while other ways are open to them.
 const BICYCLE_ROAD_LIMIT: f64 = 17.0;

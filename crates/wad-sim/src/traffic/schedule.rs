@@ -1,9 +1,9 @@
-//! When to look at whom: a queue of due times, so that a quiet tick asks SUMO nothing.
+//! When to check which member: a queue of due times, so that a quiet tick sends SUMO no query.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-/// Due times of members, each known by its slot and the serial number of who fills it.
+/// Due times of members, each known by its slot and its serial number.
 #[derive(Debug, Default)]
 pub(super) struct Schedule {
     queue: BinaryHeap<Reverse<(u64, usize, u64)>>,

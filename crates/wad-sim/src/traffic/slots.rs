@@ -3,7 +3,7 @@
 use super::schedule::Schedule;
 use std::collections::HashMap;
 
-/// Somebody that was given to SUMO.
+/// A vehicle or pedestrian that was added to SUMO.
 #[derive(Debug)]
 pub(super) struct Member<T> {
     pub id: String,
@@ -24,10 +24,12 @@ pub(super) struct Slots<T> {
     pub vacant: Vec<usize>,
     /// Slots that are to stay empty since the population was made smaller.
     retired: Vec<usize>,
-    /// When to look at whom.
+    /// When to check which member.
     pub schedule: Schedule,
     next_serial: u64,
     alive: usize,
+    /// Members that were in the network and were taken out: SUMO does not say that they arrive.
+    pub taken_out: usize,
 }
 
 impl<T> Default for Slots<T> {
@@ -41,6 +43,7 @@ impl<T> Default for Slots<T> {
             schedule: Schedule::default(),
             next_serial: 0,
             alive: 0,
+            taken_out: 0,
         }
     }
 }
@@ -61,7 +64,7 @@ impl<T> Slots<T> {
         self.by_id.get(id).copied()
     }
 
-    /// Who fills a slot.
+    /// The member in a slot.
     pub fn get(&self, slot: usize) -> Option<&Member<T>> {
         self.members.get(slot)?.as_ref()
     }
@@ -104,6 +107,7 @@ impl<T> Slots<T> {
     pub fn evict(&mut self, slot: usize, remove: impl FnOnce(&str)) {
         if let Some(member) = &self.members[slot] {
             remove(&member.id);
+            self.taken_out += usize::from(member.departed);
         }
         self.pending.retain(|&pending| pending != slot);
         self.vacate(slot);
@@ -126,7 +130,8 @@ impl<T> Slots<T> {
         }
     }
 
-    /// Follows a step in which these came and went; `refused` hears of members that SUMO did not put in.
+    /// Updates the slots after a step with its departures and arrivals; calls `refused` for members that SUMO did
+    /// not insert.
     pub fn follow(&mut self, departed: &[&str], arrived: &[&str], mut refused: impl FnMut(&Member<T>)) {
         for slot in arrived.iter().filter_map(|id| self.find(id)).collect::<Vec<_>>() {
             self.vacate(slot);

@@ -4,11 +4,12 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 use std::str::FromStr;
 
-/// How many vehicles and pedestrians are kept alive.
+/// Numbers of vehicles and pedestrians to keep alive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Counts {
     /// Background vehicles; the ego is not one of them.
     pub vehicles: usize,
+    /// Background pedestrians.
     pub pedestrians: usize,
 }
 
@@ -22,10 +23,10 @@ impl Counts {
 /// The background traffic of a run, as the option `--traffic` names it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum TrafficSpec {
-    /// What the SUMO config brings along, untouched.
+    /// The SUMO config's own traffic, unchanged.
     #[default]
     AsIs,
-    /// Nobody.
+    /// No background traffic.
     Empty,
     /// NoCrash's regular population of the town.
     Regular,
@@ -35,14 +36,14 @@ pub enum TrafficSpec {
     Counts(Counts),
 }
 
-/// A `--traffic` value that is none of the forms.
+/// An unknown `--traffic` value.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "traffic {found:?} is not known: give one of as-is, empty, regular, dense, \
      or two counts V,P such as 70,100 for 70 vehicles and 100 pedestrians"
 )]
 pub struct TrafficSpecError {
-    /// What was given.
+    /// The given value.
     pub found: String,
 }
 
@@ -53,8 +54,8 @@ impl TrafficSpec {
     /// Whether the config's own demand (route files, and what its additional files bring) stays in.
     ///
     /// False: launch SUMO with the config's net and additional files but without its
-    /// `route-files`. Additional files that hold vehicles, flows or persons still load those:
-    /// [`crate::traffic::Options::alone`] takes them out again as they appear.
+    /// `route-files`. Vehicles, flows and persons of additional files are still loaded:
+    /// [`crate::traffic::Options::alone`] removes them as they appear.
     pub fn keeps_config_demand(self) -> bool {
         self == Self::AsIs
     }

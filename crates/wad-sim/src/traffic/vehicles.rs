@@ -1,4 +1,4 @@
-//! The background vehicles: where they start, when they are looked at, and what becomes of them.
+//! The background vehicles: where they start, when they are checked, and when they are replaced.
 
 use super::Options;
 use super::draw::between;
@@ -16,18 +16,18 @@ use sumo_traci::{Batch, Color, Position2D, RemoveReason, Replies, Ticket, route,
 
 /// With less than this left (m) a trip is extended, or the vehicle replaced.
 const TRIP_END: f64 = 250.0;
-/// Every vehicle is looked at this often (s) at least, to find those that are stuck.
+/// Every vehicle is checked at least this often (s), to find stuck vehicles.
 const LOOK_EVERY: f64 = 30.0;
-/// Faster than this (m/s) nobody comes to the end of a trip.
+/// Highest speed (m/s) at which a vehicle comes to the end of its trip.
 const FASTEST: f64 = 30.0;
-/// A vehicle this much beyond the sight distance (m) may come into sight before it is looked at again.
+/// A vehicle this much beyond the sight distance (m) may come into sight before the next check.
 const SIGHT_MARGIN: f64 = 40.0;
-/// Edges drawn in a tick to be asked about.
+/// Edges drawn per tick to query.
 const SCANS: usize = 6;
 /// Random places tried for a replacement.
 const DRAWS: usize = 64;
 
-/// What is known of a vehicle.
+/// A vehicle's trip.
 #[derive(Debug)]
 struct Trip {
     model: usize,
@@ -56,7 +56,7 @@ struct Extension {
     ticket: Ticket<()>,
 }
 
-/// What the caller knows in this tick.
+/// The ego and the road users near it in this tick.
 #[derive(Clone, Copy)]
 pub(super) struct Scene<'a> {
     /// s of simulation time.
@@ -161,6 +161,11 @@ impl Vehicles {
         self.slots.resize(count, |id| remove(id, batch));
     }
 
+    /// How many that were in the network were taken out since the last call.
+    pub fn taken_out(&mut self) -> usize {
+        std::mem::take(&mut self.slots.taken_out)
+    }
+
     /// Takes a vehicle out, to come back elsewhere.
     pub fn evict(&mut self, id: &str, batch: &mut Batch) {
         if let Some(slot) = self.slots.find(id) {
@@ -177,9 +182,9 @@ impl Vehicles {
         batch: &mut Batch,
     ) {
         self.slots.follow(&events.departed, &events.arrived, |member| {
-            // SUMO found no room for it: elsewhere, then.
+            // SUMO found no room for it: try elsewhere.
             let (id, time) = (&member.id, scene.time);
-            tracing::debug!(id, time, "background vehicle found no room and is put elsewhere");
+            tracing::debug!(id, time, "no room for a background vehicle: trying elsewhere");
             remove(id, batch);
         });
         self.read_extensions(replies, scene.time);
@@ -260,7 +265,7 @@ impl Vehicles {
         let avoid = self.options.avoid;
         let roads = &self.roads[self.model_roads[model]?];
         let spec = &FLEET[model];
-        // First where nobody can have come near since; then at the far end of the others.
+        // First on edges that no vehicle can have entered since; then at the far end of the others.
         let fresh = self.reserve.fresh(scene.time);
         for (edge, seen, far_end) in
             fresh.iter().map(|f| (f.0, f.1, false)).chain(fresh.iter().map(|f| (f.0, f.1, true)))
@@ -268,7 +273,7 @@ impl Vehicles {
             let lanes = roads.starts.iter().filter(|s| s.edge == edge);
             let Some(start) = lanes.max_by_key(|s| s.lane) else { continue };
             let limit = network.lane(start.lane).speed_limit * 1.2;
-            // Who came onto the edge since it was seen, plus the second's gap that SUMO asks for.
+            // Room for vehicles that entered since the edge was checked, plus SUMO's gap of one second.
             let from = spec.length + limit * (scene.time - seen + 0.4) + limit + 3.0;
             if (from > start.last && !far_end) || start.last < spec.length {
                 continue;
@@ -394,7 +399,7 @@ impl Vehicles {
             return Verdict::Replace;
         }
         let Some(&current) = edges.get(index) else { return Verdict::LookAgain(1.0) };
-        // SUMO wants the new route to begin on the edge where the vehicle is when it hears of it.
+        // SUMO requires the new route to begin on the vehicle's edge at the time of the command.
         let leaves = !ahead.is_empty() && lane_position + 0.5 * FASTEST > roads.length(current);
         if road != self.network.edge(current).id || (leaves && waiting <= 0.0) {
             return Verdict::LookAgain(0.5);
@@ -438,7 +443,7 @@ impl Vehicles {
             if !self.reserve.wants_more() {
                 break;
             }
-            // By length: on a short edge nobody gets in ahead of those who come onto it.
+            // Weighted by length: on a short edge there is no room ahead of vehicles that enter it.
             let Some((start, _)) = roads.draw_start(&mut self.rng, 0.0) else { return };
             let middle = point_on(&self.network, start.lane, 0.5 * start.last);
             if !self.options.avoid.in_sight(scene.ego, middle)
@@ -454,9 +459,9 @@ fn remove(id: &str, batch: &mut Batch) {
     vehicle::remove(batch, id, RemoveReason::Vaporized);
 }
 
-/// What is to become of a vehicle that was looked at.
+/// What to do with a vehicle that was checked.
 enum Verdict {
-    /// Nothing yet: look again after so many seconds.
+    /// Nothing yet: check again after this time (s).
     LookAgain(f64),
     /// A longer trip, from the edge with this number in its trip.
     Extend(usize),

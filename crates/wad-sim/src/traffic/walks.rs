@@ -5,7 +5,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use sumo_network::network::{EdgeId, LaneId, Network, VehicleClass};
 
-/// Sidewalks shorter than this (m) are walked through, but nobody starts or ends there.
+/// On sidewalks shorter than this (m) no walk starts or ends.
 const SHORTEST: f64 = 8.0;
 /// Destinations drawn for one walk at the most.
 const DRAWS: usize = 4;
@@ -48,7 +48,7 @@ impl Walks {
         walks
     }
 
-    /// Whether nobody can walk here.
+    /// Whether there is no sidewalk to walk on.
     pub fn is_empty(&self) -> bool {
         self.starts.is_empty()
     }
@@ -63,7 +63,7 @@ impl Walks {
 
     /// A walk from `from` (m, SUMO lane_position) on `edge` towards a random destination, cut off
     /// where it is `wanted` metres long. It may leave its first edge at either end, so it has to be
-    /// a stage of its own in SUMO: within one, nobody turns round.
+    /// a stage of its own in SUMO: within a stage a person never turns round.
     pub fn walk(
         &self,
         rng: &mut ChaCha8Rng,

@@ -120,7 +120,7 @@ fn weights_of_another_camera_or_network_are_named() {
     assert!(error.contains("[16, 3, 3, 3]") && error.contains("[32, 3, 3, 3]"), "{error}");
     std::fs::write(path("text.safetensors"), "no weights").unwrap();
     let error = TchEncoder::find(&path("text.safetensors").to_string_lossy()).unwrap_err().to_string();
-    assert!(error.contains("no weights file"), "{error}");
+    assert!(error.contains("not a weights file"), "{error}");
     let error = TchEncoder::find("nobody").unwrap_err().to_string();
     assert!(error.contains("`nobody`") && error.contains("train encoder"), "{error}");
 }

@@ -20,7 +20,7 @@ pub struct CenterNetDetector {
 }
 
 impl CenterNetDetector {
-    /// From a weights file. Detections below `min_score` (0 to 1) are dropped.
+    /// Reads a weights file. Detections below `min_score` (0 to 1) are dropped.
     ///
     /// # Errors
     /// The file cannot be read, or belongs to another network or camera.
@@ -31,7 +31,7 @@ impl CenterNetDetector {
             .map_err(|e| PerceptionError::Detector { name, why: e.to_string() })
     }
 
-    /// From weights.
+    /// A detector from weights.
     ///
     /// # Errors
     /// They belong to another network or camera.
@@ -40,7 +40,7 @@ impl CenterNetDetector {
         Ok(Self::new(name, network, Device::Cpu, min_score)?)
     }
 
-    /// Of a network, which is made ready for use.
+    /// Makes a detector of a network, ready for inference.
     ///
     /// # Errors
     /// torch fails.
@@ -101,7 +101,7 @@ impl CenterNetDetector {
     /// Detects in RGB bytes of a picture.
     ///
     /// # Errors
-    /// The sides are no multiples of 32, or torch fails.
+    /// The sides are not multiples of 32, or torch fails.
     pub fn detect_rgb(
         &mut self,
         rgb: &[u8],

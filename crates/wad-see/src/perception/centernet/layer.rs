@@ -17,7 +17,7 @@ pub struct Norm {
 }
 
 impl Norm {
-    /// Of pictures with `channels` channels.
+    /// Batch norm of `channels` channels.
     pub fn new(path: &Path<'_>, channels: i64) -> Self {
         Self {
             scale: path.var("scale", &[channels], Init::Const(1.0)),
@@ -38,7 +38,7 @@ impl Norm {
     }
 }
 
-/// What a convolution is like, beside its channels.
+/// A convolution's parameters beside its channels.
 #[derive(Clone, Copy, Debug)]
 pub struct Kernel {
     /// Side, odd (or 4 where `up`).
@@ -72,7 +72,7 @@ pub struct Conv {
 }
 
 impl Conv {
-    /// From `from` to `to` channels; He's normal initialisation.
+    /// A convolution of `from` to `to` channels; He's normal initialisation.
     pub fn new(path: &Path<'_>, from: i64, to: i64, kernel: Kernel) -> Self {
         let Kernel { side, stride, up, norm } = kernel;
         let (shape, seen) = if up {
@@ -89,7 +89,7 @@ impl Conv {
         }
     }
 
-    /// Sets weights and bias anew: a head that begins with small answers.
+    /// Initialises weights and bias again: a head whose first outputs are small.
     ///
     /// # Errors
     /// torch fails.
@@ -118,7 +118,7 @@ impl Conv {
         self.norm.as_ref().map_or(Ok(x.shallow_clone()), |norm| norm.forward(&x, train))
     }
 
-    /// Draws batch norm into weight and bias. The layer cannot be trained any more.
+    /// Folds batch norm into weight and bias. The layer cannot be trained after that.
     ///
     /// # Errors
     /// torch fails.

@@ -3,15 +3,16 @@
 use super::network::Answer;
 use tch::{TchError, Tensor};
 
-/// What the answers of a batch are compared with.
+/// The training targets of a batch.
 #[derive(Debug)]
 pub struct Target {
     /// (n, 8, h, w): 1 at centres, falling round them; [`super::targets::NO_MATTER`] where nothing counts.
     pub heat: Tensor,
     /// (m): picture * h * w + cell of each centre.
     pub cells: Tensor,
-    /// (m, 2): in cells.
+    /// (m, 2): width and height of each object, in cells.
     pub size: Tensor,
+    /// (m, 2): each centre's place within its cell, in cells.
     pub offset: Tensor,
 }
 
@@ -22,8 +23,11 @@ const OFFSET: f64 = 1.0;
 /// The parts of the loss, each per centre.
 #[derive(Debug)]
 pub struct Loss {
+    /// Focal loss of the heat map.
     pub heat: Tensor,
+    /// L1 loss of width and height.
     pub size: Tensor,
+    /// L1 loss of the place within the cell.
     pub offset: Tensor,
 }
 

@@ -15,10 +15,10 @@ use wad_camera::CameraConfig;
 pub const CLASSES: i64 = 8;
 /// Pixels of the picture per cell.
 pub const STRIDE: usize = 4;
-/// What the heatmap answers before it has learnt anything (the paper's): -log(1 / 0.1 - 1).
+/// The heatmap's output before training (the paper's): -log(1 / 0.1 - 1).
 const FIRST_ANSWER: f64 = -2.19;
 
-/// What finds the features.
+/// The backbone, which computes the features.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Backbone {
@@ -29,7 +29,7 @@ pub enum Backbone {
 }
 
 impl Backbone {
-    /// As options and files call it.
+    /// Its name in options and files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Light => "light",
@@ -39,7 +39,7 @@ impl Backbone {
 
     /// The rows of a picture of `height` rows that the network sees: first, and how many.
     ///
-    /// The light one leaves out the sky and the bonnet: what is higher or lower by more than 32 degrees is
+    /// The light one leaves out the sky and the bonnet: objects more than 32 degrees above or below are
     /// nearer than 6 m or higher than 8 m.
     pub fn rows(self, height: usize) -> (usize, usize) {
         match self {
@@ -55,7 +55,7 @@ enum Features {
     Resnet(Resnet50V2),
 }
 
-/// What the network says: (n, 8, h, w), (n, 2, h, w), (n, 2, h, w).
+/// The network's output: (n, 8, h, w), (n, 2, h, w), (n, 2, h, w).
 #[derive(Debug)]
 pub struct Answer {
     /// Before the sigmoid.
@@ -69,7 +69,9 @@ pub struct Answer {
 /// The network with its parameters.
 #[derive(Debug)]
 pub struct CenterNet {
+    /// The network below the heads.
     pub backbone: Backbone,
+    /// The parameters.
     pub store: nn::VarStore,
     features: Features,
     /// Heatmap, size, offset: a 3x3 where the backbone is large, and a 1x1.
@@ -77,7 +79,7 @@ pub struct CenterNet {
 }
 
 impl CenterNet {
-    /// With weights drawn from torch's generator.
+    /// A network with weights drawn from torch's generator.
     ///
     /// # Errors
     /// torch fails.
@@ -122,7 +124,7 @@ impl CenterNet {
         Ok(Answer { heat: head(heat)?, size: head(size)?, offset: head(offset)? })
     }
 
-    /// Makes it ready for use: faster, and not to be trained any more.
+    /// Folds batch norm for inference: faster, but the network cannot be trained after that.
     ///
     /// # Errors
     /// torch fails.
@@ -134,7 +136,7 @@ impl CenterNet {
         }
     }
 
-    /// All tensors in half precision, with what they belong to and `more`.
+    /// All tensors in half precision, with metadata: backbone, camera, and `more`.
     ///
     /// # Errors
     /// torch fails.

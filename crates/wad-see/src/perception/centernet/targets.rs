@@ -1,8 +1,8 @@
-//! What the network should answer to a picture (Zhou et al. 2019, section 3).
+//! The network's training targets for a picture (Zhou et al. 2019, section 3).
 
 use super::network::{Backbone, CLASSES, STRIDE};
 
-/// A box to be found, or one that does not count.
+/// A target box, or a box that does not count.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Wanted {
     /// Index in [`crate::perception::coco::CLASSES`].
@@ -30,20 +30,24 @@ pub struct Centre {
 /// Overlap that a box keeps with the truth when its corners are off by the radius (CornerNet's 0.7).
 const KEPT_IOU: f32 = 0.7;
 
-/// The part of a picture that the network is shown (pixels; the sides are multiples of 32).
+/// The part of a picture that the network gets (pixels; the sides are multiples of 32).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Window {
+    /// First column.
     pub left: usize,
+    /// First row.
     pub top: usize,
+    /// Number of columns.
     pub width: usize,
+    /// Number of rows.
     pub height: usize,
 }
 
-/// What must be left of a box that a window cuts, for it to be taught there: of its width, and of its height.
+/// Least share of a box's width and height inside the window for the box to be a target there.
 const KEPT: [f32; 2] = [0.4, 0.9];
 
 impl Window {
-    /// What the backbone sees of a picture.
+    /// The part of a picture that the backbone sees.
     pub fn whole(backbone: Backbone, (width, height): (usize, usize)) -> Self {
         let (top, height) = backbone.rows(height);
         Self { left: 0, top, width, height }

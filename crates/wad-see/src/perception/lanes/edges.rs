@@ -12,7 +12,7 @@ use wad_camera::Frame;
 #[derive(Debug, Default)]
 pub struct EdgeFinder {
     grey: Vec<u8>,
-    /// Pixels of stripes, and those beside them.
+    /// Pixels of stripes, and the pixels beside them.
     stripes: Vec<u8>,
     kept: Vec<u8>,
     edges: Mat,
@@ -129,7 +129,7 @@ impl EdgeFinder {
     }
 }
 
-/// Marks pixels that are brighter than those `k` to both sides.
+/// Marks pixels that are brighter than the pixels `k` to both sides.
 fn brighter(grey: &[u8], k: usize, stripes: &mut [u8]) {
     if grey.len() <= 2 * k {
         return;

@@ -1,15 +1,15 @@
 //! From pieces of lines on the ground to the ego lane's two boundaries.
 //!
 //! All boundaries of a road share slope and bend, so each choice of the two sorts the pieces by the
-//! offset at which they meet the ego's side; the choice that piles them up highest wins. The piles next to
-//! the ego on either side are its lane's boundaries. Least squares over the stripes' pixels then give the
-//! numbers.
+//! offset at which they meet the ego's side; the choice with the highest peaks in the histogram of offsets
+//! wins. The peaks next to the ego on either side are its lane's boundaries. Least squares over the stripes'
+//! pixels give the parameters.
 
 use super::{LaneBoundary, Pieces};
 
 /// Bends that are tried (1/m).
 const BENDS: [f32; 11] = [0.0, 0.004, -0.004, 0.01, -0.01, 0.02, -0.02, 0.035, -0.035, 0.055, -0.055];
-/// Pieces steeper than this to the ego (tangent) are no boundary.
+/// Pieces steeper than this to the ego (tangent) are not part of a boundary.
 const STEEPEST: f32 = 0.6;
 /// Piles: their breadth (m), and how far to the sides they reach (m).
 const BIN: f32 = 0.1;

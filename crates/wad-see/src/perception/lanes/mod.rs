@@ -4,8 +4,8 @@
 //! picture --region of interest, Canny, threshold, Hough--> pieces of lines --on the ground--> fit --> boundaries
 //! ```
 //!
-//! Inside junctions there are no lines to detect (as in the paper), and before a stop line only what lies
-//! before it is looked at; where those are is known from the waypoints.
+//! Inside junctions there are no lines to detect (as in the paper), and the region of interest ends at a
+//! stop line. The waypoints say where junctions and stop lines are.
 
 #[cfg(feature = "vision")]
 mod edges;
@@ -25,10 +25,11 @@ use wad_camera::Frame;
 pub struct LaneBoundary {
     /// y beside the ego (m).
     pub offset: f32,
+    /// dy/dx beside the ego.
     pub slope: f32,
     /// 1/m.
     pub bend: f32,
-    /// How far ahead it holds: from, to (m).
+    /// Range ahead of the ego in which it holds: from, to (m).
     pub reach: [f32; 2],
 }
 
@@ -48,10 +49,12 @@ impl LaneBoundary {
     }
 }
 
-/// What is seen of the ego's lane. Nothing inside junctions, where there are no lines.
+/// The detected boundaries of the ego's lane; none inside junctions, where there are no lines.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LaneEstimate {
+    /// The left boundary.
     pub left: Option<LaneBoundary>,
+    /// The right boundary.
     pub right: Option<LaneBoundary>,
 }
 
@@ -64,12 +67,12 @@ struct Pieces {
     stripes: Vec<[f32; 2]>,
 }
 
-/// Lines are looked for from here to there (m ahead of the ego's centre).
+/// Range in which lines are searched (m ahead of the ego's centre).
 const NEAR: f32 = 4.0;
 const FAR: f32 = 28.0;
-/// With less road than this before the stop line (m), nothing is looked for.
+/// With less road than this before the stop line (m), no detection runs.
 const LEAST_ROAD: f32 = 5.0;
-/// Ticks that a boundary is believed to be there without being seen.
+/// Ticks that a boundary is kept without being detected.
 const COAST: u32 = 3;
 
 /// Finds the boundaries, tick by tick.

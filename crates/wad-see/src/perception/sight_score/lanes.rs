@@ -23,10 +23,11 @@ pub struct PaintedLine {
     pub visible: bool,
 }
 
-/// What is painted beside the lane that the ego's centre is on: left and right. None where the ego is, or
-/// within [`MEASURED_AT`] will be, inside a junction.
+/// The painted boundaries of the lane that the ego's centre is on. None if the ego is inside a junction, or
+/// will be within [`MEASURED_AT`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LaneTruth {
+    /// Left and right boundary; None without a painted line.
     pub sides: [Option<PaintedLine>; 2],
 }
 
@@ -103,14 +104,14 @@ fn line(
 #[derive(Clone, Debug, Default)]
 pub struct LaneScore {
     frames: usize,
-    /// Painted boundaries, those found; of all and of the visible.
+    /// Painted boundaries, and the found ones; of all and of the visible.
     painted: [usize; 2],
     found: [usize; 2],
     detected: usize,
     errors: Vec<f64>,
 }
 
-/// What is said of a weather.
+/// The figures of a weather.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct LaneReport {
     /// Frames on a marked road with no junction within 10 m.
@@ -119,7 +120,7 @@ pub struct LaneReport {
     pub painted: usize,
     /// Share of the detected ones that are within 0.5 m of the painted one at 10 m.
     pub precision: Option<f64>,
-    /// Share of the painted ones that are detected within 0.5 m at 10 m; those in plain view, and all.
+    /// Share of the painted ones that are detected within 0.5 m at 10 m; of the visible ones, and of all.
     pub recall: Option<f64>,
     pub recall_hidden_too: Option<f64>,
     /// Absolute lateral error at 10 m (m) of everything detected where a boundary is.

@@ -1,4 +1,4 @@
-//! The vehicle in front as detected, against the one that is there.
+//! The detected vehicle in front against the true one.
 
 use super::{Spread, share};
 use crate::observation::LeadState;
@@ -73,15 +73,19 @@ pub struct LeadScore {
 /// Figures of a range of true gaps.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct LeadBin {
-    /// m.
+    /// Lower border of the true gap (m).
     pub from: f64,
+    /// Upper border of the true gap (m).
     pub to: f64,
+    /// Frames with a true gap in this range.
     pub frames: usize,
     /// Share in which a vehicle in front was reported within 3 m or a quarter of the gap.
     pub recall: Option<f64>,
-    /// Absolute errors of gap (m) and closing speed (m/s), whatever was reported.
+    /// Absolute errors of the gap (m), whatever was reported.
     pub gap_error: Spread,
+    /// Mean error of the gap (m), reported less true.
     pub gap_bias: Option<f64>,
+    /// Absolute errors of the closing speed (m/s).
     pub closing_error: Spread,
 }
 

@@ -1,5 +1,5 @@
-//! How good perception is, against what the simulator knows. For measuring only: nothing here feeds
-//! back into what an agent sees.
+//! Measures perception against the simulator's ground truth. For measuring only: an agent never sees any
+//! of it.
 
 mod lanes;
 mod lead;
@@ -12,8 +12,11 @@ use serde::Serialize;
 /// The middle and the 90th percentile of absolute errors.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Spread {
+    /// The median; None without errors.
     pub median: Option<f64>,
+    /// The 90th percentile; None without errors.
     pub p90: Option<f64>,
+    /// Number of errors.
     pub n: usize,
 }
 

@@ -1,4 +1,4 @@
-//! The closed loop: vehicle, route, scripted traffic, and what came of it.
+//! The closed loop: vehicle, route, scripted traffic, and the result.
 
 use crate::autopilot::{Autopilot, AutopilotParams, Decision, EgoModel};
 use std::path::Path;
