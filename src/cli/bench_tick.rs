@@ -72,7 +72,7 @@ enum Made {
 pub async fn run(args: Args) -> anyhow::Result<Exit> {
     let config = bundled::resolve(&args.config).map_err(|e| Exit::Input.because(e))?;
     let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
-    // Perception looks for lanes with OpenCV.
+    // Lane detection needs OpenCV.
     let detector = (cfg!(feature = "vision") && !args.no_perception)
         .then(|| perception::detector(&args.detector, MIN_SCORE))
         .transpose()
@@ -93,7 +93,7 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
     let mut interrupt = run::Interrupt::listen()?;
     let mut bench = TickBench::start(options).await.map_err(with_exit)?;
     let ticks = args.warm_up + args.ticks.max(1);
-    // Hidden where stderr is no terminal.
+    // Hidden if stderr is not a terminal.
     let bar = ProgressBar::with_draw_target(Some(ticks), ProgressDrawTarget::stderr_with_hz(4));
     let mut interrupted = false;
     while bench.ticks_done() < ticks {

@@ -1,4 +1,4 @@
-//! Makes the pictures for the viewers, on a thread of its own: the simulation only hands over the world.
+//! Makes the pictures for the viewers, on its own thread: the simulation only hands over the world.
 
 use super::hub::{Hub, Packet, Shot};
 use super::protocol;
@@ -21,7 +21,7 @@ const STAGE_QUALITY: u8 = 92;
 /// JPEGs by their names.
 type Named = Vec<(&'static str, Vec<u8>)>;
 
-/// What is needed to draw.
+/// The state needed to draw.
 pub struct Artist {
     /// For the view from behind.
     town: Town,
@@ -36,8 +36,8 @@ pub struct Artist {
 }
 
 impl Artist {
-    /// Draws `town`. What a driver saw is shown as the driver saw it; where the driver does not look, `eyes`
-    /// do. A decoder shows the reconstruction too.
+    /// Draws `town`. A driver's own frames are shown as they are; for a blind driver `eyes`
+    /// make them. A decoder adds the reconstruction.
     ///
     /// # Errors
     /// A camera cannot be made.
@@ -59,7 +59,7 @@ impl Artist {
         })
     }
 
-    /// Whether it can show what is made of the picture, and the reconstruction.
+    /// Whether it can show the stages of perception, and the reconstruction.
     pub fn stages(&self) -> (bool, bool) {
         let sees = self.eyes.perception().is_some();
         (sees, sees && self.decoder.is_some())

@@ -1,4 +1,4 @@
-//! Viewers that look at everything and say so: for measuring what viewers cost.
+//! Simulated viewers that show every frame, to measure how much viewers slow down the simulation.
 
 use crate::cores::Cores;
 use serde_json::Value;
@@ -10,7 +10,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tokio::io::{AsyncReadExt, AsyncWriteExt, BufReader};
 use tokio::net::TcpStream;
 
-/// A number of viewers on a thread of their own.
+/// A number of viewers on their own thread.
 pub struct Crowd {
     stop: Arc<AtomicBool>,
     told: Arc<Told>,
@@ -24,7 +24,7 @@ struct Told {
     late: Mutex<Vec<f64>>,
 }
 
-/// What viewers got.
+/// The data that viewers received.
 #[derive(Clone, Debug)]
 pub struct Got {
     /// Frames received.
@@ -36,7 +36,7 @@ pub struct Got {
 }
 
 impl Crowd {
-    /// So many viewers of the page at `address`, on these cores.
+    /// Starts viewers of the page at `address`, on these cores.
     ///
     /// # Errors
     /// The thread cannot be started.
@@ -67,7 +67,7 @@ impl Crowd {
         Ok(Self { stop, told, thread: Some(thread) })
     }
 
-    /// Sends them away; what they got.
+    /// Ends them; returns what each received.
     pub fn leave(mut self) -> Got {
         self.end();
         let late_ms = std::mem::take(&mut *self.told.late.lock().unwrap_or_else(PoisonError::into_inner));
@@ -134,7 +134,7 @@ async fn view(address: SocketAddr, told: &Told) -> std::io::Result<()> {
     }
 }
 
-/// A short text message, masked with zeros: nobody between here and there could mistake it.
+/// A short text message, masked with zeros: over loopback no proxy could misread it.
 async fn send(stream: &mut BufReader<TcpStream>, text: &[u8]) -> std::io::Result<()> {
     let mut frame = vec![0x81, 0x80 | (text.len() as u8 & 0x7f), 0, 0, 0, 0];
     frame.extend_from_slice(text);

@@ -42,7 +42,7 @@ impl Token {
         &self.0
     }
 
-    /// Whether `query` (`a=b&token=...`) holds it. Takes as long for a near miss as for a far one.
+    /// Whether `query` (`a=b&token=...`) holds it, in constant time.
     fn is_in(&self, query: Option<&str>) -> bool {
         let found = query.unwrap_or("").split('&').find_map(|pair| pair.strip_prefix("token="));
         let (found, own) = (found.unwrap_or("").as_bytes(), self.0.as_bytes());
@@ -50,7 +50,7 @@ impl Token {
     }
 }
 
-/// What is let in.
+/// The rules of access.
 #[derive(Clone, Debug)]
 pub struct Guard {
     /// The server listens on loopback only.
@@ -80,7 +80,7 @@ impl Guard {
     /// Whether a request with these headers and this query may come in.
     ///
     /// # Errors
-    /// Why not.
+    /// The reason of the refusal.
     pub fn check(
         &self,
         host: Option<&str>,
@@ -113,7 +113,7 @@ fn is_loopback(host: &str) -> bool {
     name.eq_ignore_ascii_case("localhost") || name.parse::<IpAddr>().is_ok_and(|ip| ip.is_loopback())
 }
 
-/// Messages that a viewer may send: so many a second, and some more at once.
+/// The limit of a viewer's messages: a rate per second, and a burst.
 #[derive(Debug)]
 pub struct Budget {
     left: f64,
@@ -128,7 +128,7 @@ impl Budget {
         Self { left: AT_ONCE, last: now }
     }
 
-    /// Whether one more message is within it.
+    /// Whether one more message is within the limit.
     pub fn spend(&mut self, now: Instant) -> bool {
         let passed = now.duration_since(self.last).as_secs_f64();
         self.left = (self.left + PER_SECOND * passed).min(AT_ONCE) - 1.0;

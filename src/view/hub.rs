@@ -1,4 +1,4 @@
-//! What simulation, artist and server share.
+//! State shared by simulation, artist and server.
 
 use super::protocol::{Request, State};
 use super::wheel::Wanted;
@@ -14,26 +14,26 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::{mpsc, watch};
 
-/// A driver whose browser is silent for so long has gone: it answers pings even while its page is busy.
+/// Silence of a driver's browser after which it counts as gone: it answers pings even while its page is busy.
 pub const GRIP: Duration = Duration::from_millis(800);
 /// Time without controls from the page: after the first the pedals are released, after the second the wheel.
 const BUSY: Duration = Duration::from_millis(800);
 const HUNG: Duration = Duration::from_secs(3);
-/// Ticks whose course a page that comes later gets to know.
+/// Ticks of the plots that a new page gets.
 const HISTORY: usize = 900;
-/// Requests that wait for the next tick at most.
+/// Most requests that wait for the next tick.
 const WAITING: usize = 256;
 
-/// Everything that is shown of one tick.
+/// Everything to show of one tick.
 pub struct Shot {
     pub state: State,
     pub world: WorldState,
     /// As seen from outside.
     pub ego: Actor,
     pub weather: Preset,
-    /// What the driver saw; None where it does not look.
+    /// The driver's frame; None for a blind driver.
     pub look: Option<Look>,
-    /// What perception needs where the driver did not look; None: it is not asked.
+    /// The input of perception for a blind driver; None: no perception.
     pub way: Option<(Arc<Route>, EgoOnRoute)>,
 }
 
@@ -48,7 +48,7 @@ pub type Point = [f32; 9];
 
 /// See the module.
 pub struct Hub {
-    /// Says what is shown, once, to each viewer.
+    /// The first message to each viewer: what is shown.
     hello: Mutex<serde_json::Value>,
     map: Mutex<Bytes>,
     slot: Mutex<Option<Shot>>,
@@ -64,7 +64,7 @@ pub struct Hub {
     next_viewer: AtomicU64,
     over: AtomicBool,
     artist: AtomicU64,
-    /// Counts what has been shown one after the other.
+    /// Number of the shown run or episode.
     pub greeting: watch::Sender<u64>,
     pub closing: watch::Sender<bool>,
 }
@@ -81,15 +81,15 @@ struct Grip {
 /// The wheel before a tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Hands {
-    /// Nobody holds it.
+    /// No viewer holds it.
     Off,
-    /// Somebody does, and wants this.
+    /// A viewer holds it, with these controls.
     On(u64, Wanted),
-    /// Somebody did, and has gone.
+    /// The viewer that held it has gone.
     Lost(u64),
 }
 
-/// A lock that a panic elsewhere does not take away.
+/// Locks, ignoring poison.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -119,13 +119,13 @@ impl Hub {
         (Arc::new(hub), receiver)
     }
 
-    /// Hands a shot to the artist; one that it has not begun with is left out.
+    /// Hands a shot to the artist; it replaces one that is still waiting.
     pub fn show(&self, shot: Shot) {
         *lock(&self.slot) = Some(shot);
         self.ready.notify_one();
     }
 
-    /// The next shot for the artist of that number; None when all is over, or another one draws.
+    /// The next shot for the artist of that number; None at the end, or if another artist draws.
     pub fn next_shot(&self, artist: u64) -> Option<Shot> {
         let mut slot = lock(&self.slot);
         loop {
@@ -139,7 +139,7 @@ impl Hub {
         }
     }
 
-    /// Another artist draws from now on: its number.
+    /// Begins the turn of another artist: returns its number.
     pub fn another_artist(&self) -> u64 {
         let _slot = lock(&self.slot);
         let number = self.artist.fetch_add(1, Ordering::AcqRel) + 1;
@@ -229,7 +229,7 @@ impl Hub {
         *lock(&self.grip) = None;
     }
 
-    /// Where the wheel is wanted now. A driver who has gone loses it.
+    /// The wheel's wanted position. A viewer who has gone loses the wheel.
     pub fn hands(&self) -> Hands {
         let mut grip = lock(&self.grip);
         match *grip {
@@ -261,7 +261,7 @@ impl Viewer {
         }
     }
 
-    /// Something came from it, if only the answer to a ping.
+    /// Notes a sign of life, e.g. the answer to a ping.
     pub fn is_there(&self) {
         if let Some(grip) = lock(&self.hub.grip).as_mut().filter(|grip| grip.viewer == self.id) {
             grip.seen = Instant::now();
@@ -273,7 +273,7 @@ impl Viewer {
         lock(&self.hub.grip).is_some_and(|grip| grip.viewer == self.id)
     }
 
-    /// Passes a request on. False where too many wait already: it is dropped.
+    /// Passes a request on. False if too many wait already: it is dropped.
     pub fn ask(&mut self, request: Request) -> bool {
         match request {
             Request::Drive { steer, throttle, brake, analog } => {

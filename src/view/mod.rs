@@ -1,13 +1,14 @@
-//! The live view: a page in the browser that shows a run or a recorded episode, and lets people drive.
+//! The live view: a page in the browser that shows a run or a recorded episode, with manual driving.
 //!
 //! ```text
-//! simulation --Shot--> latest only --> artist thread: camera, stages, JPEG --Packet--> server thread --> viewers
+//! simulation --Shot--> latest only --> artist thread: camera, stages, JPEG --Packet--> server thread -->
+//! viewers
 //!     ^                                                                                    |
 //!     +------------------ requests, the wheel's position, before the next tick ------------+
 //! ```
 //!
-//! The simulation hands over what is there after a tick, and goes on: a picture that is not made in time
-//! is left out, and so is one that a viewer has no time for. Nothing on the simulation's side waits.
+//! The simulation hands over the state after a tick, and goes on: a picture that is not ready in time
+//! is left out, and so is one that a viewer cannot take. The simulation never waits.
 
 mod artist;
 mod crowd;
@@ -30,5 +31,5 @@ pub use protocol::Request;
 pub use server::{Listener, ViewAddress, ViewError};
 pub use session::{MakeDriver, Ready, RunSetting, RunView};
 
-/// Where the page is unless another address is asked for.
+/// The default address of the page.
 pub const DEFAULT_ADDRESS: &str = "127.0.0.1:8765";

@@ -23,7 +23,7 @@ use tokio::sync::mpsc;
 /// An episode in the list.
 #[derive(Clone, Debug, Serialize)]
 pub struct Listed {
-    /// What a page asks for to see it.
+    /// Its id in requests.
     pub id: String,
     /// Agent, town and task.
     pub name: String,
@@ -33,7 +33,7 @@ pub struct Listed {
     pub about: String,
 }
 
-/// What is played.
+/// The episode to play.
 pub struct Played {
     /// The recorded states.
     pub recording: Recording,
@@ -41,11 +41,11 @@ pub struct Played {
     pub listed: Listed,
     /// The town's network.
     pub network: Arc<Network>,
-    /// Its route, where it can still be made: for perception and speed limits.
+    /// Its route, if it can still be made: for perception and speed limits.
     pub route: Option<Route>,
     /// The ego's physics.
     pub ego: EgoParams,
-    /// Who drove.
+    /// The driver.
     pub driver: String,
     /// How it ended, in words.
     pub ending: String,
@@ -55,10 +55,10 @@ pub struct Played {
     pub artist: Artist,
 }
 
-/// What is to be done next.
+/// The next thing to do.
 #[derive(Debug)]
 pub enum Next {
-    /// Another episode is asked for, by its id.
+    /// A viewer opens another episode, by its id.
     Open(String),
 }
 
@@ -229,7 +229,7 @@ impl Player {
         Ok(())
     }
 
-    /// Plays until another episode is asked for.
+    /// Plays until a viewer opens another episode.
     pub async fn next(&mut self) -> Next {
         loop {
             let runs = !self.state.paused && self.at + 1 < self.played.recording.frames().len();
@@ -278,7 +278,7 @@ impl Player {
         self.show();
     }
 
-    /// Says something to the viewers.
+    /// Sends a note to the viewers.
     pub fn say(&mut self, said: String) {
         let n = self.notes.last().map_or(0, |(_, note)| note.n) + 1;
         let time = self.state.time;

@@ -1,4 +1,4 @@
-//! What goes over the WebSocket. From the page: [`Request`]s, one JSON object a message. To the page: text
+//! The messages on the WebSocket. From the page: [`Request`]s, one JSON object per message. To the page: text
 //! messages (JSON with a `type`), and a binary one per tick:
 //!
 //! ```text
@@ -17,16 +17,16 @@ use serde_json::{Value, json};
 
 /// Longest message that a page may send (bytes).
 pub const LONGEST_REQUEST: usize = 2048;
-/// Most background road users that a page may ask for, of each kind.
+/// Most background road users that a page may request, of each kind.
 const MOST_TRAFFIC: usize = 1000;
-/// Fastest speed that a page may ask for; 0 means as fast as it goes.
+/// Fastest speed that a page may request; 0 means as fast as possible.
 const FASTEST: f64 = 50.0;
 
-/// What a viewer asks for.
+/// A viewer's request.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(tag = "do", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Request {
-    /// Where the wheel and the pedals are to go, while this viewer drives; sent at least twice a second.
+    /// Controls of the viewer who drives; sent at least twice a second.
     Drive {
         /// Steering, -1 to 1, left positive.
         steer: f64,
@@ -38,7 +38,7 @@ pub enum Request {
         #[serde(default)]
         analog: bool,
     },
-    /// Who drives: `autopilot`, `manual` (this viewer) or an agent's name.
+    /// Change the driver: `autopilot`, `manual` (this viewer) or an agent's name.
     Driver {
         /// The driver's name.
         name: String,
@@ -50,7 +50,7 @@ pub enum Request {
     },
     /// One tick, then pause.
     Step {},
-    /// Times real time; 0: as fast as it goes.
+    /// Change the speed, times real time; 0: as fast as possible.
     Speed {
         /// The factor.
         factor: f64,
@@ -76,7 +76,7 @@ pub enum Request {
         /// True: begin.
         on: bool,
     },
-    /// Which pictures this viewer looks at beside the front camera.
+    /// The pictures that this viewer wants beside the front camera.
     Look {
         /// The view from behind.
         chase: bool,
@@ -107,7 +107,7 @@ impl Request {
     /// Reads a message.
     ///
     /// # Errors
-    /// What is wrong with it.
+    /// The fault of the message.
     pub fn parse(text: &str) -> Result<Self, String> {
         let request: Self = serde_json::from_str(text).map_err(|e| e.to_string())?;
         match &request {
@@ -140,7 +140,7 @@ pub struct Noted {
     pub what: Note,
 }
 
-/// Something for the page's log.
+/// A note for the page's log.
 #[derive(Clone, Debug, Serialize)]
 #[serde(untagged)]
 pub enum Note {
@@ -163,10 +163,10 @@ pub struct EgoNow {
     pub width: f64,
 }
 
-/// The state after a tick, but for what is round the ego.
+/// The state after a tick, without the traffic round the ego.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct State {
-    /// Counts what is shown, not ticks.
+    /// Number of the message; not the tick.
     pub seq: u64,
     pub tick: u64,
     /// Simulation time (s).

@@ -80,7 +80,7 @@ impl Score {
         ahead
     }
 
-    /// Begins anew.
+    /// Starts again from zero.
     pub fn reset(&mut self) {
         *self = Self::default();
     }

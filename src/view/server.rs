@@ -20,7 +20,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::watch;
 
-/// Why there is no live view.
+/// Why the live view cannot start.
 #[derive(Debug, thiserror::Error)]
 pub enum ViewError {
     /// The port is in use.
@@ -84,7 +84,7 @@ impl FromStr for ViewAddress {
     }
 }
 
-/// A port that is taken, before anything else is done.
+/// A bound port, taken before anything else is done.
 pub struct Listener {
     listener: TcpListener,
     address: SocketAddr,
@@ -114,7 +114,7 @@ impl Listener {
         Ok(Self { listener, address, guard: Guard { loopback, token }, cores: Cores::allowed() })
     }
 
-    /// Where the page is.
+    /// The page's address.
     pub fn url(&self) -> String {
         let mut shown = self.address;
         if shown.ip().is_unspecified() {
@@ -126,7 +126,7 @@ impl Listener {
         }
     }
 
-    /// Where it listens.
+    /// The address that it listens on.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
@@ -154,7 +154,7 @@ impl Listener {
                     tracing::warn!("the live view has ended: {error}");
                 }
             });
-            // A viewer that does not take its leave is not waited for.
+            // Viewers that do not disconnect are not waited for.
             runtime.shutdown_timeout(Duration::from_millis(300));
         };
         std::thread::Builder::new().name("view server".to_string()).spawn(work).map_err(ViewError::Thread)
@@ -200,7 +200,7 @@ async fn serve(listener: TcpListener, hub: Arc<Hub>, guard: Guard) -> std::io::R
     }
 }
 
-/// Lets in who may; the scripts and styles hold no secrets and need no token.
+/// Checks access; scripts and styles hold no secrets and need no token.
 async fn check(State(shared): State<Arc<Shared>>, request: HttpRequest, next: Next) -> Response {
     let mut response = match refusal(&shared.1, request.uri(), request.headers()) {
         Some(refusal) => {
@@ -256,12 +256,12 @@ async fn upgrade(State(shared): State<Arc<Shared>>, upgrade: WebSocketUpgrade) -
 
 /// How often the browser of a driver is asked whether it is there.
 const PULSE: Duration = Duration::from_millis(200);
-/// Time that viewers have to hear that it is over.
+/// Time to send the last message to viewers.
 const LEAVE: Duration = Duration::from_millis(300);
 const MOST_VIEWERS: usize = 64;
 /// Packets that a viewer has not drawn yet; what comes meanwhile is left out.
 const IN_FLIGHT: u64 = 2;
-/// A viewer that takes nothing for so long has gone.
+/// Time without a received message after which a viewer counts as gone.
 const STUCK: Duration = Duration::from_secs(10);
 /// Malformed messages after which a viewer is disconnected.
 const MOST_WRONG: u32 = 20;
@@ -286,7 +286,7 @@ async fn talk(mut socket: WebSocket, hub: Arc<Hub>) {
 const OVER: &str = "the run has ended";
 const GONE: &str = "it takes nothing any more";
 
-/// Why it ended; empty where the viewer took its leave.
+/// Why it ended; empty if the viewer disconnected.
 async fn serve_viewer(socket: &mut WebSocket, hub: &Arc<Hub>, viewer: &mut Viewer) -> &'static str {
     let mut greeting = hub.greeting.subscribe();
     if !greet(socket, hub, viewer.id).await {

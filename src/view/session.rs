@@ -1,4 +1,4 @@
-//! A run with viewers: its pace, its drivers, and what viewers ask for, between one tick and the next.
+//! A run with viewers: its pace, its drivers, and viewers' requests between ticks.
 
 use super::artist::Artist;
 use super::hub::{Hands, Hub, Shot};
@@ -40,15 +40,15 @@ const NOTES: usize = 40;
 /// A tick that is late by more than this is not caught up with.
 const SLACK: Duration = Duration::from_millis(250);
 
-/// What a run with viewers begins with.
+/// The settings of a run with viewers.
 pub struct RunSetting {
     /// The run's seed.
     pub seed: u64,
-    /// Who drives: `autopilot`, or an agent's name.
+    /// The driver: `autopilot`, or an agent's name.
     pub driver: String,
     /// The weather at the start.
     pub weather: Preset,
-    /// Times real time; 0: as fast as it goes.
+    /// Speed, times real time; 0: as fast as possible.
     pub speed_factor: f64,
     /// Names of the agents to pick from.
     pub agents: Vec<String>,
@@ -62,10 +62,10 @@ pub struct RunSetting {
     pub folder: String,
 }
 
-/// What is to be done next.
+/// The next thing to do.
 #[derive(Debug)]
 pub enum Ready {
-    /// The tick is due; with the control of the person who drives.
+    /// The tick is due; with the control of a viewer who drives.
     Tick(Option<Control>),
     /// Begin or end a film; [`RunView::filming`] gets the result.
     Film(bool),
@@ -89,7 +89,7 @@ pub struct RunView {
     wheel: Option<Wheel>,
     astray_until: u64,
     loading: Option<Loading>,
-    /// A trained agent that does not drive just now.
+    /// A trained agent that does not drive at present.
     parked: Option<(String, Pilot)>,
     due: Instant,
     step: bool,
@@ -172,7 +172,7 @@ impl RunView {
         Ok(view)
     }
 
-    /// Waits until there is something to do, and does what viewers ask for meanwhile.
+    /// Waits until there is something to do, and handles viewers' requests meanwhile.
     ///
     /// # Errors
     /// SUMO fails.
@@ -222,7 +222,7 @@ impl RunView {
         if next + SLACK < now { now } else { next }
     }
 
-    /// The control of the person at the wheel, if there is one.
+    /// The control of the viewer who drives, if there is one.
     async fn control(&mut self, drive: &mut Drive) -> Result<Option<Control>, DriveError> {
         match self.hub.hands() {
             Hands::On(_, wanted) => {
@@ -292,7 +292,7 @@ impl RunView {
         self.show_ego(drive);
     }
 
-    /// Shows where the ego is now, with the rest of the state as it was.
+    /// Shows the ego's new place, with the rest of the state unchanged.
     fn show_ego(&mut self, drive: &Drive) {
         let (ego, bridge) = (drive.ego(), drive.bridge());
         let at = ego.on_route();
@@ -438,7 +438,7 @@ impl RunView {
         Ok(())
     }
 
-    /// After a person has driven: to the route again, or to another one.
+    /// After manual driving: back to the route, or to a new one.
     async fn find_back(&mut self, drive: &mut Drive) -> Result<(), DriveError> {
         let far = |drive: &Drive| drive.ego().on_route().d.abs() > NEAR_ROUTE;
         if far(drive) && !drive.grant(Wish::FindBack).await? && !drive.grant(Wish::NewRoute).await? {
@@ -448,7 +448,7 @@ impl RunView {
         Ok(())
     }
 
-    /// Hands the wheel over, and keeps the trained agent that had it.
+    /// Changes the driver, and keeps the trained agent that drove before.
     fn hand_over(&mut self, drive: &mut Drive, pilot: Pilot, guest: Option<&str>) {
         let name = self.state.driver.clone();
         let before = drive.hand_over(pilot, guest.map(str::to_string));
@@ -554,7 +554,7 @@ impl RunView {
         self.hub.viewers()
     }
 
-    /// Tells the viewers that it is over, and ends the threads.
+    /// Tells the viewers that the run is over, and ends the threads.
     pub fn close(self) {
         self.hub.close();
         for thread in self.threads {

@@ -1,8 +1,8 @@
-//! The wheel and the pedals in a person's hands: keys are on or off, a car's controls are not.
+//! Manual controls: turns on-off keys into smooth steering and pedals.
 
 use crate::vehicle::Control;
 
-/// What a person wants, as it came from keys, gamepad or touch.
+/// The wanted controls, from keys, gamepad or touch.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Wanted {
     /// -1..1, left positive.
@@ -33,7 +33,7 @@ pub struct Wheel {
 }
 
 impl Wheel {
-    /// Begins where another driver left them.
+    /// Begins with another driver's last control.
     pub fn taken_from(control: Control) -> Self {
         Self { now: control }
     }

@@ -221,7 +221,7 @@ fn a_training_begins_with_a_trained_actor_of_its_own_kind() {
     assert!(config.contains("agent.safetensors"), "the run says what it began with");
 
     for (args, expected) in [
-        (["--algo", "sac", "--init", shipped, "--inputs", "both"], "expected a wad-s to begin with"),
+        (["--algo", "sac", "--init", shipped, "--inputs", "both"], "expected a wad-s to start with"),
         (["--algo", "td3", "--init", shipped, "--inputs", "raw"], "with the inputs Raw"),
         (["--algo", "td3", "--init", "nobody", "--inputs", "both"], "no agent is called `nobody`"),
     ] {

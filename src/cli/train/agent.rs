@@ -336,7 +336,7 @@ fn saved_config(args: &Args) -> anyhow::Result<TrainConfig> {
             name(algo)
         )));
     }
-    // A bundled encoder may have got another name since.
+    // A bundled encoder may have been renamed since.
     if let Some(name) = TchEncoder::bundled_with(&config.encoder_hash) {
         config.encoder = name;
     }

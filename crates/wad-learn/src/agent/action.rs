@@ -30,7 +30,7 @@ pub fn to_control(action: Action) -> Control {
     Control { steer: within(0), throttle: within(1), brake: ((within(2) - free) / (1.0 - free)).max(0.0) }
 }
 
-/// The action of `control`: the inverse of [`Control`]'s making, for demonstrations.
+/// The action of `control`: the inverse of [`to_control`], for demonstrations.
 pub fn from_control(control: Control) -> Action {
     let brake = control.brake.clamp(0.0, 1.0) as f32;
     let brake = if brake > 0.0 { BRAKE_FREE_TRAVEL + (1.0 - BRAKE_FREE_TRAVEL) * brake } else { 0.0 };

@@ -46,8 +46,8 @@ impl Imitation {
         self.weight * (self.floor + (1.0 - self.floor) * left)
     }
 
-    /// -mean(value), with `value` `[B]` in units of the critic's mean size `size` `[B]`, and `weight` times the
-    /// mean square distance of `action` [B, A] from the shown action, each number in units of `half` its
+    /// -mean(value), with `value` `[B]` in units of the critic's mean size `size` `[B]`, and `weight` times
+    /// the mean square distance of `action` [B, A] from the shown action, each number in units of `half` its
     /// range. `shown_value` `[B]` is the critic's value of the shown action, for the filter.
     pub fn loss(
         &self,

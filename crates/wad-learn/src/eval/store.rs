@@ -48,7 +48,7 @@ pub enum StoreError {
     },
     /// A line's recording lies outside the folder.
     #[error(
-        "{}, line {line}: {why}; other paths are not followed. Get the file from whoever drove the episodes, or take the \
+        "{}, line {line}: {why}; other paths are not followed. Get the file from the person who drove the episodes, or take the \
          line out", path.display()
     )]
     Outside {
