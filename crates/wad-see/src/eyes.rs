@@ -326,7 +326,9 @@ impl Eyes {
 
     /// Frame and percept of the last look, to be handed to another thread; None where there is no perception.
     pub fn last_look(&self) -> Option<Look> {
-        Some(Look { frame: self.frame()?.clone(), percept: self.percept()?.clone() })
+        // Before the first look, and where the boxes alone were rendered, there is no picture.
+        let frame = self.frame().filter(|frame| !frame.rgb.is_empty())?;
+        Some(Look { frame: frame.clone(), percept: self.percept()?.clone() })
     }
 
     /// Wall time of the last look, by part.
