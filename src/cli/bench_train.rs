@@ -1,6 +1,6 @@
 //! `wad-cosim bench train`: driving and learning together.
 
-use super::train::agent::{default_collectors, maker, with_exit};
+use super::train::agent::{InputChoice, default_collectors, maker, with_exit};
 use super::{Exit, print};
 use anyhow::Context;
 use clap::ValueEnum;
@@ -16,12 +16,13 @@ const EXAMPLES: &str = "\
 Examples:
   wad-cosim bench train
   wad-cosim bench train --task straight --collectors 2 --seconds 60 --json
+  wad-cosim bench train --task straight --inputs raw --update-ratio 0.5
   wad-cosim bench train --device cuda --collectors 14
 
 Milliseconds are per environment step and summed over collectors, so that they say what a step costs,
 not how long it takes; update is per update.";
 
-/// Measure driving and learning together, as in `train agent`: camera, encoder, SUMO and updates.
+/// Measure driving alone, and driving and learning together, as in `train agent`.
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -34,15 +35,21 @@ pub struct Args {
     /// The task to drive; composite has 70 vehicles and 100 pedestrians.
     #[arg(long, value_name = "TASK", default_value = "composite")]
     task: TaskKind,
-    /// Seconds of driving and learning to measure.
+    /// Seconds of driving alone to measure, and of driving and learning.
     #[arg(long, default_value_t = 30.0)]
     seconds: f64,
     /// Environments in parallel [default: as `train agent`].
     #[arg(long, value_name = "N")]
     collectors: Option<usize>,
-    /// Updates per environment step.
+    /// Updates per environment step, while learning.
     #[arg(long, value_name = "R", default_value_t = 1.0)]
     update_ratio: f64,
+    /// Transitions per update.
+    #[arg(long, value_name = "N", default_value_t = 256)]
+    batch: usize,
+    /// The networks' inputs; raw draws nothing.
+    #[arg(long, value_enum, default_value_t = InputChoice::Both)]
+    inputs: InputChoice,
     /// The encoder: a file, a folder, a bundled one's name, or `pooled`.
     #[arg(long, value_name = "NAME", default_value = "default")]
     encoder: String,
@@ -63,7 +70,6 @@ const WARM_UP: u64 = 1000;
 /// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<Exit> {
     let device = args.device.open()?;
-    let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
     let stage =
         Stage { task: args.task, threshold: 1.0, window: usize::MAX, most_steps: None, traffic: None };
     let curriculum = Curriculum {
@@ -79,71 +85,102 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
     let hash = find_encoder(&args.encoder).map_err(|e| Exit::Input.because(e))?.hash().to_string();
     let mut config = TrainConfig::new(algorithm, curriculum, &args.encoder, &hash);
     config.seed = args.seed;
-    config.update_ratio = args.update_ratio;
-    config.learning_starts = WARM_UP;
+    config.batch_size = args.batch;
+    config.learning_starts = WARM_UP.max(args.batch as u64);
     config.validation.every = 0;
     config.checkpoint_every = u64::MAX;
-    let limits = Limits {
-        steps: u64::MAX,
-        time: None,
-        collectors: args.collectors.unwrap_or_else(default_collectors).max(1),
-        device,
-        out: scratch.path().join("run"),
-        record: None,
+    args.inputs.choose(&mut config);
+    let collectors = args.collectors.unwrap_or_else(default_collectors).max(1);
+    let alone = measure(args, TrainConfig { update_ratio: 0.0, ..config.clone() }, collectors, device)?;
+    let both = match &alone {
+        Some(_) => {
+            measure(args, TrainConfig { update_ratio: args.update_ratio, ..config }, collectors, device)?
+        }
+        None => None,
     };
+    let (Some(alone), Some(both)) = (alone, both) else { return Ok(Exit::Interrupted) };
+    report(args, collectors, &alone, &both)?;
+    Ok(Exit::Done)
+}
+
+/// Drives, and learns by the configuration's ratio; None where the user interrupted.
+fn measure(
+    args: &Args,
+    config: TrainConfig,
+    collectors: usize,
+    device: tch::Device,
+) -> anyhow::Result<Option<Trained>> {
+    let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
+    let out = scratch.path().join("run");
+    let limits = Limits { steps: u64::MAX, time: None, collectors, device, out, record: None };
     let maker = maker(&args.encoder, &args.config)?;
     let over = AtomicBool::new(false);
     let interrupt = wad_cosim::interrupt::flag().context("cannot listen for Ctrl-C")?;
-    let mut learning_since: Option<Instant> = None;
+    let mut since: Option<Instant> = None;
     let trained = train(&config, &limits, false, &over, &maker, |progress| {
-        if progress.updates > 0 {
-            let since = learning_since.get_or_insert_with(Instant::now);
-            if since.elapsed().as_secs_f64() >= args.seconds {
-                over.store(true, Ordering::Relaxed);
-            }
+        let warm = if config.update_ratio > 0.0 {
+            progress.updates > 0
+        } else {
+            progress.steps >= config.learning_starts
+        };
+        if warm && since.get_or_insert_with(Instant::now).elapsed().as_secs_f64() >= args.seconds {
+            over.store(true, Ordering::Relaxed);
         }
         if interrupt.load(Ordering::Relaxed) {
             over.store(true, Ordering::Relaxed);
         }
     })
     .map_err(with_exit)?;
-    report(args, &limits, &trained)?;
-    Ok(if interrupt.load(Ordering::Relaxed) { Exit::Interrupted } else { Exit::Done })
+    Ok((!interrupt.load(Ordering::Relaxed)).then_some(trained))
 }
 
-fn report(args: &Args, limits: &Limits, t: &Trained) -> anyhow::Result<()> {
+fn report(args: &Args, collectors: usize, alone: &Trained, both: &Trained) -> anyhow::Result<()> {
     let memory = peak_memory_mb();
     let mut text = format!(
-        "{} on {}, {} collectors: {:.1} environment steps/s with {:.1} updates/s; peak memory {:.0} MB\n",
-        t.algorithm,
+        "{} on {}, inputs {}, {collectors} collectors: {:.1} environment steps/s without learning, {:.1} with \
+         {:.1} updates/s; peak memory {:.0} MB\n{:>12} {:>10} {:>10}\n",
+        both.algorithm,
         args.task,
-        limits.collectors,
-        t.env_steps_per_s,
-        t.updates_per_s,
-        memory.unwrap_or(0.0)
+        name(args.inputs),
+        alone.env_steps_per_s,
+        both.env_steps_per_s,
+        both.updates_per_s,
+        memory.unwrap_or(0.0),
+        "ms per step",
+        "alone",
+        "learning"
     );
-    for (name, milliseconds) in &t.stages {
-        text.push_str(&format!("{name:>12} {milliseconds:8.2} ms\n"));
+    for (name, milliseconds) in &both.stages {
+        let before = alone.stages.get(name).copied().unwrap_or_default();
+        text.push_str(&format!("{name:>12} {before:10.3} {milliseconds:10.3}\n"));
     }
     if !args.json {
         return print(&text);
     }
     eprint!("{text}");
     let json = serde_json::json!({
-        "algorithm": t.algorithm,
+        "algorithm": both.algorithm,
         "task": args.task,
         "town": args.config,
-        "collectors": limits.collectors,
+        "inputs": name(args.inputs),
+        "collectors": collectors,
         "update_ratio": args.update_ratio,
-        "device": args.device.to_possible_value().map(|v| v.get_name().to_string()),
-        "env_steps": t.steps,
-        "env_steps_per_s": t.env_steps_per_s,
-        "updates_per_s": t.updates_per_s,
-        "stages": t.stages,
+        "batch": args.batch,
+        "device": name(args.device),
+        "env_steps": both.steps,
+        "env_steps_per_s": both.env_steps_per_s,
+        "updates_per_s": both.updates_per_s,
+        "stages": both.stages,
+        "alone": { "env_steps_per_s": alone.env_steps_per_s, "stages": alone.stages },
         "peak_memory_mb": memory,
         "seed": args.seed,
     });
     print(&format!("{json}\n"))
+}
+
+/// What the command line calls a choice.
+fn name(choice: impl ValueEnum) -> String {
+    choice.to_possible_value().map_or(String::new(), |value| value.get_name().to_string())
 }
 
 /// This process's peak memory (MB); None if the system does not report it.

@@ -6,10 +6,12 @@ use std::path::Path;
 use std::sync::Arc;
 use wad_cosim::assets::Assets;
 use wad_cosim::bridge::BridgeOptions;
-use wad_cosim::camera::Preset;
+use wad_cosim::camera::{CameraConfig, Preset};
 use wad_cosim::criteria::Event;
 use wad_cosim::env::{Env, EnvOptions};
+use wad_cosim::eyes::Eyes;
 use wad_cosim::latent::PooledEncoder;
+use wad_cosim::perception::EgoFacts;
 use wad_cosim::seeds;
 use wad_cosim::session::{Act, Itinerary, Seat, Session};
 use wad_cosim::tasks::{TaskKind, TaskSpec};
@@ -230,4 +232,61 @@ fn results_of_an_agent_that_looks_do_not_depend_on_jobs() {
     let (one, two) = (lines("1"), lines("2"));
     assert_eq!(one.len(), 3);
     assert!(one == two, "the same episodes, other results:\n{one:#?}\n{two:#?}");
+}
+
+/// The gap to the vehicle in front (m) with boxes from shapes, against that with drawn boxes, at every tick of a
+/// drive.
+fn gaps(town: &str, seed: u64, counts: Counts) -> Vec<[Option<f64>; 2]> {
+    let folder = tempfile::tempdir().unwrap();
+    let assets = Assets::load(town).unwrap();
+    let mut eyes = ["truth", "outlines"].map(|name| {
+        let detector = wad_cosim::perception::detector(name, 0.3).unwrap();
+        let mut eyes = Eyes::new(assets.town(), CameraConfig::default(), detector).unwrap();
+        eyes.reset(Preset::ClearNoon, seed);
+        eyes
+    });
+    runtime().block_on(async {
+        let mut itinerary = Itinerary::new(assets.network(), seeds::rng(seed, "route")).unwrap();
+        let route = itinerary.first_route(assets.network()).unwrap();
+        let (ego, autopilot, criteria) = Default::default();
+        let seat = Seat::new(&assets, "ego", ego, autopilot, criteria, route);
+        let options = BridgeOptions {
+            seed,
+            traffic: TrafficSpec::Counts(counts),
+            ..BridgeOptions::new(assets.config(), folder.path().join("sumo"))
+        };
+        let mut session = Session::start(&assets, &options, vec![seat]).await.unwrap();
+        let mut gaps = Vec::new();
+        for _ in 0..450 {
+            let tick = session.step_one(Act::Expert).await.unwrap();
+            let facts = EgoFacts::of(assets.network(), session.ego(0), session.bridge().tick());
+            let mut both = [None; 2];
+            for (eyes, gap) in eyes.iter_mut().zip(&mut both) {
+                eyes.follow(session.ego(0).world());
+                eyes.look(&facts).unwrap();
+                *gap = eyes.raw().lead.map(|lead| lead.gap);
+            }
+            gaps.push(both);
+            if tick.events.contains(&Event::Arrival) {
+                break;
+            }
+        }
+        session.close().await.unwrap();
+        gaps
+    })
+}
+
+/// What `train agent --inputs raw` sees without drawing is what the renderer's boxes show.
+#[test]
+fn outlines_show_the_vehicle_in_front_that_the_picture_shows() {
+    let drives = [("town3", 3, Counts::new(100, 250)), ("town5", 4, Counts::new(70, 150))];
+    let gaps: Vec<_> = drives.into_iter().flat_map(|(town, seed, counts)| gaps(town, seed, counts)).collect();
+    let some = gaps.iter().filter(|[truth, _]| truth.is_some()).count();
+    let same = gaps.iter().filter(|both| match both {
+        [Some(truth), Some(outlines)] => (truth - outlines).abs() < 0.3,
+        [truth, outlines] => truth.is_none() && outlines.is_none(),
+    });
+    let same = same.count();
+    assert!(some > 200, "{some} of {} ticks have a vehicle in front", gaps.len());
+    assert!(same * 100 >= 95 * gaps.len(), "equal in {same} of {} ticks, {some} with a vehicle", gaps.len());
 }

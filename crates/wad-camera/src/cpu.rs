@@ -13,6 +13,7 @@ use super::frame::{Frame, ObjectTruth, Outputs};
 use super::gather::{Gather, Geometry};
 use super::ground_marks::Marks;
 use super::model::{Scene, SemanticTag};
+use super::outlines;
 use super::raster::{CamVertex, Visibility, settle};
 use super::row::{Row, Run};
 use super::shade::{self, Wall};
@@ -86,6 +87,14 @@ impl Renderer for CpuRenderer {
         let &Shot { scene, actors, view, weather, outputs, .. } = shot;
         self.watch.start();
         (frame.width, frame.height) = (view.width, view.height);
+        if !outputs.draws() {
+            frame.empty();
+            if outputs.outlines {
+                outlines::find(shot, &mut self.vertices, &mut frame.objects);
+            }
+            self.watch.lap(|s| &mut s.geometry);
+            return;
+        }
         if self.stamp != scene.grid.stamp() {
             self.stamp = scene.grid.stamp();
             self.shadows.forget();
@@ -127,6 +136,9 @@ impl Renderer for CpuRenderer {
             add_lights(&geometry, shot, &self.visibility, &mut frame.rgb);
         }
         self.objects(&geometry, view, outputs, frame);
+        if outputs.outlines && !outputs.boxes {
+            outlines::find(shot, &mut self.vertices, &mut frame.objects);
+        }
         self.watch.lap(|s| &mut s.effects);
     }
 

@@ -15,16 +15,42 @@ pub struct Outputs {
     pub instance: bool,
     /// [`Frame::objects`].
     pub boxes: bool,
+    /// [`Frame::objects`] worked out from the shapes of road users and walls; alone it draws nothing.
+    /// `boxes` wins where both are asked for.
+    pub outlines: bool,
 }
 
 impl Outputs {
+    /// Nothing.
+    pub const NONE: Self =
+        Self { rgb: false, depth: false, semantic: false, instance: false, boxes: false, outlines: false };
     /// The picture alone.
-    pub const RGB: Self = Self { rgb: true, depth: false, semantic: false, instance: false, boxes: false };
-    /// Everything.
-    pub const ALL: Self = Self { rgb: true, depth: true, semantic: true, instance: true, boxes: true };
+    pub const RGB: Self = Self { rgb: true, ..Self::NONE };
+    /// Everything that is drawn.
+    pub const ALL: Self =
+        Self { rgb: true, depth: true, semantic: true, instance: true, boxes: true, outlines: false };
+
+    /// What either has.
+    #[must_use]
+    pub fn with(self, other: Self) -> Self {
+        Self {
+            rgb: self.rgb || other.rgb,
+            depth: self.depth || other.depth,
+            semantic: self.semantic || other.semantic,
+            instance: self.instance || other.instance,
+            boxes: self.boxes || other.boxes,
+            outlines: self.outlines || other.outlines,
+        }
+    }
+
+    /// Whether something has to be drawn.
+    pub fn draws(self) -> bool {
+        self != Self { outlines: self.outlines, ..Self::NONE }
+    }
 }
 
-/// An object of the eight classes with at least one visible pixel.
+/// An object of the eight classes with at least one visible pixel. Where outlines take the place of a picture,
+/// its pixels are an estimate.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ObjectTruth {
     /// What it is.
@@ -60,4 +86,15 @@ pub struct Frame {
     pub instance: Vec<u32>,
     /// By id.
     pub objects: Vec<ObjectTruth>,
+}
+
+impl Frame {
+    /// Empties every buffer; the size stays.
+    pub(super) fn empty(&mut self) {
+        self.rgb.clear();
+        self.depth.clear();
+        self.semantic.clear();
+        self.instance.clear();
+        self.objects.clear();
+    }
 }

@@ -1,7 +1,7 @@
 //! Chooses what a frame draws: culled, nearest first, each object in the level of detail that its size
 //! in the picture needs.
 
-use super::model::{ActorFrame, Channel, Chunk, Instance, Lamps, Mesh, Model, Scene};
+use super::model::{ActorFrame, Channel, Chunk, Instance, Lamps, Level, Library, Mesh, Model, Scene};
 use super::raster::{CamVertex, Draw, Tri, Visibility, draw};
 use super::simd::multiversion;
 use super::stages::Watch;
@@ -149,33 +149,18 @@ impl<'a> Gather<'a, '_> {
     fn instance(&mut self, instance: &'a Instance, moving: bool, out: &mut Geometry<'a>) {
         let view = self.view;
         let model: &'a Model = &self.scene.library.models[instance.model.0 as usize];
-        let [cos, sin] = turn(instance);
-        let (centre, radius) = placed_ball(view, model, instance, [cos, sin]);
-        if !view.sees_ball(centre, radius) || centre[2] - radius > VIEW_DISTANCE {
-            return;
-        }
+        let turn = turn(instance);
+        let Some(level) = level(view, model, instance, turn, VIEW_DISTANCE) else { return };
         let lamps = self.lamps(Some(instance));
         out.seen.push(Seen { instance, moving, lamps });
-        let pixels = view.focal * radius / centre[2].max(NEAR + radius * 0.5);
-        let Some(level) = model.levels.iter().find(|level| pixels >= level.min_pixels) else { return };
-        let [sx, sy, sz] = instance.scale;
-        let axes = [
-            view.direction([cos * sx, sin * sx, 0.0]),
-            view.direction([-sin * sy, cos * sy, 0.0]),
-            view.direction([0.0, 0.0, sz]),
-        ];
-        let place = Place { axes, origin: view.point(&instance.pose.position) };
-        if self.is_hidden(place.origin, axes, &model.bounds) {
+        let Some(level) = level else { return };
+        let place = Place::of(view, instance, turn);
+        if self.is_hidden(place.origin, place.axes, &model.bounds) {
             return;
         }
         // What casts a shadow into the map itself is not darkened by it.
         let sun = if moving { (self.sun_at)(&instance.pose.position) } else { 1.0 };
-        if model.bones.is_empty() {
-            self.mesh(&level.mesh, &[place], Some(instance), [cos, sin], sun, out);
-        } else {
-            let places = bone_places(model, &place, instance.phase);
-            self.mesh(&level.mesh, &places, Some(instance), [cos, sin], sun, out);
-        }
+        self.mesh(&level.mesh, &bone_places(model, place, instance.phase), Some(instance), turn, sun, out);
     }
 
     /// Whether a box is behind what was drawn before.
@@ -281,6 +266,39 @@ fn placed_ball(view: &View, model: &Model, instance: &Instance, [cos, sin]: [f32
     (std::array::from_fn(|i| origin[i] + offset[i]), radius * scale)
 }
 
+/// The level of detail of an instance: the outer option is None where it is out of the picture or farther than
+/// `reach` (m), the inner one where it is too small to be drawn.
+fn level<'a>(
+    view: &View,
+    model: &'a Model,
+    instance: &Instance,
+    turn: [f32; 2],
+    reach: f32,
+) -> Option<Option<&'a Level>> {
+    let (centre, radius) = placed_ball(view, model, instance, turn);
+    if !view.sees_ball(centre, radius) || centre[2] - radius > reach {
+        return None;
+    }
+    let pixels = view.focal * radius / centre[2].max(NEAR + radius * 0.5);
+    Some(model.levels.iter().find(|level| pixels >= level.min_pixels))
+}
+
+/// Appends the vertices of an instance as it is drawn, in the camera's frame; their smallest depth (m), None
+/// where it is not drawn or farther than `reach` (m).
+pub fn placed(
+    view: &View,
+    library: &Library,
+    instance: &Instance,
+    reach: f32,
+    out: &mut Vec<CamVertex>,
+) -> Option<f32> {
+    let model = &library.models[instance.model.0 as usize];
+    let turn = turn(instance);
+    let level = level(view, model, instance, turn, reach)??;
+    let places = bone_places(model, Place::of(view, instance, turn), instance.phase);
+    Some(transform(&level.mesh, &places, view, out))
+}
+
 /// Model frame to camera frame: images of the axes and of the origin.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Place {
@@ -289,6 +307,15 @@ pub struct Place {
 }
 
 impl Place {
+    fn of(view: &View, instance: &Instance, [cos, sin]: [f32; 2]) -> Self {
+        let [sx, sy, sz] = instance.scale;
+        let axes = [
+            view.direction([cos * sx, sin * sx, 0.0]),
+            view.direction([-sin * sy, cos * sy, 0.0]),
+            view.direction([0.0, 0.0, sz]),
+        ];
+        Self { axes, origin: view.point(&instance.pose.position) }
+    }
     #[inline(always)]
     fn direction(&self, v: [f32; 3]) -> [f32; 3] {
         std::array::from_fn(|k| self.axes[0][k] * v[0] + self.axes[1][k] * v[1] + self.axes[2][k] * v[2])
@@ -300,12 +327,14 @@ impl Place {
     }
 }
 
-/// A place for each bone at a phase.
-fn bone_places(model: &Model, root: &Place, phase: f32) -> Vec<Place> {
+/// A place for each bone at a phase; that of the whole where there are none.
+fn bone_places(model: &Model, root: Place, phase: f32) -> Vec<Place> {
+    if model.bones.is_empty() {
+        return vec![root];
+    }
     let mut places: Vec<Place> = Vec::with_capacity(model.bones.len());
     for (index, bone) in model.bones.iter().enumerate() {
-        let parent =
-            bone.parent.filter(|&p| usize::from(p) < index).map_or(*root, |p| places[usize::from(p)]);
+        let parent = bone.parent.filter(|&p| usize::from(p) < index).map_or(root, |p| places[usize::from(p)]);
         let angle = if bone.spins { phase } else { bone.amplitude * (phase + bone.offset).sin() };
         if angle == 0.0 {
             places.push(parent);

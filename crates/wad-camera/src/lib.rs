@@ -25,6 +25,7 @@ mod material;
 mod mesh;
 pub mod model;
 mod noise;
+mod outlines;
 mod picture;
 mod raster;
 mod row;
@@ -39,6 +40,7 @@ mod stages;
 mod surface;
 mod town;
 mod view;
+mod walls;
 mod weather;
 
 #[cfg(test)]

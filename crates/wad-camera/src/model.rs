@@ -11,7 +11,9 @@ pub use super::mesh::{Mesh, Triangle, Vertex};
 
 use super::grid::Grid;
 use super::mesh::Faces;
+use super::walls::Walls;
 use nalgebra::Point3;
+use std::sync::OnceLock;
 use sumo_network::geometry::Pose;
 use sumo_network::network::SignalIndex;
 
@@ -122,6 +124,19 @@ pub enum ObjectClass {
     TrafficLight,
     /// Benches.
     Bench,
+}
+
+impl ObjectClass {
+    /// About the share (0..1) of its box in a picture that an object of this class fills.
+    pub fn fills(self) -> f32 {
+        match self {
+            Self::Car => 0.75,
+            Self::Bus | Self::Truck => 0.85,
+            Self::Motorcycle | Self::Bicycle | Self::Bench => 0.45,
+            Self::Person => 0.4,
+            Self::TrafficLight => 0.7,
+        }
+    }
 }
 
 /// A box with one heading, upright.
@@ -272,18 +287,26 @@ pub struct Scene {
     /// Fill and then call [`Scene::index`].
     pub chunks: Vec<Chunk>,
     pub(super) grid: Grid,
+    /// Worked out when they are first asked for.
+    walls: OnceLock<Walls>,
 }
 
 impl Scene {
     /// Rebuilds the spatial index and what is drawn after `chunks` or the library changed.
     pub fn index(&mut self) {
         self.grid = Grid::new(self.chunks.iter().map(Chunk::middle));
+        self.walls = OnceLock::new();
         let materials = &self.library.materials;
         let models = self.library.models.iter_mut().flat_map(|m| &mut m.levels).map(|level| &mut level.mesh);
         let chunks = self.chunks.iter_mut().flat_map(|c| &mut c.levels).map(|(_, mesh)| mesh);
         for mesh in models.chain(chunks) {
             mesh.faces = Faces::of(mesh, materials);
         }
+    }
+
+    /// What hides at the height of eyes.
+    pub(super) fn walls(&self) -> &Walls {
+        self.walls.get_or_init(|| Walls::of(&self.chunks))
     }
 
     /// The town `times` times, side by side to the east: for measuring what a larger town costs.

@@ -92,10 +92,6 @@ struct Sight {
     weather: Weather,
 }
 
-/// Nothing beside what perception needs.
-const NO_OUTPUTS: Outputs =
-    Outputs { rgb: false, depth: false, semantic: false, instance: false, boxes: false };
-
 impl Eyes {
     /// Eyes that do not look, for drivers that need none: several times faster.
     pub fn blind() -> Self {
@@ -124,7 +120,7 @@ impl Eyes {
             town,
             camera: Camera::new(config)?,
             perception: None,
-            outputs: NO_OUTPUTS,
+            outputs: Outputs::NONE,
             weather: Weather::from(weather),
         };
         Ok(Self { mode: ObservationMode::LatentAndRaw, sight: Some(sight), ..Self::blind() })
@@ -354,19 +350,9 @@ impl Eyes {
 
 impl Sight {
     fn render(&mut self, pose: &Pose, mode: ObservationMode) {
-        let mut outputs = self.outputs;
-        match &self.perception {
-            Some(perception) => {
-                let needs = perception.needs();
-                outputs.boxes |= needs.boxes;
-                outputs.depth |= needs.depth;
-                outputs.semantic |= needs.semantic;
-                outputs.instance |= needs.instance;
-                // Boxes of the renderer's own need no shaded picture.
-                outputs.rgb |= needs.rgb && (mode.encodes() || perception.detector() != "truth");
-            }
-            None => outputs.rgb = true,
-        }
+        let needs = self.perception.as_ref().map_or(Outputs::RGB, Perception::needs);
+        let picture = if mode.encodes() { Outputs::RGB } else { Outputs::NONE };
+        let outputs = self.outputs.with(needs).with(picture);
         self.camera.render(self.town.scene(), self.town.actors(), pose, &self.weather, outputs);
     }
 }

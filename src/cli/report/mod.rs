@@ -2,6 +2,8 @@
 
 #[cfg(feature = "learn")]
 mod latents;
+#[cfg(feature = "learn")]
+mod learning;
 mod results;
 mod reward;
 
@@ -15,7 +17,7 @@ Examples:
   wad-cosim report runs/nocrash runs/corl --out report        several suites on one page
   wad-cosim report runs/* --out report --markdown docs/results.md";
 
-/// Make a report of evaluations, or pictures of an encoder or of the reward.
+/// Make a report of evaluations, or pictures of trainings, of an encoder or of the reward.
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES, args_conflicts_with_subcommands = true)]
 pub struct Args {
@@ -43,6 +45,9 @@ enum What {
     /// Draw transformed images above their reconstructions (the paper's figure 5).
     #[cfg(feature = "learn")]
     Latents(latents::Args),
+    /// Draw learning curves of trainings, with seeds as a band.
+    #[cfg(feature = "learn")]
+    Learning(learning::Args),
     /// Plot the reward's six terms (docs/reward.md).
     Reward(reward::Args),
 }
@@ -52,9 +57,11 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
     match args.what {
         #[cfg(feature = "learn")]
         Some(What::Latents(args)) => latents::run(&args),
+        #[cfg(feature = "learn")]
+        Some(What::Learning(args)) => learning::run(&args),
         Some(What::Reward(args)) => reward::run(&args),
         None if args.runs.is_empty() => Err(Exit::Input.because(anyhow::anyhow!(
-            "nothing to report: give folders that `eval --out` wrote, or `latents` or `reward`"
+            "nothing to report: give folders that `eval --out` wrote, or `latents`, `learning` or `reward`"
         ))),
         None => results::run(
             &args.runs,

@@ -67,9 +67,9 @@ pub struct Args {
     /// [default: --init's, or `default`].
     #[arg(long, value_name = "NAME")]
     encoder: Option<String>,
-    /// The detector.
-    #[arg(long, value_name = "NAME", default_value = "truth")]
-    detector: String,
+    /// The detector [default: truth; with --inputs raw: outlines, which draws nothing].
+    #[arg(long, value_name = "NAME")]
+    detector: Option<String>,
     /// Updates per environment step.
     #[arg(long, value_name = "R", default_value_t = 1.0)]
     update_ratio: f64,
@@ -123,24 +123,22 @@ pub struct Args {
     /// td3: the returns at the sigmoid's 0 and 1.
     #[arg(long, value_name = "LOW,HIGH", default_value = "-60,100", allow_hyphen_values = true, value_parser = bounds)]
     critic_range: (f64, f64),
-    /// td3: Adam's learning rate for the critics; the paper's is 3e-3.
-    #[arg(long, value_name = "X", default_value_t = 3e-3)]
+    /// td3: Adam's learning rate for the critics; with the paper's 3e-3 they do not hold.
+    #[arg(long, value_name = "X", default_value_t = 3e-4)]
     critic_learning_rate: f64,
     /// Adam's learning rate for the actor (sac: for all networks).
     #[arg(long, value_name = "X", default_value_t = 3e-4)]
     learning_rate: f64,
     /// Discount per tick of a sixth of a second.
-    #[arg(long, value_name = "X", default_value_t = 0.99)]
+    #[arg(long, value_name = "X", default_value_t = 0.98)]
     gamma: f64,
     /// Rewards summed before the critic's estimate is used (n-step return).
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 3)]
     n_step: usize,
-    /// sac: the temperature, in scaled reward per nat; with --autotune its initial value.
-    #[arg(long, value_name = "X", default_value_t = 0.1)]
-    alpha: f64,
-    /// sac: adjust the temperature to keep the entropy at its target.
-    #[arg(long)]
-    autotune: bool,
+    /// sac: a fixed temperature, in scaled reward per nat [default: adjusted, so that the entropy keeps to its
+    /// target].
+    #[arg(long, value_name = "X")]
+    alpha: Option<f64>,
     /// Exploration noise: a factor on its standard deviations.
     #[arg(long, value_name = "X", default_value_t = 1.0)]
     noise: f64,
@@ -167,6 +165,9 @@ pub struct Args {
     /// Environment steps between checkpoints.
     #[arg(long, value_name = "N", default_value_t = 25_000)]
     checkpoint_every: u64,
+    /// Set anything in config.json, e.g. env.reward.lane=0 or curriculum.replay=0.5; may be given several times.
+    #[arg(long, value_name = "PATH=VALUE", conflicts_with = "resume")]
+    set: Vec<String>,
     /// Print the result as one JSON line on stdout.
     #[arg(long)]
     json: bool,
@@ -185,10 +186,26 @@ enum Critic {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum InputChoice {
+pub enum InputChoice {
+    /// Latent and raw states.
     Both,
+    /// The latent alone.
     Latent,
+    /// The raw states alone; by default nothing is drawn.
     Raw,
+}
+
+impl InputChoice {
+    /// Sets the networks' inputs, and the detector that they need.
+    pub fn choose(self, config: &mut TrainConfig) {
+        config.set_inputs(match self {
+            Self::Both => Inputs::Both,
+            Self::Latent => Inputs::Latent,
+            Self::Raw => Inputs::Raw,
+        });
+        let detector = if self == Self::Raw { "outlines" } else { "truth" };
+        config.env.detector = detector.to_string();
+    }
 }
 
 fn bounds(text: &str) -> Result<(f64, f64), String> {
@@ -276,8 +293,8 @@ fn config(args: &Args) -> anyhow::Result<TrainConfig> {
         Algo::Sac => Algorithm::Sac(SacParams {
             gamma: args.gamma,
             learning_rate: args.learning_rate,
-            alpha: args.alpha,
-            autotune: args.autotune,
+            alpha: args.alpha.unwrap_or(SacParams::default().alpha),
+            autotune: args.alpha.is_none(),
             imitation,
             ..SacParams::default()
         }),
@@ -290,7 +307,6 @@ fn config(args: &Args) -> anyhow::Result<TrainConfig> {
     config.latent_gain = args.latent_gain;
     config.other_days = args.other_days;
     config.latent_mixing = args.latent_mixing;
-    config.env.detector.clone_from(&args.detector);
     config.update_ratio = args.update_ratio;
     config.batch_size = args.batch;
     config.buffer = args.buffer;
@@ -308,12 +324,41 @@ fn config(args: &Args) -> anyhow::Result<TrainConfig> {
     for noise in &mut config.exploration.exploration_noise {
         *noise *= args.noise;
     }
-    config.set_inputs(match args.inputs {
-        InputChoice::Both => Inputs::Both,
-        InputChoice::Latent => Inputs::Latent,
-        InputChoice::Raw => Inputs::Raw,
-    });
-    Ok(config)
+    args.inputs.choose(&mut config);
+    if let Some(detector) = &args.detector {
+        config.env.detector.clone_from(detector);
+    }
+    with_settings(config, &args.set)
+}
+
+/// The configuration with the values of `--set`.
+fn with_settings(config: TrainConfig, settings: &[String]) -> anyhow::Result<TrainConfig> {
+    if settings.is_empty() {
+        return Ok(config);
+    }
+    let mut tree = serde_json::to_value(&config).context("the configuration as JSON")?;
+    for setting in settings {
+        let (path, value) = setting.split_once('=').ok_or_else(|| {
+            Exit::Input
+                .because(anyhow!("--set: expected PATH=VALUE, e.g. env.reward.lane=0, found `{setting}`"))
+        })?;
+        let pointer = format!("/{}", path.replace('.', "/"));
+        let Some(place) = tree.pointer_mut(&pointer) else {
+            let known = path.rsplit_once('.').map_or(String::new(), |(above, _)| above.replace('.', "/"));
+            let above = if known.is_empty() { Some(&tree) } else { tree.pointer(&format!("/{known}")) };
+            let names: Vec<&str> = above
+                .and_then(|v| v.as_object())
+                .map_or(Vec::new(), |o| o.keys().map(String::as_str).collect());
+            return Err(Exit::Input.because(anyhow!(
+                "--set {setting}: config.json has no `{path}`; there is {}",
+                names.join(", ")
+            )));
+        };
+        // What is no JSON is a name.
+        *place = serde_json::from_str(value).unwrap_or_else(|_| serde_json::Value::from(value));
+    }
+    serde_json::from_value(tree)
+        .map_err(|e| Exit::Input.because(anyhow!("--set {}: {e}", settings.join(" --set "))))
 }
 
 /// The configuration of the training that --resume continues.

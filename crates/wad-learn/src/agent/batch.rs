@@ -91,7 +91,7 @@ impl Batches {
     }
 }
 
-/// The inputs of an agent; all others are 0. For ablations.
+/// The inputs of an agent; its networks have no others. For ablations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Inputs {
@@ -102,6 +102,17 @@ pub enum Inputs {
     Latent,
     /// The raw vector only.
     Raw,
+}
+
+impl Inputs {
+    /// The sizes of networks with these inputs.
+    pub fn dims(self) -> Dims {
+        match self {
+            Self::Both => Dims::DRIVING,
+            Self::Latent => Dims { raw: 0, ..Dims::DRIVING },
+            Self::Raw => Dims { latent: 0, ..Dims::DRIVING },
+        }
+    }
 }
 
 /// Scales an observation to about -1 to 1: x' = (x - offset) factor. Measured once, on the first
@@ -124,18 +135,13 @@ impl InputScale {
     /// From means and standard deviations of the latent; the raw vector is scaled by definition. Numbers
     /// that hardly vary are not amplified: the smallest deviation used is a tenth of the mean one. `gain` is
     /// the deviation of the scaled latent.
-    pub fn measured(mean: &[f32], deviation: &[f32], dims: Dims, inputs: Inputs, gain: f64) -> Self {
-        let (latent, n) = (dims.latent as usize, dims.observation() as usize);
+    pub fn measured(mean: &[f32], deviation: &[f32], dims: Dims, gain: f64) -> Self {
+        let latent = dims.latent as usize;
         let floor = 0.1 * deviation[..latent].iter().sum::<f32>() / (latent as f32).max(1.0);
         let mut scale = Self::identity(dims);
         scale.offset[..latent].copy_from_slice(&mean[..latent]);
         for (factor, deviation) in scale.factor[..latent].iter_mut().zip(deviation) {
             *factor = gain as f32 / deviation.max(floor).max(1e-6);
-        }
-        match inputs {
-            Inputs::Both => {}
-            Inputs::Latent => scale.factor[latent..n].fill(0.0),
-            Inputs::Raw => scale.factor[..latent].fill(0.0),
         }
         scale
     }

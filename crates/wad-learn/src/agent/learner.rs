@@ -262,6 +262,11 @@ impl Actor {
         }
     }
 
+    /// Sizes of its inputs and outputs.
+    pub fn dims(&self) -> Dims {
+        self.dims
+    }
+
     /// Sets the scale of the inputs.
     pub fn set_scale(&mut self, scale: &InputScale) {
         self.scale = scale.tensors(Device::Cpu);

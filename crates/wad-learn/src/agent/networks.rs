@@ -17,6 +17,7 @@
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 use tch::{Device, Kind, Tensor, no_grad};
+use wad_see::observation::Observation;
 
 /// Sizes of inputs and outputs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -41,6 +42,13 @@ impl Dims {
     /// Numbers in an observation.
     pub fn observation(&self) -> i64 {
         self.latent + self.raw
+    }
+
+    /// The parts of an observation that the networks take, in one: latent, then raw.
+    pub fn of(&self, observation: &Observation) -> Vec<f32> {
+        let latent = if self.latent > 0 { observation.latent.as_slice() } else { &[] };
+        let raw = if self.raw > 0 { observation.raw.as_slice() } else { &[] };
+        [latent, raw].concat()
     }
 }
 
@@ -239,9 +247,13 @@ impl ActorT {
     /// A new actor.
     pub fn new(dims: Dims, rng: &mut impl Rng, device: Device) -> Self {
         let mut draw = Draw::new(rng);
-        draw.chain(None, &[dims.latent, 150, 100]);
-        draw.chain(None, &[dims.raw, 50]);
-        draw.chain(None, &[150, 100, 75]);
+        // A part that is left out has no branch.
+        let latent: &[i64] = if dims.latent > 0 { &[dims.latent, 150, 100] } else { &[] };
+        let raw: &[i64] = if dims.raw > 0 { &[dims.raw, 50] } else { &[] };
+        draw.chain(None, latent);
+        draw.chain(None, raw);
+        let joined = [latent, raw].iter().filter_map(|branch| branch.last()).sum();
+        draw.chain(None, &[joined, 100, 75]);
         draw.last_layer(75, &start(dims.actions));
         Self { params: draw.finish(device), dims, squash: Squash::new(dims.actions, device) }
     }
@@ -258,13 +270,19 @@ impl ActorT {
     /// Actions [B, A] for observations [B, latent + raw].
     pub fn forward(&self, observation: &Tensor) -> Tensor {
         let p = &self.params;
-        let latent = observation.narrow(1, 0, self.dims.latent);
-        let raw = observation.narrow(1, self.dims.latent, self.dims.raw);
-        let latent = p.linear(1, &p.linear(0, &latent).relu()).relu();
-        let raw = p.linear(2, &raw).relu();
-        let joined = Tensor::cat(&[latent, raw], 1);
-        let joined = p.linear(4, &p.linear(3, &joined).relu()).relu();
-        self.squash.sigmoid_form(&p.linear(5, &joined))
+        let mut layers = 0..;
+        let mut linear = |x: &Tensor| p.linear(layers.next().unwrap_or_default(), x);
+        let mut branches = Vec::with_capacity(2);
+        if self.dims.latent > 0 {
+            let hidden = linear(&observation.narrow(1, 0, self.dims.latent)).relu();
+            branches.push(linear(&hidden).relu());
+        }
+        if self.dims.raw > 0 {
+            branches.push(linear(&observation.narrow(1, self.dims.latent, self.dims.raw)).relu());
+        }
+        let joined = linear(&Tensor::cat(&branches, 1)).relu();
+        let joined = linear(&joined).relu();
+        self.squash.sigmoid_form(&linear(&joined))
     }
 }
 

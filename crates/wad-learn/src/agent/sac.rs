@@ -32,11 +32,11 @@ pub struct SacParams {
 impl Default for SacParams {
     fn default() -> Self {
         Self {
-            gamma: 0.99,
+            gamma: 0.98,
             tau: 0.005,
             learning_rate: 3e-4,
             alpha: 0.1,
-            autotune: false,
+            autotune: true,
             target_entropy: None,
             imitation: Imitation::default(),
         }

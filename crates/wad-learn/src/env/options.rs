@@ -110,11 +110,12 @@ impl EnvOptions {
         Self::default()
     }
 
-    /// For training: running traffic, and standing without a reason ends an episode after 30 s, not 90.
+    /// For training: running traffic, and standing without a reason ends an episode after 4 s, not 90: hard
+    /// termination keeps an agent from learning for hours how to stand.
     pub fn training() -> Self {
         Self {
             world: WorldMode::Running,
-            criteria: CriteriaParams { blocked_after: 30.0, ..CriteriaParams::default() },
+            criteria: CriteriaParams { blocked_after: 4.0, ..CriteriaParams::default() },
             ..Self::default()
         }
     }

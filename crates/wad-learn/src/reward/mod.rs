@@ -4,10 +4,10 @@
 //! [`Facts`] holds the paper's four data points (waypoints, light, collision sensor, and the vehicle in
 //! front as the detector sees it) and the ego's own motion; nothing else of the simulator.
 //!
-//! **Scale.** At six ticks a second and gamma 0.99 an agent looks 100 ticks (17 s) ahead. Driving well is
-//! worth about +1 a tick, so about +100; necessary waiting +0.8; standing without a reason about -0.2, so
-//! -20 if for ever, and an ending costs 20 to 50 once, besides all later rewards. So: better to
-//! drive than to wait, better to wait than to run the light, and never better to crash than to stand.
+//! **Scale.** At six ticks a second and gamma 0.98 an agent looks 50 ticks (8 s) ahead. Driving well is worth
+//! about +1.2 a tick, so about +60; necessary waiting +0.6; standing without a reason about -1, and in training
+//! it ends the episode after 4 s. An ending costs 10 to 50 once, besides all later rewards. So: better to drive
+//! than to wait, better to wait than to run the light, and standing is never a way out.
 
 mod params;
 #[cfg(test)]
@@ -137,7 +137,7 @@ pub fn compute(p: &RewardParams, facts: &Facts) -> RewardTerms {
     RewardTerms {
         timeout: timeout(p, facts.blocked),
         collision: collision(p, facts.collision),
-        lane: lane(p, facts.offset, facts.left_road),
+        lane: lane(p, facts.offset, facts.left_road, way(p, facts)),
         speed: longitudinal(p, facts) + smoothness(p, facts),
         light: light(p, facts),
         steps: steps(p),
@@ -158,17 +158,24 @@ pub fn collision(p: &RewardParams, impulse: Option<f64>) -> f64 {
     })
 }
 
-/// r_lane: `p.lane (1 - (offset / t)^2)` within the threshold t = `p.lane_threshold` (m), `-p.lane_outside
-/// (offset - t)` beyond it, down to `-p.lane_most`, and `-p.lane_exit` more once when leaving the lane or the
-/// road ends the episode: hard termination pays at once what would have added up.
-pub fn lane(p: &RewardParams, offset: f64, left_road: bool) -> f64 {
+/// r_lane: `p.lane (1 - (offset / t)^2)` times `way` (0..1, the share of the wanted speed, see [`way`]) within
+/// the threshold t = `p.lane_threshold` (m), `-p.lane_outside (offset - t)` beyond it, down to `-p.lane_most`, and
+/// `-p.lane_exit` more once when leaving the lane or the road ends the episode: hard termination pays at once
+/// what would have added up. The lane's middle is earned by driving along it: paid to an ego that stands, it
+/// was worth as much as driving badly, and agents that learn by reward alone stood still for ever.
+pub fn lane(p: &RewardParams, offset: f64, left_road: bool, way: f64) -> f64 {
     let t = p.lane_threshold;
     let dense = if offset <= t {
-        p.lane * (1.0 - (offset / t).powi(2))
+        p.lane * (1.0 - (offset / t).powi(2)) * way
     } else {
         -(p.lane_outside * (offset - t)).min(p.lane_most)
     };
     if left_road { dense - p.lane_exit } else { dense }
+}
+
+/// The ego's speed as a share (0..1) of the wanted one.
+pub fn way(p: &RewardParams, facts: &Facts) -> f64 {
+    (facts.speed / wanted(p, facts).speed.max(p.least_wanted)).clamp(0.0, 1.0)
 }
 
 /// What holds the ego, and how fast it may be.

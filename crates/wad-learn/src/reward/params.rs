@@ -15,7 +15,7 @@ pub struct RewardParams {
     pub collision_hard: f64,
     /// The impulse with the full addition (N s). Default 10,000, a wall at 24 km/h.
     pub collision_impulse: f64,
-    /// Reward in the lane's middle. Default 0.2.
+    /// Reward in the lane's middle at the wanted speed. Default 0.2.
     pub lane: f64,
     /// Half the width of the rewarded strip (m). Default 0.9.
     pub lane_threshold: f64,
@@ -23,11 +23,11 @@ pub struct RewardParams {
     pub lane_outside: f64,
     /// Largest cost of being off the lane's middle. Default 10.
     pub lane_most: f64,
-    /// Cost of an episode's end outside lane or road, once. Default 25.
+    /// Cost of an episode's end outside lane or road, once. Default 10.
     pub lane_exit: f64,
-    /// Reward at the wanted speed. Default 0.7.
+    /// Reward at the wanted speed. Default 1.
     pub speed: f64,
-    /// Cost of standing without a reason. Default 0.4.
+    /// Cost of standing without a reason. Default 1.
     pub idle: f64,
     /// Cost per m/s above the wanted speed. Default 0.35.
     pub excess: f64,
@@ -57,9 +57,9 @@ pub struct RewardParams {
     pub lateral: f64,
     /// Comfortable braking before bends (m/s2). Default 1.5.
     pub curve_braking: f64,
-    /// Cost of steering other than the bend needs, per full lock. Default 0.2.
+    /// Cost of steering other than the bend needs, per full lock. Default 0.05.
     pub steer: f64,
-    /// Cost of the steering's change in a tick, per full lock. Default 0.5.
+    /// Cost of the steering's change in a tick, per full lock. Default 0.1.
     pub steer_change: f64,
     /// Cost per m/s2 of acceleration beyond `comfortable`. Default 0.05.
     pub jolt: f64,
@@ -69,7 +69,7 @@ pub struct RewardParams {
     pub jerk: f64,
     /// Change of acceleration per tick without cost (m/s2). Default 0.8.
     pub jerk_free: f64,
-    /// Largest cost of all discomfort together. Default 0.5.
+    /// Largest cost of all discomfort together. Default 0.1.
     pub smoothness_most: f64,
     /// Cost of running a red light, once. Default 25.
     pub red: f64,
@@ -96,9 +96,9 @@ impl Default for RewardParams {
             lane_threshold: 0.9,
             lane_outside: 1.0,
             lane_most: 10.0,
-            lane_exit: 25.0,
-            speed: 0.7,
-            idle: 0.4,
+            lane_exit: 10.0,
+            speed: 1.0,
+            idle: 1.0,
             excess: 0.35,
             excess_most: 1.5,
             stopped: 0.45,
@@ -113,13 +113,13 @@ impl Default for RewardParams {
             yellow_braking: 3.0,
             lateral: 2.2,
             curve_braking: 1.5,
-            steer: 0.2,
-            steer_change: 0.5,
+            steer: 0.05,
+            steer_change: 0.1,
             jolt: 0.05,
             comfortable: 2.5,
             jerk: 0.03,
             jerk_free: 0.8,
-            smoothness_most: 0.5,
+            smoothness_most: 0.1,
             red: 25.0,
             red_speed: 1.0,
             red_stopped: 0.15,

@@ -8,6 +8,7 @@ use std::path::Path;
 
 /// The forms that [`detector`] knows, for help texts.
 pub const DETECTORS: &str = "truth (the renderer's boxes), truth:faulty (with a real detector's faults), \
+     outlines and outlines:faulty (the same worked out from shapes without drawing, for fast training), \
      centernet (the one that travels with this program), centernet:FILE (one that train detector wrote), \
      onnx:FILE (any COCO detector in ONNX; onnx alone: what scripts/fetch-detector fetched)";
 
@@ -22,8 +23,11 @@ pub fn detector(name: &str, min_score: f32) -> Result<Box<dyn Detector>, Percept
     let unknown = || failed(name, format!("no detector has this name. Known: {DETECTORS}"));
     let (kind, file) = name.split_once(':').map_or((name, None), |(kind, file)| (kind, Some(file)));
     match kind {
-        "truth" if file.is_none() => Ok(Box::new(TruthDetector::new())),
-        "truth" if file == Some("faulty") => Ok(Box::new(TruthDetector::with_faults(Faults::HONEST))),
+        "truth" | "outlines" if matches!(file, None | Some("faulty")) => {
+            let faults = if file.is_some() { Faults::HONEST } else { Faults::NONE };
+            let truth = TruthDetector::with_faults(faults);
+            Ok(Box::new(if kind == "outlines" { truth.by_outlines() } else { truth }))
+        }
         "centernet" => centernet(name, file, min_score),
         "onnx" => onnx(name, file, min_score),
         _ => Err(unknown()),

@@ -79,9 +79,10 @@ impl Perception {
         &self.camera
     }
 
-    /// The outputs that the camera must render.
+    /// The outputs that the camera must render for the detector; lanes and the transformed image need the
+    /// picture besides.
     pub fn needs(&self) -> Outputs {
-        Outputs { rgb: true, ..self.detector.needs() }
+        self.detector.needs()
     }
 
     /// The detector's name.

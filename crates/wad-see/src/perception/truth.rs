@@ -1,4 +1,5 @@
-//! The detector `truth`: the renderer's boxes of visible objects, optionally with a real detector's faults.
+//! The detectors `truth` and `outlines`: boxes of visible objects, as the renderer drew them or worked out from
+//! shapes without drawing, optionally with a real detector's faults.
 
 use super::{Detection, Detector, PerceptionError};
 use rand::RngExt;
@@ -61,6 +62,8 @@ impl Default for Faults {
 /// Boxes of the renderer's ground truth.
 pub struct TruthDetector {
     faults: Faults,
+    /// The boxes come from shapes: nothing is drawn.
+    outlines: bool,
     rng: ChaCha8Rng,
     /// Each visible object of the last tick: its class, box and luck (a standard normal number).
     luck: Vec<(ObjectClass, [f32; 4], f64)>,
@@ -84,7 +87,13 @@ impl TruthDetector {
 
     /// A detector with faults.
     pub fn with_faults(faults: Faults) -> Self {
-        Self { faults, rng: seeds::rng(0, "detector"), luck: Vec::new(), ghosts: Vec::new() }
+        Self { faults, outlines: false, rng: seeds::rng(0, "detector"), luck: Vec::new(), ghosts: Vec::new() }
+    }
+
+    /// The same with boxes that are worked out from shapes.
+    #[must_use]
+    pub fn by_outlines(self) -> Self {
+        Self { outlines: true, ..self }
     }
 
     /// The probability that an object is found.
@@ -172,16 +181,9 @@ fn is_visible(object: &ObjectTruth, camera: &CameraConfig) -> bool {
 
 /// Share of an object that nothing hides (0..1): its pixels against what its class fills of its box.
 fn visible_share(object: &ObjectTruth) -> f64 {
-    let fills = match object.class {
-        ObjectClass::Car => 0.75,
-        ObjectClass::Bus | ObjectClass::Truck => 0.85,
-        ObjectClass::Motorcycle | ObjectClass::Bicycle | ObjectClass::Bench => 0.45,
-        ObjectClass::Person => 0.4,
-        ObjectClass::TrafficLight => 0.7,
-    };
     let [l, t, r, b] = object.full_box.map(f64::from);
     let area = ((r - l) * (b - t)).max(1.0);
-    (f64::from(object.visible_pixels) / (fills * area)).min(1.0)
+    (f64::from(object.visible_pixels) / (f64::from(object.class.fills()) * area)).min(1.0)
 }
 
 fn logistic(x: f64) -> f64 {
@@ -195,11 +197,16 @@ fn normal_share(x: f64) -> f64 {
 
 impl Detector for TruthDetector {
     fn name(&self) -> &str {
-        if self.faults == Faults::NONE { "truth" } else { "truth:faulty" }
+        match (self.outlines, self.faults == Faults::NONE) {
+            (false, true) => "truth",
+            (false, false) => "truth:faulty",
+            (true, true) => "outlines",
+            (true, false) => "outlines:faulty",
+        }
     }
 
     fn needs(&self) -> Outputs {
-        Outputs { boxes: true, ..Outputs::RGB }
+        Outputs { boxes: !self.outlines, outlines: self.outlines, ..Outputs::NONE }
     }
 
     fn reset(&mut self, seed: u64) {

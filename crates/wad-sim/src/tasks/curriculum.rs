@@ -119,6 +119,19 @@ impl Curriculum {
     }
 }
 
+/// How a stage was left.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Passed {
+    /// Its index.
+    pub stage: usize,
+    /// Its threshold was reached; false: its steps were spent.
+    pub threshold: bool,
+    /// Environment steps spent in it.
+    pub steps: u64,
+    /// Share of its last episodes that were successful (0..1).
+    pub rate: f64,
+}
+
 /// Training's progress in a curriculum; saved with checkpoints.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Progress {
@@ -143,10 +156,16 @@ impl Progress {
         TaskSpec { traffic: stage.traffic, ..TaskSpec::new(stage.task) }.in_weather(weather)
     }
 
-    /// Notes an episode of `steps` environment steps. True where it was the one that brings the next
-    /// stage (or, in the last one, passes the last threshold).
-    pub fn note(&mut self, curriculum: &Curriculum, task: TaskKind, steps: u64, success: bool) -> bool {
-        let Some(stage) = curriculum.stages.get(self.stage) else { return false };
+    /// Notes an episode of `steps` environment steps. Says how the stage was passed where this episode brings
+    /// the next one (or, in the last one, passes the last threshold).
+    pub fn note(
+        &mut self,
+        curriculum: &Curriculum,
+        task: TaskKind,
+        steps: u64,
+        success: bool,
+    ) -> Option<Passed> {
+        let stage = curriculum.stages.get(self.stage)?;
         self.steps += steps;
         if task == stage.task {
             self.recent.push_back(success);
@@ -154,18 +173,20 @@ impl Progress {
                 self.recent.pop_front();
             }
         }
-        let passed = self.recent.len() == stage.window && self.success_rate() >= stage.threshold;
+        let (steps, rate) = (self.steps, self.success_rate());
+        let threshold = self.recent.len() == stage.window && rate >= stage.threshold;
         let spent = stage.most_steps.is_some_and(|most| self.steps >= most);
+        let passed = Passed { stage: self.stage, threshold, steps, rate };
         if self.stage + 1 == curriculum.stages.len() {
-            let first = passed && !self.done;
-            self.done |= passed;
-            return first;
+            let first = threshold && !self.done;
+            self.done |= threshold;
+            return first.then_some(passed);
         }
-        if passed || spent {
+        if threshold || spent {
             *self = Self { stage: self.stage + 1, ..Self::default() };
-            return true;
+            return Some(passed);
         }
-        false
+        None
     }
 
     /// Share of the last episodes of the stage's task that were successful; 0 before the first.
@@ -215,18 +236,21 @@ mod tests {
         let curriculum = parse(SHIPPED).unwrap();
         let mut progress = Progress::default();
         for _ in 0..19 {
-            assert!(!progress.note(&curriculum, TaskKind::Straight, 100, true));
+            assert!(progress.note(&curriculum, TaskKind::Straight, 100, true).is_none());
         }
-        assert!(progress.note(&curriculum, TaskKind::Straight, 100, true));
+        let passed = progress.note(&curriculum, TaskKind::Straight, 100, true);
+        assert_eq!(passed, Some(Passed { stage: 0, threshold: true, steps: 2000, rate: 1.0 }));
         assert_eq!((progress.stage, progress.steps), (1, 0));
         // A replay's success says nothing about this stage.
         for _ in 0..40 {
-            assert!(!progress.note(&curriculum, TaskKind::Straight, 100, true));
+            assert!(progress.note(&curriculum, TaskKind::Straight, 100, true).is_none());
         }
-        assert!(progress.note(&curriculum, TaskKind::OneTurn, 80_000, false));
+        let spent = progress.note(&curriculum, TaskKind::OneTurn, 80_000, false).unwrap();
+        assert_eq!((spent.stage, spent.threshold), (1, false));
         assert_eq!(progress.stage, 2);
         let mut last = Progress { stage: 5, ..Progress::default() };
-        let passed = (0..60).filter(|_| last.note(&curriculum, TaskKind::Composite, 1000, true)).count();
+        let passed =
+            (0..60).filter(|_| last.note(&curriculum, TaskKind::Composite, 1000, true).is_some()).count();
         assert_eq!((passed, last.stage, last.done), (1, 5, true));
     }
 

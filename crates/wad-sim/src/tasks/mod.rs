@@ -23,7 +23,7 @@ mod error;
 mod place;
 mod survey;
 
-pub use curriculum::{Curriculum, CurriculumError, Progress, Stage};
+pub use curriculum::{Curriculum, CurriculumError, Passed, Progress, Stage};
 pub use error::TaskError;
 pub use place::{ObstacleKind, ObstaclePlacement, Placement, Places, Spot};
 

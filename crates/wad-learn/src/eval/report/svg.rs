@@ -65,6 +65,15 @@ impl Svg {
         ));
     }
 
+    /// A shaded area.
+    fn area(&mut self, points: impl Iterator<Item = (f64, f64)>, colour: &str) {
+        let points: Vec<String> = points.map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
+        self.push(format_args!(
+            "<polygon points=\"{}\" fill=\"{colour}\" fill-opacity=\"0.15\"/>",
+            points.join(" ")
+        ));
+    }
+
     pub fn dot(&mut self, (x, y): (f64, f64), radius: f64, fill: &str, title: &str) {
         self.push(format_args!(
             "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius}\" fill=\"{fill}\" stroke=\"white\" stroke-width=\"0.7\"><title>{}</title></circle>",
@@ -121,7 +130,7 @@ pub fn distribution(title: &str, unit: &str, step: f64, lines: &[(String, Vec<u6
         let all = counts.iter().sum::<u64>();
         let shares = counts.iter().map(|n| 100.0 * *n as f64 / all as f64).enumerate();
         let steps = shares.flat_map(|(bin, share)| [bin, bin + 1].map(|edge| (step * edge as f64, share)));
-        (all > 0).then(|| Line { name: name.clone(), points: steps.collect() })
+        (all > 0).then(|| Line { name: name.clone(), points: steps.collect(), band: Vec::new() })
     };
     let bins = lines.iter().map(|(_, counts)| counts.len()).max().unwrap_or(0);
     let chart = Chart {
@@ -151,13 +160,16 @@ pub struct Line {
     pub name: String,
     /// Points (x, y).
     pub points: Vec<(f64, f64)>,
+    /// A shaded range: x, lowest y, highest y; may be empty.
+    pub band: Vec<[f64; 3]>,
 }
 
 impl Line {
     /// `f` over `n` evenly spaced points.
     pub fn of(name: &str, (from, to): (f64, f64), n: usize, f: impl Fn(f64) -> f64) -> Self {
         let at = |i: usize| from + (to - from) * i as f64 / (n.max(2) - 1) as f64;
-        Self { name: name.to_string(), points: (0..n.max(2)).map(|i| (at(i), f(at(i)))).collect() }
+        let points = (0..n.max(2)).map(|i| (at(i), f(at(i)))).collect();
+        Self { name: name.to_string(), points, band: Vec::new() }
     }
 }
 
@@ -174,7 +186,9 @@ impl Chart {
     pub fn svg(&self) -> String {
         let all =
             || self.lines.iter().flat_map(|line| &line.points).filter(|p| p.0.is_finite() && p.1.is_finite());
-        let (x, y) = (Axis::around(all().map(|p| p.0), false), Axis::around(all().map(|p| p.1), true));
+        let bands = || self.lines.iter().flat_map(|line| &line.band).flat_map(|b| [b[1], b[2]]);
+        let x = Axis::around(all().map(|p| p.0), false);
+        let y = Axis::around(all().map(|p| p.1).chain(bands()), true);
         let (right, foot) = (WIDTH - RIGHT, TOP + PLOT_HEIGHT);
         let px = |v: f64| LEFT + x.share(v) * (right - LEFT);
         let py = |v: f64| TOP + (1.0 - y.share(v)) * PLOT_HEIGHT;
@@ -198,6 +212,11 @@ impl Chart {
             let at = foot + BOTTOM + 6.0 + i as f64 * LEGEND_ROW;
             svg.text(LEFT + 28.0, at + 4.0, "start", &line.name);
             svg.rule((LEFT, at), (LEFT + 22.0, at), colour, 3.0);
+            if !line.band.is_empty() {
+                let upper = line.band.iter().map(|b| (px(b[0]), py(b[2])));
+                let lower = line.band.iter().rev().map(|b| (px(b[0]), py(b[1])));
+                svg.area(upper.chain(lower), colour);
+            }
             for run in line.points.split(|p| !p.0.is_finite() || !p.1.is_finite()) {
                 let points: Vec<_> = run.iter().map(|p| (px(p.0), py(p.1))).collect();
                 svg.line(&points, colour, 2.0);

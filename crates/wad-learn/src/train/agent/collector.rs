@@ -9,7 +9,6 @@ use crate::agent::action::{self, Action};
 use crate::agent::batch::InputScale;
 use crate::agent::exploration::Exploration;
 use crate::agent::learner::Actor;
-use crate::agent::networks::Dims;
 use crate::agent::replay_buffer::{SEGMENT, Segment};
 use crate::env::{End, Env, EnvError, Stages, WorldMode};
 use crate::reward::RewardTerms;
@@ -20,7 +19,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::SyncSender;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
-use wad_see::observation::{LATENT_SIZE, Observation};
+use wad_see::observation::Observation;
 
 /// State shared by collectors and learner. Locks are held only for an episode's begin or a pointer's copy.
 #[derive(Debug)]
@@ -96,7 +95,7 @@ pub fn collect(
         out,
         env: None,
         fresh: None,
-        actor: Actor::new(&config.algorithm, Dims::DRIVING, &InputScale::identity(Dims::DRIVING)),
+        actor: Actor::new(&config.algorithm, config.dims(), &InputScale::identity(config.dims())),
         version: None,
         times: Times::default(),
         told: Stages::default(),
@@ -204,7 +203,8 @@ impl Collector<'_> {
         let validating = matches!(job.purpose, Purpose::Validate(_));
         let mut recording = self.record.filter(|_| !validating).map(|folder| (folder, Recording::default()));
         observe(&mut recording, env, &first)?;
-        let mut segment = begin(finite(first.concat())?);
+        let dims = self.config.dims();
+        let mut segment = begin(finite(dims.of(&first))?);
         let (mut episodic_return, mut steps, mut terms) = (0.0, 0, RewardTerms::default());
         loop {
             if self.shared.stop.load(Ordering::Relaxed) {
@@ -214,7 +214,14 @@ impl Collector<'_> {
             let speed = env.speed();
             let asks = autopilot || !validating && (recording.is_some() || self.config.asks());
             let shown = if asks { Some(action::from_control(env.expert()?)) } else { None };
-            let action = self.act(&job.purpose, shown, &segment, &mut noise, &mut rng)?;
+            let action = match (&job.purpose, shown) {
+                (Purpose::Demonstrate { noisy: true }, Some(shown)) => {
+                    noise.advance(&mut rng);
+                    noise.slip(shown, &env.raw().vector(), &mut rng)
+                }
+                (Purpose::Demonstrate { .. }, shown) => shown.unwrap_or_default(),
+                (purpose, _) => self.act(purpose, &segment, &mut noise, &mut rng)?,
+            };
             let step = env.step(action::to_control(action))?;
             if let Some(ending) = step.info.ending.as_ref().filter(|ending| ending.end == End::Error) {
                 // The unfinished transition is dropped; all before it are kept.
@@ -234,7 +241,7 @@ impl Collector<'_> {
             segment.actions.push(action);
             segment.shown.push(shown.map(|a| action::shown(a, speed)));
             segment.rewards.push(step.reward as f32);
-            segment.observations.push(finite(step.observation.concat())?);
+            segment.observations.push(finite(dims.of(&step.observation))?);
             segment.terminated = step.terminated;
             segment.truncated = step.truncated;
             let over = step.terminated || step.truncated;
@@ -254,7 +261,6 @@ impl Collector<'_> {
     fn act(
         &mut self,
         purpose: &Purpose,
-        shown: Option<Action>,
         segment: &Segment,
         noise: &mut Exploration,
         rng: &mut ChaCha8Rng,
@@ -263,12 +269,7 @@ impl Collector<'_> {
         let normal = noise.advance(rng);
         let clock = Instant::now();
         let action = match purpose {
-            Purpose::Demonstrate { noisy } => {
-                let action = shown.unwrap_or_default();
-                let raw = &observation[LATENT_SIZE.min(observation.len())..];
-                return Ok(if *noisy { noise.slip(action, raw, rng) } else { action });
-            }
-            Purpose::Start => return Ok(noise.start_action()),
+            Purpose::Demonstrate { .. } | Purpose::Start => return Ok(noise.start_action()),
             Purpose::Explore => {
                 self.follow_actor()?;
                 if self.actor.is_stochastic() {

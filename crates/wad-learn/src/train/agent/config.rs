@@ -3,6 +3,7 @@
 use crate::agent::batch::Inputs;
 use crate::agent::exploration::ExplorationParams;
 use crate::agent::learner::Algorithm;
+use crate::agent::networks::Dims;
 use crate::agent::replay_buffer::Sampling;
 use crate::env::{EnvOptions, ObservationMode};
 use serde::{Deserialize, Serialize};
@@ -41,7 +42,7 @@ pub struct TrainConfig {
     pub encoder_hash: String,
     /// Noise on the actions.
     pub exploration: ExplorationParams,
-    /// Updates per environment step.
+    /// Updates per environment step; 0: drives and does not learn.
     pub update_ratio: f64,
     /// Transitions per update.
     pub batch_size: usize,
@@ -116,7 +117,7 @@ impl TrainConfig {
             exploration: ExplorationParams::default(),
             update_ratio: 1.0,
             batch_size: 256,
-            n_step: 1,
+            n_step: 3,
             reward_scale: 1.0,
             buffer: 1_000_000,
             learning_starts: 5_000,
@@ -130,6 +131,11 @@ impl TrainConfig {
             validation: ValidationParams::default(),
             checkpoint_every: 25_000,
         }
+    }
+
+    /// The networks' sizes.
+    pub fn dims(&self) -> Dims {
+        self.inputs.dims()
     }
 
     /// Drops a part of the observation, in the networks and in the environment.
@@ -172,8 +178,8 @@ impl TrainConfig {
             Some(format!("expected gamma from 0 to below 1, found {gamma}"))
         } else if self.batch_size == 0 || self.n_step == 0 {
             Some("expected a batch size and a number of steps of 1 or more, found 0".to_string())
-        } else if !(self.update_ratio > 0.0 && self.update_ratio <= 64.0) {
-            Some(format!("expected an update ratio above 0 and up to 64, found {}", self.update_ratio))
+        } else if !(0.0..=64.0).contains(&self.update_ratio) {
+            Some(format!("expected an update ratio from 0 to 64, found {}", self.update_ratio))
         } else if !(0.0..=1.0).contains(&self.other_days) {
             Some(format!("expected a share of other days from 0 to 1, found {}", self.other_days))
         } else if !(0.0..=1.0).contains(&self.latent_mixing) {

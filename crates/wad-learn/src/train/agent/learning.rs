@@ -7,12 +7,12 @@ mod validation;
 use super::checkpoint::{Best, Checkpoints, RngState, State};
 use super::collector::{Message, Shared, collect, lock};
 use super::config::TrainConfig;
+use super::curve::StagePassed;
 use super::log::RunLog;
 use super::schedule::{ActorCopy, Purpose, Report, Schedule};
 use super::{Limits, Maker, Progress, TrainError, Trained};
 use crate::agent::batch::{Batches, InputScale, Metrics, Scale};
 use crate::agent::learner::Learner;
-use crate::agent::networks::Dims;
 use crate::agent::policy::{Policy, PolicyCard};
 use crate::agent::replay_buffer::{ReplayBuffer, Sampled};
 use crate::agent::replay_files::write_whole;
@@ -25,6 +25,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use sumo_network::seeds;
 use validation::Validation;
+use wad_sim::tasks::Passed;
 
 /// Updates that are sampled and moved to the device together.
 const TOGETHER: usize = 8;
@@ -179,9 +180,9 @@ impl<'a> Learning<'a> {
         if file.exists() && !resume {
             return Err(TrainError::Taken { path: out.clone() });
         }
-        let mut learner = Learner::new(&config.algorithm, Dims::DRIVING, config.seed, limits.device);
+        let mut learner = Learner::new(&config.algorithm, config.dims(), config.seed, limits.device);
         let mut checkpoints = Checkpoints::new(out);
-        let new_buffer = || Ok(ReplayBuffer::new(Dims::DRIVING, config.buffer)?);
+        let new_buffer = || Ok(ReplayBuffer::new(config.dims(), config.buffer)?);
         let (state, buffer) = if resume {
             let (state, buffer) = checkpoints.restore(&mut learner, new_buffer)?;
             (Some(state), buffer)
@@ -252,7 +253,7 @@ impl<'a> Learning<'a> {
             scale: self
                 .scale
                 .as_ref()
-                .map_or_else(|| InputScale::identity(Dims::DRIVING), |(scale, _)| scale.clone()),
+                .map_or_else(|| InputScale::identity(self.config.dims()), |(scale, _)| scale.clone()),
         }
     }
 
@@ -297,6 +298,9 @@ impl<'a> Learning<'a> {
                     return Ok(());
                 }
                 self.start_validation(shared);
+            }
+            if self.config.update_ratio == 0.0 && self.ready() {
+                self.begin_rate(Instant::now());
             }
             if behind > 0 {
                 self.learn(shared, behind.min(TOGETHER as u64) as usize)?;
@@ -351,15 +355,14 @@ impl<'a> Learning<'a> {
         let config = self.config;
         let (_, scale) = self.scale.get_or_insert_with(|| {
             let (mean, deviation) = self.buffer.moments(MEASURED);
-            let scale =
-                InputScale::measured(&mean, &deviation, Dims::DRIVING, config.inputs, config.latent_gain);
+            let scale = InputScale::measured(&mean, &deviation, config.dims(), config.latent_gain);
             let tensors = scale.tensors(self.limits.device);
             (scale, tensors)
         });
         self.buffer.sample(&mut self.rng, config.sampling(), updates, &mut self.sampled);
-        let batches = Batches::upload(&self.sampled, Dims::DRIVING, scale, self.limits.device);
+        let batches = Batches::upload(&self.sampled, config.dims(), scale, self.limits.device);
         if config.latent_mixing > 0.0 {
-            batches.mix_latents(Dims::DRIVING, config.latent_mixing, &mut self.rng);
+            batches.mix_latents(config.dims(), config.latent_mixing, &mut self.rng);
         }
         batches
     }
@@ -468,7 +471,7 @@ impl<'a> Learning<'a> {
             }
             purpose => {
                 let agent = !matches!(purpose, Purpose::Demonstrate { .. });
-                let mut news = None;
+                let mut passed = None;
                 let (stage, rate) = {
                     let mut schedule = lock(&shared.schedule);
                     let state = &mut schedule.state;
@@ -479,21 +482,23 @@ impl<'a> Learning<'a> {
                             self.returns.pop_front();
                         }
                         let success = report.ending.success;
-                        if state.progress.note(curriculum, report.task.kind, report.steps, success) {
-                            news = Some(match curriculum.stages.get(state.progress.stage) {
-                                Some(stage) if !state.progress.done => format!(
-                                    "step {}: next stage {}, {}",
-                                    self.steps, state.progress.stage, stage.task
-                                ),
-                                _ => format!("step {}: the last stage is complete", self.steps),
-                            });
-                        }
+                        passed = state.progress.note(curriculum, report.task.kind, report.steps, success);
                     }
                     (state.progress.stage, state.progress.success_rate())
                 };
                 self.log.episode(self.steps, stage, rate, &report)?;
-                if news.is_some() {
-                    self.show(shared, news, progress);
+                if let Some(Passed { stage, threshold, steps, rate }) = passed {
+                    let pass = StagePassed { stage, threshold, step: self.steps, hours: self.hours() };
+                    self.log.passed(&pass)?;
+                    let how = if threshold { "is passed" } else { "is left, its steps are spent" };
+                    let task = self.config.curriculum.stages[stage].task;
+                    let news = format!(
+                        "step {}: stage {} ({task}) {how}, after {steps} steps with {:.0} % of its last episodes",
+                        self.steps,
+                        stage + 1,
+                        100.0 * rate
+                    );
+                    self.show(shared, Some(news), progress);
                 }
             }
         }
@@ -529,7 +534,7 @@ impl<'a> Learning<'a> {
         let c = self.config;
         let card = PolicyCard {
             algorithm: c.algorithm.clone(),
-            dims: Dims::DRIVING,
+            dims: c.dims(),
             inputs: c.inputs,
             encoder_hash: c.encoder_hash.clone(),
             camera_hash: c.env.camera.hash(),
@@ -543,7 +548,12 @@ impl<'a> Learning<'a> {
             config: serde_json::to_value(c).unwrap_or_default(),
         };
         let scale = self.scale.as_ref().map(|(scale, _)| scale.clone());
-        Policy::new(card, scale.unwrap_or_else(|| InputScale::identity(Dims::DRIVING)), values)
+        Policy::new(card, scale.unwrap_or_else(|| InputScale::identity(c.dims())), values)
+    }
+
+    /// Wall time of all calls of this training (h).
+    fn hours(&self) -> f64 {
+        (self.before_seconds + self.began.elapsed().as_secs_f64()) / 3600.0
     }
 
     fn save(&mut self, shared: &Shared) -> Result<(), TrainError> {
@@ -563,7 +573,7 @@ impl<'a> Learning<'a> {
             scale: self.scale.as_ref().map(|(scale, _)| scale.clone()),
             best: self.best,
             validated_at: self.validated_at,
-            wall_seconds: self.before_seconds + self.began.elapsed().as_secs_f64(),
+            wall_seconds: 3600.0 * self.hours(),
             replay: Default::default(),
             learner_bytes: 0,
             learner_crc: 0,

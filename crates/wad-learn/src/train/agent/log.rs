@@ -2,6 +2,7 @@
 //! names.
 
 use super::TrainError;
+use super::curve::StagePassed;
 use super::schedule::{Purpose, Report};
 use crate::reward::RewardTerms;
 use crate::train::tensorboard::EventWriter;
@@ -89,6 +90,19 @@ impl RunLog {
         line.extend(values.iter().map(|(name, value)| ((*name).to_string(), json!(value))));
         write(&mut self.lines, &line).map_err(|source| self.failed(source))?;
         self.scalars(steps, values.iter().copied())?;
+        self.flush()
+    }
+
+    /// Logs that a stage was passed.
+    ///
+    /// # Errors
+    /// The logs cannot be written.
+    pub fn passed(&mut self, pass: &StagePassed) -> Result<(), TrainError> {
+        let line = Map::from_iter([
+            ("global_step".to_string(), json!(pass.step)),
+            ("passed".to_string(), json!(pass)),
+        ]);
+        write(&mut self.lines, &line).map_err(|source| self.failed(source))?;
         self.flush()
     }
 

@@ -14,6 +14,7 @@
 mod checkpoint;
 mod collector;
 mod config;
+mod curve;
 mod learning;
 mod log;
 mod other_days;
@@ -25,6 +26,7 @@ mod tests;
 pub use checkpoint::Best;
 pub use collector::Times;
 pub use config::{TrainConfig, ValidationParams};
+pub use curve::{Curve, StagePassed};
 pub use learning::train;
 
 use crate::agent::learner::Misfit;

@@ -9,6 +9,7 @@
 
 use super::TrainError;
 use crate::agent::action::{self, ACTION_SIZE, Action};
+use crate::agent::networks::Dims;
 use crate::agent::replay_buffer::{SEGMENT, Segment};
 use crate::agent::replay_files::write_whole;
 use crate::dataset::image_codec::{decode_png, encode_png};
@@ -17,7 +18,7 @@ use std::io::{Error, ErrorKind};
 use std::path::{Path, PathBuf};
 use wad_see::eyes::EyesError;
 use wad_see::latent::Encoder;
-use wad_see::observation::{self, LATENT_SIZE, RAW_SIZE, RawState};
+use wad_see::observation::{self, Observation, RAW_SIZE, RawState};
 use wad_see::perception::{TRANSFORMED_SIZE, TransformedImage};
 use wad_sim::tasks::TaskKind;
 
@@ -115,7 +116,7 @@ pub fn list(folder: &Path) -> Result<Vec<PathBuf>, TrainError> {
     Ok(found)
 }
 
-/// An episode with latents of `encoder`, in segments for the replay buffer.
+/// An episode as networks of `dims` see it, with latents of `encoder`, in segments for the replay buffer.
 ///
 /// # Errors
 /// The file cannot be read, is damaged, or is of another camera; or the encoder fails.
@@ -123,6 +124,7 @@ pub fn load(
     path: &Path,
     camera_hash: &str,
     encoder: &mut dyn Encoder,
+    dims: Dims,
 ) -> Result<(Header, Vec<Segment>), TrainError> {
     let failed = |source| TrainError::Read { path: path.to_path_buf(), source };
     let data = std::fs::read(path).map_err(failed)?;
@@ -142,16 +144,22 @@ pub fn load(
     }
     let mut image = TransformedImage::default();
     let mut observations = Vec::with_capacity(header.transitions + 1);
-    let mut latent = Vec::new();
+    let mut observation = Observation { latent: Vec::new(), raw: [0.0; RAW_SIZE] };
+    let mut speeds = Vec::with_capacity(header.transitions + 1);
     let side = TRANSFORMED_SIZE as u32;
     for _ in 0..=header.transitions {
         let length = take(&mut rest, 4).map_err(failed)?;
         let length = u32::from_le_bytes([length[0], length[1], length[2], length[3]]);
         let png = take(&mut rest, length as usize).map_err(failed)?;
         decode_png(png, side, side, image.bytes_mut()).map_err(|e| failed(Error::other(e)))?;
-        encoder.encode(&image, &mut latent).map_err(|e| TrainError::Env(EyesError::from(e).into()))?;
-        let raw = floats(&mut rest, RAW_SIZE).map_err(failed)?;
-        observations.push([latent.as_slice(), &raw].concat());
+        if dims.latent > 0 {
+            encoder
+                .encode(&image, &mut observation.latent)
+                .map_err(|e| TrainError::Env(EyesError::from(e).into()))?;
+        }
+        observation.raw.copy_from_slice(&floats(&mut rest, RAW_SIZE).map_err(failed)?);
+        speeds.push(RawState::speed_of(&observation.raw));
+        observations.push(dims.of(&observation));
     }
     let mut segments = Vec::new();
     let mut segment = Segment::default();
@@ -160,9 +168,8 @@ pub fn load(
         let action_at = |at: usize| -> Action { std::array::from_fn(|i| numbers[at + i]) };
         segment.observations.push(observations[i].clone());
         segment.actions.push(action_at(0));
-        let speed = RawState::speed_of(&observations[i][LATENT_SIZE..]);
         let asked = numbers[ACTION_SIZE] > 0.5;
-        segment.shown.push(asked.then(|| action::shown(action_at(ACTION_SIZE + 1), speed)));
+        segment.shown.push(asked.then(|| action::shown(action_at(ACTION_SIZE + 1), speeds[i])));
         segment.rewards.push(numbers[2 * ACTION_SIZE + 1]);
         let last = i + 1 == header.transitions;
         if last || segment.len() == SEGMENT {
@@ -236,7 +243,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         recording(150).write(folder.path(), &header(150, true)).unwrap();
         let files = list(folder.path()).unwrap();
-        let (found, segments) = load(&files[0], "camera", &mut PooledEncoder).unwrap();
+        let (found, segments) = load(&files[0], "camera", &mut PooledEncoder, Dims::DRIVING).unwrap();
         assert_eq!(found, header(150, true));
         assert_eq!(segments.iter().map(Segment::len).collect::<Vec<_>>(), [64, 64, 22]);
         assert_eq!(segments.iter().map(|s| s.terminated).collect::<Vec<_>>(), [false, false, true]);
@@ -256,15 +263,15 @@ mod tests {
         assert!(list(folder.path()).unwrap_err().to_string().contains("no recorded episode"));
         recording(5).write(folder.path(), &header(5, false)).unwrap();
         let file = list(folder.path()).unwrap().remove(0);
-        let error = load(&file, "other", &mut PooledEncoder).unwrap_err().to_string();
+        let error = load(&file, "other", &mut PooledEncoder, Dims::DRIVING).unwrap_err().to_string();
         assert!(error.contains("this one is other"), "{error}");
         recording(5).write(folder.path(), &Header { raw_meaning: 2, ..header(5, false) }).unwrap();
-        let error = load(&file, "camera", &mut PooledEncoder).unwrap_err().to_string();
+        let error = load(&file, "camera", &mut PooledEncoder, Dims::DRIVING).unwrap_err().to_string();
         assert!(error.contains("of meaning 2, expected 3"), "{error}");
         recording(5).write(folder.path(), &header(5, false)).unwrap();
         let data = std::fs::read(&file).unwrap();
         std::fs::write(&file, &data[..data.len() - 7]).unwrap();
-        let error = load(&file, "camera", &mut PooledEncoder).unwrap_err().to_string();
+        let error = load(&file, "camera", &mut PooledEncoder, Dims::DRIVING).unwrap_err().to_string();
         assert!(error.contains("cut short"), "{error}");
     }
 }

@@ -27,7 +27,7 @@ impl Learning<'_> {
                 if interrupt.load(Ordering::Relaxed) {
                     return Ok(());
                 }
-                let (_, segments) = recording::load(file, &camera, &mut *encoder)?;
+                let (_, segments) = recording::load(file, &camera, &mut *encoder, self.config.dims())?;
                 for segment in &segments {
                     self.buffer.push(segment);
                     self.demonstrated += segment.len() as u64;

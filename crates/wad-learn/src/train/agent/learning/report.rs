@@ -22,6 +22,7 @@ impl Learning<'_> {
         values.push(("charts/updates", updates as f64));
         values.push(("charts/buffer", self.buffer.len() as f64));
         values.push(("charts/demonstrated", self.demonstrated as f64));
+        values.push(("charts/hours", self.hours()));
         self.rate.last = (self.steps, updates);
         self.log.figures(self.steps, &values)
     }

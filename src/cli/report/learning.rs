@@ -1,0 +1,123 @@
+//! `wad-cosim report learning`: learning curves of trainings, with their seeds as a band.
+
+use crate::cli::{Exit, print};
+use anyhow::{Context, anyhow};
+use clap::ValueHint;
+use std::path::{Path, PathBuf};
+use wad_cosim::eval::report::{Chart, Line, Table, markdown};
+use wad_cosim::train::agent::Curve;
+
+/// Draw learning curves of trainings. Those that differ in their seed alone become one line with a band.
+#[derive(clap::Args, Debug)]
+pub struct Args {
+    /// Folders that `train agent` wrote.
+    #[arg(value_name = "RUN", required = true, value_hint = ValueHint::DirPath)]
+    runs: Vec<PathBuf>,
+    /// Folder for learning-success.svg, learning-return.svg, learning-stage.svg and learning.md.
+    #[arg(long, value_name = "DIR", default_value = ".", value_hint = ValueHint::DirPath)]
+    out: PathBuf,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> anyhow::Result<Exit> {
+    let curves: Vec<Curve> = args
+        .runs
+        .iter()
+        .map(|run| Curve::load(run).map_err(|e| Exit::Input.because(e)))
+        .collect::<anyhow::Result<_>>()?;
+    std::fs::create_dir_all(&args.out)
+        .map_err(|e| Exit::Input.because(e))
+        .with_context(|| format!("cannot make the folder {}", args.out.display()))?;
+    let mut groups: Vec<Vec<&Curve>> = Vec::new();
+    for curve in &curves {
+        match groups.iter_mut().find(|group| group[0].made == curve.made) {
+            Some(group) => group.push(curve),
+            None => groups.push(vec![curve]),
+        }
+    }
+    type Part = fn(&Curve) -> Vec<(f64, f64)>;
+    let parts: [(&str, &str, Part); 3] = [
+        ("success", "share of the last 40 training episodes that succeeded", Curve::success),
+        ("return", "mean return of the last 40 training episodes", Curve::returns),
+        ("stage", "stages passed", Curve::stages),
+    ];
+    for (name, y, part) in parts {
+        let chart = Chart {
+            title: "Learning; band: from the worst to the best seed".to_string(),
+            x: "environment steps".to_string(),
+            y: y.to_string(),
+            lines: groups.iter().map(|group| line(group, part)).collect(),
+        };
+        write(&args.out.join(format!("learning-{name}.svg")), &chart.svg())?;
+    }
+    write(&args.out.join("learning.md"), &markdown(&[table(&curves)?]))?;
+    Ok(Exit::Done)
+}
+
+fn write(path: &Path, text: &str) -> anyhow::Result<()> {
+    std::fs::write(path, text)
+        .map_err(|e| Exit::Input.because(e))
+        .with_context(|| format!("cannot write {}", path.display()))?;
+    print(&format!("{}\n", path.display()))
+}
+
+/// Points of a line.
+const POINTS: usize = 200;
+
+/// The mean of a group's curves where all of them have a value, and their range.
+fn line(group: &[&Curve], part: fn(&Curve) -> Vec<(f64, f64)>) -> Line {
+    let curves: Vec<Vec<(f64, f64)>> = group.iter().map(|curve| part(curve)).collect();
+    let ends = curves.iter().filter_map(|c| Some((c.first()?.0, c.last()?.0)));
+    let (from, to) = ends.fold((0.0_f64, f64::INFINITY), |(a, b), (from, to)| (a.max(from), b.min(to)));
+    let (mut points, mut band) = (Vec::new(), Vec::new());
+    for i in 0..POINTS {
+        let step = from + (to - from) * i as f64 / (POINTS - 1) as f64;
+        let values: Vec<f64> = curves.iter().filter_map(|curve| at(curve, step)).collect();
+        if values.len() == curves.len() && step.is_finite() {
+            points.push((step, values.iter().sum::<f64>() / values.len() as f64));
+            let range = values.iter().fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(*v), h.max(*v)));
+            band.push([step, range.0, range.1]);
+        }
+    }
+    let seeds: Vec<String> = group.iter().map(|curve| curve.seed.to_string()).collect();
+    let word = if seeds.len() == 1 { "seed" } else { "seeds" };
+    let name = format!("{}, {word} {}", group[0].name, seeds.join(", "));
+    Line { name, points, band: if seeds.len() > 1 { band } else { Vec::new() } }
+}
+
+/// A curve's value at a step; None outside of it.
+fn at(curve: &[(f64, f64)], step: f64) -> Option<f64> {
+    let after = curve.partition_point(|point| point.0 < step);
+    let (a, b) = (curve.get(after.saturating_sub(1))?, curve.get(after)?);
+    let share = if b.0 > a.0 { (step - a.0) / (b.0 - a.0) } else { 1.0 };
+    Some(a.1 + share.clamp(0.0, 1.0) * (b.1 - a.1))
+}
+
+/// When each stage was passed.
+fn table(curves: &[Curve]) -> anyhow::Result<Table> {
+    let longest =
+        curves.iter().max_by_key(|curve| curve.tasks.len()).ok_or_else(|| anyhow!("no training"))?;
+    let mut head = vec!["training".to_string(), "seed".to_string(), "steps".to_string(), "hours".to_string()];
+    head.extend(longest.tasks.iter().cloned());
+    let row = |curve: &Curve| {
+        let mut row = vec![
+            curve.name.clone(),
+            curve.seed.to_string(),
+            curve.steps.to_string(),
+            format!("{:.2}", curve.hours),
+        ];
+        row.extend((0..longest.tasks.len()).map(|stage| {
+            curve.passed.iter().find(|pass| pass.stage == stage).map_or("-".to_string(), |pass| {
+                let how = if pass.threshold { "" } else { " (its steps were spent)" };
+                format!("{} steps, {:.2} h{how}", pass.step, pass.hours)
+            })
+        }));
+        row
+    };
+    Ok(Table {
+        title: "Step and hour at which each stage's threshold was passed".to_string(),
+        head,
+        rows: curves.iter().map(row).collect(),
+        ..Table::default()
+    })
+}
