@@ -42,10 +42,10 @@ pub struct Args {
     #[arg(long, value_name = "N")]
     collectors: Option<usize>,
     /// Updates per environment step, while learning.
-    #[arg(long, value_name = "R", default_value_t = 1.0)]
+    #[arg(long, value_name = "R", default_value_t = 0.5)]
     update_ratio: f64,
     /// Transitions per update.
-    #[arg(long, value_name = "N", default_value_t = 256)]
+    #[arg(long, value_name = "N", default_value_t = 128)]
     batch: usize,
     /// The networks' inputs; raw draws nothing.
     #[arg(long, value_enum, default_value_t = InputChoice::Both)]

@@ -23,7 +23,7 @@ pub enum DriverSpec {
     Autopilot,
     /// A person at the live view's wheel.
     Manual,
-    /// Every pedal anywhere, every tick.
+    /// The wheel anywhere, and one of the pedals, every tick.
     Random,
     /// The same control for ever.
     Constant(Control),
@@ -150,7 +150,7 @@ pub enum Driver {
     Autopilot,
     /// A person in the live view, with their current control.
     Manual(Control),
-    /// Every pedal anywhere, every tick.
+    /// The wheel anywhere, and one of the pedals, every tick.
     Random(Box<ChaCha8Rng>),
     /// The same control for ever.
     Constant(Control),
@@ -200,11 +200,15 @@ impl Driver {
         Ok(Act::Control(match self {
             Self::Autopilot => return Ok(Act::Expert),
             Self::Manual(control) | Self::Constant(control) => *control,
-            Self::Random(rng) => Control {
-                throttle: rng.random_range(0.0..1.0),
-                steer: rng.random_range(-1.0..1.0),
-                brake: rng.random_range(0.0..1.0),
-            },
+            Self::Random(rng) => {
+                // One pedal at a time: the brake wins over the throttle, and with both it would never move.
+                let pedal = rng.random_range(-1.0..1.0_f64);
+                Control {
+                    throttle: pedal.max(0.0),
+                    steer: rng.random_range(-1.0..1.0),
+                    brake: (-pedal).max(0.0),
+                }
+            }
             Self::Agent(agent) => {
                 let observation = eyes.observation();
                 agent.act_seeing(&Seen { observation: &observation, raw: eyes.raw(), frame: eyes.frame() })?
@@ -295,6 +299,20 @@ impl Pilot {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn random_presses_one_pedal_at_a_time() {
+        let mut driver = Driver::Random(Box::new(seeds::rng(1, "random")));
+        let eyes = Eyes::blind();
+        let controls: Vec<Control> = (0..200)
+            .map(|_| match driver.act(&eyes).unwrap() {
+                Act::Control(control) => control,
+                other => panic!("{other:?}"),
+            })
+            .collect();
+        assert!(controls.iter().all(|c| c.throttle == 0.0 || c.brake == 0.0));
+        assert!(controls.iter().any(|c| c.throttle > 0.8) && controls.iter().any(|c| c.brake > 0.8));
+    }
 
     #[test]
     fn drivers_are_read_as_they_are_written() {

@@ -17,7 +17,8 @@ use wad_vehicle::{Contact, EgoState, PartnerKind};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct CriteriaParams {
-    /// Contacts below this impulse (N s) do not count as collisions. Default 200.
+    /// Contacts with vehicles and fixed things below this impulse (N s) do not count as collisions. A
+    /// pedestrian who is touched always does. Default 200.
     pub collision_impulse: f64,
     /// The same partner collides again only after this long apart (s). Default 1.
     pub collision_separation: f64,
@@ -48,7 +49,8 @@ impl Default for CriteriaParams {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum Event {
-    /// The ego touched a road user or a static body, by at least [`CriteriaParams::collision_impulse`].
+    /// The ego touched a pedestrian, or a vehicle or static body by at least
+    /// [`CriteriaParams::collision_impulse`].
     Collision {
         /// Vehicle, pedestrian or static body.
         kind: PartnerKind,
@@ -184,7 +186,7 @@ impl Criteria {
             let partner = (contact.kind as u8, contact.key);
             let apart = self.in_contact.get(&partner).map(|last| self.clock - last);
             let fresh = apart.is_none_or(|apart| apart > self.params.collision_separation + now.tick);
-            if contact.impulse > self.params.collision_impulse {
+            if contact.kind == PartnerKind::Pedestrian || contact.impulse > self.params.collision_impulse {
                 if fresh {
                     events.push(cause::collision(now, contact));
                 }

@@ -16,7 +16,9 @@ impl ContactLog {
         match self.entries.iter_mut().find(|c| c.kind == kind && c.key == key) {
             Some(contact) => {
                 let sum = contact.impulse + impulse;
-                contact.point = (contact.point * contact.impulse + point * impulse) / sum;
+                if sum > 0.0 {
+                    contact.point = (contact.point * contact.impulse + point * impulse) / sum;
+                }
                 contact.impulse = sum;
             }
             None => self.entries.push(Contact { kind, key, impulse, point }),
@@ -25,7 +27,8 @@ impl ContactLog {
 
     /// The contacts with more than a touch (1 N s), by kind and key.
     pub(super) fn finish(mut self) -> Vec<Contact> {
-        self.entries.retain(|c| c.impulse > 1.0);
+        // A pedestrian who is touched counts, however softly.
+        self.entries.retain(|c| c.impulse > 1.0 || c.kind == PartnerKind::Pedestrian);
         self.entries.sort_by_key(|c| (c.kind as u8, c.key));
         self.entries
     }
@@ -81,10 +84,7 @@ impl PedestrianStrikes {
             let turn = body.pose.heading - ego.pose.heading;
             let walking = Vector::new(turn.cos(), turn.sin()) * body.speed;
             let ego_here = ego.velocity + Vector::new(-point.y, point.x) * ego.yaw_rate;
-            let closing = (ego_here - walking).dot(&outward);
-            if closing <= 0.0 {
-                continue;
-            }
+            let closing = (ego_here - walking).dot(&outward).max(0.0);
             self.struck.push(body.key);
             let reduced = params.mass * params.pedestrian_mass / (params.mass + params.pedestrian_mass);
             let impulse = reduced * closing;
@@ -128,7 +128,12 @@ mod tests {
         log.add(PartnerKind::Vehicle, 7, 50.0, Vector::new(0.0, 1.0));
         log.add(PartnerKind::Static, 7, 300.0, Vector::new(2.0, 0.8));
         log.add(PartnerKind::Static, 8, 0.5, Vector::new(0.0, 0.0));
-        let contacts = log.finish();
+        // Brushed twice without a push.
+        log.add(PartnerKind::Pedestrian, 9, 0.0, Vector::new(1.0, 1.0));
+        log.add(PartnerKind::Pedestrian, 9, 0.0, Vector::new(1.0, 1.0));
+        let mut contacts = log.finish();
+        let people: Vec<_> = contacts.extract_if(.., |c| c.kind == PartnerKind::Pedestrian).collect();
+        assert_eq!((people.len(), people[0].impulse, people[0].point), (1, 0.0, Vector::new(1.0, 1.0)));
         assert_eq!(contacts.len(), 2);
         assert_eq!((contacts[0].kind, contacts[0].impulse), (PartnerKind::Vehicle, 50.0));
         assert_eq!(contacts[1].impulse, 400.0);

@@ -394,7 +394,7 @@ fn table(summary: &Summary) -> String {
         let score = &total.score;
         let ends: Vec<String> = score.ends.iter().map(|(end, n)| format!("{end} {n}")).collect();
         text += &format!(
-            "{:10} {:9} {:7} {:18} {:>4}/{:<4}  {:>5.1}-{:<5.1} %  {:>5.1}  {:>6.0}  {}{}\n",
+            "{:10} {:9} {:7} {:18} {:>4}/{:<4}  {:>5.1}-{:<5.1} %  {:>5.1}  {:>6}  {}{}\n",
             eval::report::short(&total.agent),
             total.condition,
             total.town,
@@ -404,7 +404,7 @@ fn table(summary: &Summary) -> String {
             100.0 * score.interval.0,
             100.0 * score.interval.1,
             3.6 * score.mean_speed_mps,
-            score.mean_return,
+            score.mean_return.map_or("-".to_string(), |mean| format!("{mean:.0}")),
             ends.join(", "),
             if score.lost > 0 { format!("; lost with SUMO: {}", score.lost) } else { String::new() },
         );

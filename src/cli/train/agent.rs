@@ -71,10 +71,10 @@ pub struct Args {
     #[arg(long, value_name = "NAME")]
     detector: Option<String>,
     /// Updates per environment step.
-    #[arg(long, value_name = "R", default_value_t = 1.0)]
+    #[arg(long, value_name = "R", default_value_t = 0.5)]
     update_ratio: f64,
     /// Transitions per update.
-    #[arg(long, value_name = "N", default_value_t = 256)]
+    #[arg(long, value_name = "N", default_value_t = 128)]
     batch: usize,
     /// Transitions in the replay buffer (497 MB per million).
     #[arg(long, value_name = "N", default_value_t = 1_000_000)]

@@ -44,11 +44,10 @@ impl Episode {
         let (state, route) = (at.state, ego.route());
         let here = route.at(at.s);
         let bend = (ego.params().wheelbase * here.curvature).atan() / ego.params().max_steer_angle;
-        let worst = |impulse: f64, event: &Event| match event {
-            Event::Collision { impulse: other, .. } => impulse.max(*other),
-            _ => impulse,
-        };
-        let impulse = events.iter().fold(0.0, worst);
+        let impulses = events.iter().filter_map(|event| match event {
+            Event::Collision { impulse, .. } => Some(*impulse),
+            _ => None,
+        });
         let end = ending.map(|ending| ending.end);
         let light = eyes.light().filter(|light| light.stops());
         let facts = Facts {
@@ -64,7 +63,7 @@ impl Episode {
             lead: eyes.raw().lead,
             light: light.map(|light| Light { distance: light.distance, red: light.state.is_red() }),
             ran_red: events.iter().any(|event| matches!(event, Event::RedLight { .. })),
-            collision: (impulse > 0.0).then_some(impulse),
+            collision: impulses.max_by(f64::total_cmp),
             blocked: events.contains(&Event::VehicleBlocked),
             left_road: matches!(end, Some(End::OutsideLane | End::Sidewalk)),
         };

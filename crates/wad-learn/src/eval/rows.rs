@@ -66,8 +66,9 @@ pub struct Score {
     pub mean_seconds: f64,
     /// Mean share of the route that was driven.
     pub mean_route_completion: f64,
-    /// Mean sum of rewards per episode.
-    pub mean_return: f64,
+    /// Mean sum of rewards per episode; None for drivers that do not look: their reward has no vehicle in
+    /// front, so it cannot be compared.
+    pub mean_return: Option<f64>,
     /// Root mean square acceleration (m/s2).
     pub rms_acceleration: f64,
     /// Root mean square of the steering's change per tick (share of full lock).
@@ -157,7 +158,7 @@ impl Score {
             mean_ticks: mean(&|e| e.ticks as f64),
             mean_seconds: mean(&|e| e.ticks as f64 * e.tick_s),
             mean_route_completion: mean(&|e| (e.driven_m / e.route_length_m.max(1.0)).clamp(0.0, 1.0)),
-            mean_return: mean(&|e| e.episodic_return),
+            mean_return: group.iter().all(|e| e.case.agent.looks()).then(|| mean(&|e| e.episodic_return)),
             rms_acceleration: mean(&|e| e.rms_acceleration.powi(2)).sqrt(),
             rms_steer_change: mean(&|e| e.rms_steer_change.powi(2)).sqrt(),
             events,

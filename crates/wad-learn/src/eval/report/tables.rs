@@ -162,7 +162,10 @@ fn driving(section: &Section) -> Table {
         cells.push(spread(&|e| e.ticks as f64 * e.tick_s / 60.0, 2));
         cells.push(format!("{:.1}", 3.6 * s.mean_speed_mps));
         cells.push(spread(&|e| 3.6 * e.top_speed_mps, 1));
-        cells.push(spread(&|e| e.episodic_return, 0));
+        cells.push(match s.mean_return {
+            Some(_) => spread(&|e| e.episodic_return, 0),
+            None => "-".to_string(),
+        });
         cells.push(format!("{:.0} %", 100.0 * s.mean_route_completion));
         cells.push(format!("{:.2}", s.rms_acceleration));
         cells
@@ -180,7 +183,11 @@ fn driving(section: &Section) -> Table {
             "rms acceleration (m/s2)",
         ]),
         rows: lines(section).into_iter().map(row).collect(),
-        notes: vec!["Mean ± standard deviation over episodes.".to_string()],
+        notes: vec![
+            "Mean ± standard deviation over episodes. Drivers that do not look have no return: their reward knows \
+             no vehicle in front."
+                .to_string(),
+        ],
         ..Table::default()
     }
 }

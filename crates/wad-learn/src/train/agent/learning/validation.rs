@@ -7,6 +7,9 @@ use serde_json::json;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+/// An actor that drives less than this in all episodes stands still (m).
+const STANDS: f64 = 5.0;
+
 /// A running validation.
 pub(super) struct Validation {
     pub(super) steps: u64,
@@ -80,6 +83,15 @@ impl Learning<'_> {
             if better { "; best so far" } else { "" }
         );
         self.show(shared, Some(news), progress);
+        if reports.iter().all(|report| report.distance < STANDS) {
+            let news = format!(
+                "step {}: the actor stands still: it drove less than {STANDS} m in each of the {} validation episodes; \
+                 more steps seldom help, try another seed, a smaller learning rate or another reward",
+                validation.steps,
+                reports.len()
+            );
+            self.show(shared, Some(news), progress);
+        }
         Ok(())
     }
 }
