@@ -93,7 +93,7 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
     };
     let maker = maker(&args.encoder, &args.config)?;
     let over = AtomicBool::new(false);
-    let interrupt = wad_cosim::interrupt::flag().context("cannot listen for Ctrl-C")?;
+    let interrupt = crate::cli::interrupt()?.flag();
     let mut learning_since: Option<Instant> = None;
     let trained = train(&config, &limits, false, &over, &maker, |progress| {
         if progress.updates > 0 {

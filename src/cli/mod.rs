@@ -30,6 +30,7 @@ use clap::{ArgAction, Parser, Subcommand};
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
 use tracing_subscriber::EnvFilter;
+use wad_cosim::interrupt::Interrupt;
 
 pub use exit::Exit;
 
@@ -135,6 +136,18 @@ fn start_log(verbose: u8, quiet: bool) {
 pub fn runtime() -> anyhow::Result<tokio::runtime::Runtime> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     runtime.context("cannot start the asynchronous runtime")
+}
+
+/// A number of seconds that an option gives: a year at most.
+fn seconds(text: &str) -> Result<f64, String> {
+    const YEAR: f64 = 366.0 * 86_400.0;
+    let value = text.parse().ok().filter(|value| (0.0..=YEAR).contains(value));
+    value.ok_or_else(|| format!("expected seconds from 0 to {YEAR:.0}, found `{text}`"))
+}
+
+/// Ctrl-C and SIGTERM from now on.
+fn interrupt() -> anyhow::Result<Interrupt> {
+    Interrupt::listen().context("cannot listen for Ctrl-C")
 }
 
 /// A command's answer: `text`, or with `json` the text on stderr and `value` as the last line of stdout.
