@@ -3,7 +3,6 @@
 use crate::cli::agents;
 use crate::cli::progress::Bar;
 use crate::cli::{Exit, print};
-use anyhow::Context;
 use clap::ValueHint;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -18,6 +17,8 @@ use wad_cosim::eval::{
     self, Case, DriverError, DriverSpec, EpisodeRecord, EvalError, Evaluation, Fault, Keep, Manifest, Row,
     Score, Selection, Shard, Store, StoreError, Suite,
 };
+use wad_cosim::folder_lock::LockError;
+use wad_cosim::perception;
 use wad_cosim::traci::process::SumoInstall;
 use wad_cosim::traffic::TrafficSpec;
 
@@ -220,6 +221,9 @@ pub fn run(suite: &str, args: Args) -> anyhow::Result<Exit> {
         Ok((agent.to_string(), made.id))
     });
     let ids = ids.collect::<anyhow::Result<_>>()?;
+    let hashes = |hash: fn(&Assets) -> &str| -> BTreeMap<String, String> {
+        towns.iter().map(|(town, assets)| (town.clone(), hash(assets).to_string())).collect()
+    };
     let manifest = Manifest {
         build: env!("WAD_COSIM_VERSION").to_string(),
         sumo: sumo_version()?,
@@ -227,7 +231,9 @@ pub fn run(suite: &str, args: Args) -> anyhow::Result<Exit> {
         selection,
         options: options.clone(),
         agents: ids,
-        nets: towns.iter().map(|(town, assets)| (town.clone(), assets.net_hash().to_string())).collect(),
+        nets: hashes(Assets::net_hash),
+        towns: hashes(Assets::files_hash),
+        detector: perception::weights_hash(&args.detector),
         shard: args.shard,
     };
     let opened = args.out.as_ref().map(|out| Store::open(out, &manifest, args.resume)).transpose();
@@ -241,7 +247,7 @@ pub fn run(suite: &str, args: Args) -> anyhow::Result<Exit> {
         .filter(|(_, done)| done.is_none())
         .map(|(case, _)| case.clone())
         .collect();
-    let stop = wad_cosim::interrupt::flag().context("cannot listen for Ctrl-C")?;
+    let stop = crate::cli::interrupt()?.flag();
     let bar = Bar::new(mine.len() as u64, "episodes");
     let before = (mine.len() - left.len()) as u64;
     bar.show(before, "");
@@ -357,7 +363,7 @@ pub fn with_exit(error: EvalError) -> anyhow::Error {
         EvalError::Driver(
             DriverError::Unknown { .. } | DriverError::Constant { .. } | DriverError::Manual,
         ) => Exit::Input,
-        EvalError::Store(StoreError::File { .. }) => Exit::Other,
+        EvalError::Store(StoreError::File { .. } | StoreError::Lock(LockError::Make { .. })) => Exit::Other,
         EvalError::Store(_) => Exit::Input,
         #[cfg(feature = "learn")]
         EvalError::Driver(DriverError::Policy(_) | DriverError::Encoder(_)) => Exit::Input,
