@@ -197,6 +197,33 @@ fn request(address: &str, path: &str, headers: &str) -> String {
 }
 
 #[test]
+fn connections_that_never_ask_keep_no_viewer_out() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let viewed = run_in(dir.path(), &[]);
+    Viewer::join(&viewed.address);
+    let files = || std::fs::read_dir(format!("/proc/{}/fd", viewed.child.id())).expect("its files").count();
+    let before = files();
+    let half_open: Vec<TcpStream> = (0..300)
+        .map(|_| {
+            let mut stream = TcpStream::connect(&viewed.address).expect("it listens");
+            stream.write_all(b"GET / HTTP/1.1\r\nHost: ").expect("it reads");
+            stream
+        })
+        .collect();
+    assert!(request(&viewed.address, "/", &format!("Host: {}\r\n", viewed.address)).contains("200"));
+    Viewer::join(&viewed.address).tick();
+    assert!(files() < before + 100, "{} files for {before}", files());
+    // All are closed in the end, without a word from us.
+    for mut stream in half_open {
+        stream.set_read_timeout(Some(Duration::from_secs(60))).expect("a limit");
+        let ended = stream.read_to_end(&mut Vec::new());
+        let closed = |e: &std::io::Error| e.kind() == std::io::ErrorKind::ConnectionReset;
+        assert!(ended.as_ref().is_ok() || ended.as_ref().is_err_and(closed), "{ended:?}");
+    }
+    assert_eq!(viewed.stop(), Some(4));
+}
+
+#[test]
 fn who_does_not_belong_is_refused_and_the_run_goes_on() {
     let folder = tempfile::tempdir().unwrap();
     let run = run_in(folder.path(), &["--view-speed", "4"]);
