@@ -288,6 +288,8 @@ async fn upgrade(State(shared): State<Arc<Shared>>, upgrade: WebSocketUpgrade) -
 
 /// How often the browser of a driver is asked whether it is there.
 const PULSE: Duration = Duration::from_millis(200);
+/// How often viewers are told that the server is there.
+const HEARTBEAT: Duration = Duration::from_millis(500);
 /// Time to send the last message to viewers.
 const LEAVE: Duration = Duration::from_millis(300);
 const MOST_VIEWERS: usize = 64;
@@ -338,6 +340,7 @@ async fn serve_viewer(socket: &mut WebSocket, hub: &Arc<Hub>, viewer: &mut Viewe
     let mut budget = Budget::new(Instant::now());
     let (mut wrong, mut in_flight, mut route) = (0_u32, 0_u64, 0_u64);
     let mut pulse = tokio::time::interval(PULSE);
+    let mut heartbeat = tokio::time::interval(HEARTBEAT);
     let (mut roll_call, mut heard) = (tokio::time::interval(ROLL_CALL), Instant::now());
     viewer.ask(Request::Refresh);
     loop {
@@ -407,6 +410,11 @@ async fn serve_viewer(socket: &mut WebSocket, hub: &Arc<Hub>, viewer: &mut Viewe
                     return GONE;
                 }
             }
+            _ = heartbeat.tick() => {
+                if !send(socket, Message::Text(beat(hub).into())).await {
+                    return GONE;
+                }
+            }
             Ok(()) = greeting.changed() => {
                 if !greet(socket, hub, viewer.id).await {
                     return GONE;
@@ -416,6 +424,11 @@ async fn serve_viewer(socket: &mut WebSocket, hub: &Arc<Hub>, viewer: &mut Viewe
             () = closed(&mut closing) => return OVER,
         }
     }
+}
+
+/// That the server is there, and who has the wheel: the last tick's answer is old when the simulation hangs.
+fn beat(hub: &Hub) -> String {
+    json!({ "type": "beat", "holder": hub.holder() }).to_string()
 }
 
 /// Says what is shown.

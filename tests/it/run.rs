@@ -86,7 +86,7 @@ impl Background {
 }
 
 /// The SUMO child of a process.
-fn sumo_of(parent: u32) -> Option<i32> {
+pub fn sumo_of(parent: u32) -> Option<i32> {
     std::fs::read_dir("/proc").ok()?.flatten().find_map(|entry| {
         let pid: i32 = entry.file_name().to_str()?.parse().ok()?;
         let stat = std::fs::read_to_string(entry.path().join("stat")).ok()?;

@@ -125,6 +125,25 @@ impl Viewer {
         }
     }
 
+    /// Who has the wheel, by the next heartbeat that says so.
+    fn until_holder(&mut self, holder: &Value) {
+        let began = Instant::now();
+        loop {
+            match self.receive() {
+                Some(Ok(Message::Text(text))) => {
+                    let said: Value = serde_json::from_str(&text).expect("JSON");
+                    if said["type"] == "beat" && said["holder"] == *holder {
+                        return;
+                    }
+                }
+                Some(Ok(Message::Binary(_))) => self.send(json!({ "do": "shown", "seq": 0 })),
+                Some(Ok(_)) => {}
+                other => panic!("{other:?}"),
+            }
+            assert!(began.elapsed() < Duration::from_secs(30), "never held by {holder}");
+        }
+    }
+
     /// The state that the next tick shows, and its pictures.
     fn tick(&mut self) -> (Value, Vec<u8>) {
         loop {
@@ -336,6 +355,28 @@ fn a_person_drives_goes_and_the_drive_can_be_driven_again() {
     let telemetry = std::fs::read_to_string(folder.path().join("run/telemetry.jsonl")).unwrap();
     assert!(telemetry.contains(r#""driver":"manual""#) && telemetry.contains(r#""wish":"respawn""#));
     collect_again(folder.path());
+}
+
+/// SUMO hangs, so no tick comes: the server says that it is there, and that a silent viewer has lost the wheel.
+#[test]
+fn who_has_the_wheel_is_said_while_the_simulation_hangs() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = run_in(folder.path(), &[]);
+    let mut viewer = Viewer::join(&run.address);
+    viewer.tick();
+    viewer.send(json!({ "do": "driver", "name": "manual" }));
+    let own = viewer.hello["you"].clone();
+    viewer.until("at the wheel", |state| state["holder"] == own);
+    viewer.drive(0.0, 0.0);
+    viewer.until_holder(&own);
+    let sumo = crate::run::sumo_of(run.child.id()).expect("a SUMO");
+    // SAFETY: kill() only takes numbers; the process is this test's own.
+    let signal = |signal| assert_eq!(unsafe { libc::kill(sumo, signal) }, 0);
+    signal(libc::SIGSTOP);
+    viewer.until_holder(&Value::Null);
+    signal(libc::SIGCONT);
+    viewer.until("the autopilot's", |state| state["holder"].is_null() && state["driver"] == "autopilot");
+    assert_eq!(run.stop(), Some(4));
 }
 
 /// `dataset collect` drives the run again, and finds the ego where the run says.
