@@ -34,6 +34,9 @@ use wad_cosim::interrupt::Interrupt;
 
 pub use exit::Exit;
 
+/// Place of the options that all commands have in a help: behind the command's own, before --help.
+const LAST: usize = 900;
+
 /// Drive an ego vehicle with real physics through SUMO traffic.
 #[derive(Parser)]
 #[command(name = "wad-cosim", version = env!("WAD_COSIM_VERSION"), max_term_width = 100)]
@@ -41,10 +44,10 @@ pub use exit::Exit;
                         4 interrupted, results kept; 1 anything else.")]
 struct Cli {
     /// Print more on stderr: -v progress, -vv details, -vvv everything.
-    #[arg(short, long, global = true, action = ArgAction::Count)]
+    #[arg(short, long, global = true, action = ArgAction::Count, display_order = LAST)]
     verbose: u8,
     /// Print only errors on stderr.
-    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    #[arg(short, long, global = true, conflicts_with = "verbose", display_order = LAST)]
     quiet: bool,
     #[command(subcommand)]
     command: Command,
@@ -167,5 +170,36 @@ pub fn print(text: &str) -> anyhow::Result<()> {
             Err(anyhow::Error::new(error).context("cannot write to standard output"))
         }
         _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn seconds_that_no_clock_holds_are_refused() {
+        for text in ["nan", "inf", "1e300", "-1", "1e8", "soon"] {
+            assert!(seconds(text).unwrap_err().contains(text), "{text}");
+        }
+        assert_eq!((seconds("0"), seconds("60.5")), (Ok(0.0), Ok(60.5)));
+        let run =
+            |option: &str, value: &str| Cli::try_parse_from(["wad-cosim", "run", "town5", option, value]);
+        for option in ["--tick-timeout", "--time"] {
+            assert!(run(option, "nan").is_err() && run(option, "1e300").is_err() && run(option, "5").is_ok());
+        }
+    }
+
+    #[test]
+    fn the_options_of_all_commands_come_last_in_a_help() {
+        let mut program = Cli::command();
+        program.build();
+        for command in program.get_subcommands_mut() {
+            let help = command.render_long_help().to_string();
+            let own = help.rfind("--verbose").expect("a common option");
+            let after = help[own..].matches("\n      --").count();
+            assert!(after == 0, "{}: {help}", command.get_name());
+        }
     }
 }

@@ -392,19 +392,28 @@ fn failure(record: &EpisodeRecord) -> String {
 
 /// The totals as text.
 fn table(summary: &Summary) -> String {
-    let mut text = format!(
-        "{:10} {:9} {:7} {:18} {:>9}  {:>14}  {:>5}  {:>6}  ends\n",
-        "agent", "condition", "town", "task", "success", "95 %", "km/h", "return"
-    );
-    for total in &summary.totals {
+    let named = |total: &Total| {
+        [&*eval::report::short(&total.agent), &total.condition, &total.town, &total.task].map(str::to_string)
+    };
+    let names: Vec<[String; 4]> = summary.totals.iter().map(named).collect();
+    // As wide as the longest name, so that columns stay columns.
+    let mut widths = [10, 9, 7, 18];
+    for (column, width) in widths.iter_mut().enumerate() {
+        let longest = names.iter().map(|row| row[column].chars().count()).max();
+        *width = longest.unwrap_or(0).max(*width);
+    }
+    let row = |cells: [&str; 4]| {
+        let cells = cells.iter().zip(widths).map(|(cell, width)| format!("{cell:width$} "));
+        cells.collect::<String>()
+    };
+    let mut text = row(["agent", "condition", "town", "task"]);
+    text += &format!("{:>9}  {:>14}  {:>5}  {:>6}  ends\n", "success", "95 %", "km/h", "return");
+    for (total, names) in summary.totals.iter().zip(&names) {
         let score = &total.score;
         let ends: Vec<String> = score.ends.iter().map(|(end, n)| format!("{end} {n}")).collect();
+        text += &row(names.each_ref().map(String::as_str));
         text += &format!(
-            "{:10} {:9} {:7} {:18} {:>4}/{:<4}  {:>5.1}-{:<5.1} %  {:>5.1}  {:>6.0}  {}{}\n",
-            eval::report::short(&total.agent),
-            total.condition,
-            total.town,
-            total.task,
+            "{:>4}/{:<4}  {:>5.1}-{:<5.1} %  {:>5.1}  {:>6.0}  {}{}\n",
             score.successes,
             score.episodes,
             100.0 * score.interval.0,
@@ -419,4 +428,25 @@ fn table(summary: &Summary) -> String {
         text += &format!("{} of {} episodes\n", summary.episodes, summary.planned);
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn long_names_keep_the_columns() {
+        let total = |task: &str, town: &str| Total {
+            agent: "autopilot".to_string(),
+            condition: "new".to_string(),
+            town: town.to_string(),
+            task: task.to_string(),
+            score: Score::of(&[]),
+        };
+        let totals = vec![total("short", "town3"), total("a task with a very long name", "my_own_long_town")];
+        let summary = Summary { suite: String::new(), episodes: 0, planned: 0, totals, rows: Vec::new() };
+        let text = table(&summary);
+        let places: Vec<_> = text.lines().skip(1).map(|line| line.find("   0/0")).collect();
+        assert!(places[0].is_some() && places[0] == places[1], "{text}");
+    }
 }
