@@ -238,10 +238,10 @@ fn results_are_not_continued_with_another_scenario_or_detector() {
     let folder = tempfile::tempdir().unwrap();
     let weights = folder.path().join("detector.onnx");
     std::fs::write(&weights, "some weights").unwrap();
-    let (config, detector) = (copy.config().display().to_string(), format!("onnx:{}", weights.display()));
+    let (scenario, detector) = (copy.folder.display().to_string(), format!("onnx:{}", weights.display()));
     let eval = || {
         let mut command =
-            wad(&["eval", &config, "--detector", &detector, "--agent", "constant", "--episodes", "1"]);
+            wad(&["eval", &scenario, "--detector", &detector, "--agent", "constant", "--episodes", "1"]);
         command.arg("--out").arg(folder.path().join("out")).arg("--resume");
         command
     };
