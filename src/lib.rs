@@ -35,7 +35,7 @@ pub use bundle::register as register_bundled;
 pub use sumo_network::{geometry, network, seeds, world};
 pub use sumo_traci as traci;
 pub use wad_camera as camera;
-pub use wad_learn::{agent, dataset, drive, driver, encoder_score, env, eval, reward, tour};
+pub use wad_learn::{agent, dataset, drive, driver, encoder_score, env, eval, folder_lock, reward, tour};
 #[cfg(feature = "learn")]
 pub use wad_learn::{optim, train};
 #[cfg(feature = "learn")]

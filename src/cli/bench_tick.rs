@@ -90,7 +90,7 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
         },
         warm_up: args.warm_up,
     };
-    let mut interrupt = run::Interrupt::listen()?;
+    let mut interrupt = super::interrupt()?;
     let mut bench = TickBench::start(options).await.map_err(with_exit)?;
     let ticks = args.warm_up + args.ticks.max(1);
     // Hidden if stderr is not a terminal.

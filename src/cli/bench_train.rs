@@ -115,7 +115,7 @@ fn measure(
     let limits = Limits { steps: u64::MAX, time: None, collectors, device, out, record: None };
     let maker = maker(&args.encoder, &args.config)?;
     let over = AtomicBool::new(false);
-    let interrupt = wad_cosim::interrupt::flag().context("cannot listen for Ctrl-C")?;
+    let interrupt = crate::cli::interrupt()?.flag();
     let mut since: Option<Instant> = None;
     let trained = train(&config, &limits, false, &over, &maker, |progress| {
         let warm = if config.update_ratio > 0.0 {

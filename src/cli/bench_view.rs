@@ -1,7 +1,7 @@
 //! `wad-cosim bench view`: how much viewers slow down the simulation.
 
 use super::film::Film;
-use super::run::{Interrupt, with_exit};
+use super::run::with_exit;
 use super::view::{About, View, ViewArgs};
 use super::{Exit, print};
 use anyhow::Context;
@@ -102,7 +102,7 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
     let mut view = View::open(listener, &ViewArgs::at_real_time(), &drive, &about)?;
     let crowds = [0, 1, args.viewers];
     let mut times: [Times; 3] = Default::default();
-    let mut interrupt = Interrupt::listen()?;
+    let mut interrupt = super::interrupt()?;
     let mut film = Film::default();
     'turns: for turn in 0..args.repeat {
         for (viewers, times) in crowds.iter().zip(&mut times) {

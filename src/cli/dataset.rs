@@ -2,7 +2,6 @@
 
 use super::progress::Bar;
 use super::{Exit, answer, print};
-use anyhow::Context;
 use clap::{Subcommand, ValueHint};
 use std::path::PathBuf;
 use std::time::Duration;
@@ -14,6 +13,7 @@ use wad_cosim::dataset::{
     TRAINING_WEATHERS, collect,
 };
 use wad_cosim::drive::DriveError;
+use wad_cosim::folder_lock::LockError;
 use wad_cosim::perception::coco::{CLASSES, class_name};
 
 /// Collect training data while the autopilot drives.
@@ -69,14 +69,14 @@ pub struct CollectArgs {
     #[arg(long)]
     camera: bool,
     /// Simulation seconds between frames.
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.5)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.5, value_parser = super::seconds)]
     every: f64,
     /// Keep only frames that show an object of one of these classes, 16 pixels high or more: car, motorcycle,
     /// bicycle, person, bus, truck, "traffic light", bench.
     #[arg(long, value_name = "CLASS", value_delimiter = ',', value_parser = class)]
     showing: Vec<ObjectClass>,
     /// Mean seconds between disturbances of the autopilot's controls; 0: none.
-    #[arg(long, value_name = "SECONDS", default_value_t = NoiseParams::default().pause)]
+    #[arg(long, value_name = "SECONDS", default_value_t = NoiseParams::default().pause, value_parser = super::seconds)]
     noise_pause: f64,
     /// Frames per shard [default: a twentieth of all, at most 500].
     #[arg(long, value_name = "N")]
@@ -110,6 +110,7 @@ pub fn with_exit(error: DatasetError) -> anyhow::Error {
         DatasetError::Bridge(bridge) if bridge.is_input() => Exit::Input,
         DatasetError::Bridge(BridgeError::Folder { .. })
         | DatasetError::Io { .. }
+        | DatasetError::Lock(LockError::Make { .. })
         | DatasetError::DiskFull { .. }
         | DatasetError::System { .. } => Exit::Other,
         DatasetError::Bridge(_) => Exit::Sumo,
@@ -162,7 +163,7 @@ fn run_collect(args: &CollectArgs) -> anyhow::Result<Exit> {
     if options.weathers.iter().any(|w| !TRAINING_WEATHERS.contains(w)) && !args.town.contains("town5") {
         tracing::warn!("networks trained on this dataset also know weathers beyond the three of training");
     }
-    let interrupt = wad_cosim::interrupt::flag().context("cannot listen for Ctrl-C")?;
+    let interrupt = crate::cli::interrupt()?.flag();
     let bar = Bar::new(args.frames as u64, "frames");
     let result = collect(&options, &interrupt, |Progress { frames, wanted }| {
         bar.set_total(wanted as u64);

@@ -30,8 +30,12 @@ use clap::{ArgAction, Parser, Subcommand};
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
 use tracing_subscriber::EnvFilter;
+use wad_cosim::interrupt::Interrupt;
 
 pub use exit::Exit;
+
+/// Place of the options that all commands have in a help: behind the command's own, before --help.
+const LAST: usize = 900;
 
 /// Drive an ego vehicle with real physics through SUMO traffic.
 #[derive(Parser)]
@@ -40,10 +44,10 @@ pub use exit::Exit;
                         4 interrupted, results kept; 1 anything else.")]
 struct Cli {
     /// Print more on stderr: -v progress, -vv details, -vvv everything.
-    #[arg(short, long, global = true, action = ArgAction::Count)]
+    #[arg(short, long, global = true, action = ArgAction::Count, display_order = LAST)]
     verbose: u8,
     /// Print only errors on stderr.
-    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    #[arg(short, long, global = true, conflicts_with = "verbose", display_order = LAST)]
     quiet: bool,
     #[command(subcommand)]
     command: Command,
@@ -137,6 +141,18 @@ pub fn runtime() -> anyhow::Result<tokio::runtime::Runtime> {
     runtime.context("cannot start the asynchronous runtime")
 }
 
+/// A number of seconds that an option gives: a year at most.
+fn seconds(text: &str) -> Result<f64, String> {
+    const YEAR: f64 = 366.0 * 86_400.0;
+    let value = text.parse().ok().filter(|value| (0.0..=YEAR).contains(value));
+    value.ok_or_else(|| format!("expected seconds from 0 to {YEAR:.0}, found `{text}`"))
+}
+
+/// Ctrl-C and SIGTERM from now on.
+fn interrupt() -> anyhow::Result<Interrupt> {
+    Interrupt::listen().context("cannot listen for Ctrl-C")
+}
+
 /// A command's answer: `text`, or with `json` the text on stderr and `value` as the last line of stdout.
 pub fn answer(text: &str, json: bool, value: &impl serde::Serialize) -> anyhow::Result<()> {
     if !json {
@@ -154,5 +170,36 @@ pub fn print(text: &str) -> anyhow::Result<()> {
             Err(anyhow::Error::new(error).context("cannot write to standard output"))
         }
         _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn seconds_that_no_clock_holds_are_refused() {
+        for text in ["nan", "inf", "1e300", "-1", "1e8", "soon"] {
+            assert!(seconds(text).unwrap_err().contains(text), "{text}");
+        }
+        assert_eq!((seconds("0"), seconds("60.5")), (Ok(0.0), Ok(60.5)));
+        let run =
+            |option: &str, value: &str| Cli::try_parse_from(["wad-cosim", "run", "town5", option, value]);
+        for option in ["--tick-timeout", "--time"] {
+            assert!(run(option, "nan").is_err() && run(option, "1e300").is_err() && run(option, "5").is_ok());
+        }
+    }
+
+    #[test]
+    fn the_options_of_all_commands_come_last_in_a_help() {
+        let mut program = Cli::command();
+        program.build();
+        for command in program.get_subcommands_mut() {
+            let help = command.render_long_help().to_string();
+            let own = help.rfind("--verbose").expect("a common option");
+            let after = help[own..].matches("\n      --").count();
+            assert!(after == 0, "{}: {help}", command.get_name());
+        }
     }
 }

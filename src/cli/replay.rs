@@ -2,7 +2,6 @@
 
 use super::progress::Bar;
 use super::{Exit, agents, print};
-use anyhow::Context;
 use clap::ValueHint;
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
@@ -42,7 +41,7 @@ pub struct Args {
     #[command(flatten)]
     view: super::view::ViewArgs,
     /// Film only the last N seconds.
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", value_parser = super::seconds)]
     last: Option<f64>,
     /// Simulate the episode again and compare every bit of every tick.
     #[arg(long)]
@@ -123,7 +122,7 @@ fn film(args: &Args, path: &std::path::Path, recording: &Recording) -> anyhow::R
         .map_err(|e| Exit::Input.because(e))?;
     let frames = recording.frames();
     let shown = args.last.map_or(frames.len(), |s| ((s.max(0.0) * fps) as usize).min(frames.len()));
-    let stop = wad_cosim::interrupt::flag().context("cannot listen for Ctrl-C")?;
+    let stop = crate::cli::interrupt()?.flag();
     let bar = Bar::new(shown as u64, "pictures");
     let first = frames.len() - shown;
     for (index, frame) in frames.iter().enumerate() {
@@ -146,7 +145,7 @@ fn film(args: &Args, path: &std::path::Path, recording: &Recording) -> anyhow::R
 
 /// Simulates the episode again.
 fn again(args: &Args, kept: &Kept, recording: &Recording) -> anyhow::Result<Verdict> {
-    let stop = wad_cosim::interrupt::flag().context("cannot listen for Ctrl-C")?;
+    let stop = crate::cli::interrupt()?.flag();
     let bar = Bar::new(recording.frames().len() as u64, "states");
     let make_agent = agents::maker(kept.options.camera, Limits::default());
     let tick = Duration::from_secs_f64(recording.header().tick_ms / 1000.0);

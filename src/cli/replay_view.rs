@@ -1,6 +1,5 @@
 //! `replay --view`: kept episodes in the browser, with a timeline.
 
-use super::run::Interrupt;
 use super::view::{self, ViewArgs};
 use super::{Exit, print};
 use std::collections::BTreeMap;
@@ -25,7 +24,7 @@ pub fn run(path: &Path, args: &ViewArgs) -> anyhow::Result<Exit> {
 async fn play(path: &Path, args: &ViewArgs) -> anyhow::Result<Exit> {
     let episodes = Episodes::find(path)?;
     let Some(listener) = args.listen()? else { return Ok(Exit::Done) };
-    let mut interrupt = Interrupt::listen()?;
+    let mut interrupt = super::interrupt()?;
     let mut towns = BTreeMap::new();
     let first = load(&episodes, &episodes.first, &mut towns)?;
     let mut player = Player::open(listener, first, episodes.listed.clone(), args.view_speed)?;

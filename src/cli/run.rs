@@ -4,7 +4,7 @@ mod status;
 
 use super::film::{Film, Wanted};
 use super::view::{About, View, ViewArgs};
-use super::{Exit, agents, config, print};
+use super::{Exit, agents, config, print, seconds};
 use anyhow::Context;
 use clap::ValueHint;
 use status::StatusLine;
@@ -17,6 +17,7 @@ use wad_cosim::bridge::{BridgeError, BridgeOptions};
 use wad_cosim::camera::Preset;
 use wad_cosim::drive::{Drive, DriveError, DriveOptions, Status, Summary};
 use wad_cosim::driver::DriverSpec;
+use wad_cosim::interrupt::Interrupt;
 use wad_cosim::latent::Decoder;
 use wad_cosim::perception;
 use wad_cosim::record::{Codec, RecordView};
@@ -58,7 +59,7 @@ pub struct Args {
     #[arg(long, value_name = "N")]
     ticks: Option<u64>,
     /// Stop after this many simulation seconds.
-    #[arg(long, value_name = "SECONDS", conflicts_with = "ticks")]
+    #[arg(long, value_name = "SECONDS", conflicts_with = "ticks", value_parser = seconds)]
     time: Option<f64>,
     /// Seed of everything random [default: the config's seed, or 0].
     #[arg(long, value_name = "N")]
@@ -106,7 +107,7 @@ pub struct Args {
     #[arg(long, value_name = "HOST:PORT", conflicts_with = "gui")]
     attach: Option<String>,
     /// Fail if SUMO takes longer than this for one tick.
-    #[arg(long, value_name = "SECONDS", default_value_t = 60.0)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 60.0, value_parser = seconds)]
     tick_timeout: f64,
     /// Print one JSON object as the last line of stdout; everything else goes to stderr.
     #[arg(long)]
@@ -135,7 +136,7 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
     }
     let pilot = pilot(&args, &assets)?;
     let options = args.options(config, &out, assets.scenario().is_some());
-    let mut interrupt = Interrupt::listen()?;
+    let mut interrupt = super::interrupt()?;
     let started = tokio::select! {
         started = Drive::start_in(&assets, options, pilot, args.weather.unwrap_or_default()) => started,
         () = interrupt.wait() => {
@@ -396,27 +397,6 @@ pub fn with_exit(error: DriveError) -> anyhow::Error {
         DriveError::Folder(FolderError::Write(_)) => Exit::Other,
     };
     exit.because(error)
-}
-
-/// Ctrl-C and SIGTERM.
-pub(super) struct Interrupt {
-    terminate: tokio::signal::unix::Signal,
-    interrupt: tokio::signal::unix::Signal,
-}
-
-impl Interrupt {
-    pub fn listen() -> anyhow::Result<Self> {
-        use tokio::signal::unix::{SignalKind, signal};
-        let listen = |kind| signal(kind).context("cannot listen for Ctrl-C");
-        Ok(Self { terminate: listen(SignalKind::terminate())?, interrupt: listen(SignalKind::interrupt())? })
-    }
-
-    pub async fn wait(&mut self) {
-        tokio::select! {
-            _ = self.terminate.recv() => {}
-            _ = self.interrupt.recv() => {}
-        }
-    }
 }
 
 fn report(summary: &Summary, json: bool) -> anyhow::Result<()> {

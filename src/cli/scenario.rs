@@ -256,6 +256,11 @@ fn same_shapes(a: &Shapes, b: &Shapes) -> bool {
     sorted(a) == sorted(b)
 }
 
+/// "1 thing", "2 things".
+fn counted(count: usize, noun: &str) -> String {
+    format!("{count} {noun}{}", if count == 1 { "" } else { "s" })
+}
+
 #[derive(Serialize)]
 struct Checked {
     name: String,
@@ -276,12 +281,12 @@ fn check(args: &Check) -> anyhow::Result<Exit> {
         }
         if let (true, Some(s)) = (found.problems.is_empty(), &found.scenario) {
             text += &format!(
-                "{name}: ok: {}, {:.0} m, {}, traffic {}, {} things\n",
+                "{name}: ok: {}, {:.0} m, {}, traffic {}, {}\n",
                 s.task,
                 s.route.length(),
                 s.weather.name(),
                 s.traffic,
-                s.things.len()
+                counted(s.things.len(), "thing")
             );
         }
         if args.json {

@@ -33,13 +33,13 @@ pub struct Args {
     #[arg(long, default_value = "ClearNoon")]
     weather: Preset,
     /// Simulation seconds to drive before the picture.
-    #[arg(long, value_name = "SECONDS", default_value_t = 30.0, value_parser = seconds)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 30.0, value_parser = super::seconds)]
     time: f64,
     /// Number of pictures, one every --every seconds; the files are numbered.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     count: u32,
     /// Simulation seconds between the pictures.
-    #[arg(long, value_name = "SECONDS", default_value_t = 5.0, value_parser = seconds)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 5.0, value_parser = super::seconds)]
     every: f64,
     /// PNG (or .jpg) file to write.
     #[arg(long, value_name = "FILE", default_value = "snapshot.png", value_hint = ValueHint::FilePath)]
@@ -116,11 +116,6 @@ pub fn size(text: &str) -> Result<(usize, usize), String> {
     let wrong = || format!("expected WIDTHxHEIGHT, e.g. 512x512, found `{text}`");
     let (width, height) = text.split_once('x').ok_or_else(wrong)?;
     Ok((width.trim().parse().map_err(|_| wrong())?, height.trim().parse().map_err(|_| wrong())?))
-}
-
-fn seconds(text: &str) -> Result<f64, String> {
-    let seconds = text.parse().ok().filter(|s: &f64| s.is_finite() && *s >= 0.0);
-    seconds.ok_or_else(|| format!("expected seconds, 0 or more, found `{text}`"))
 }
 
 /// Runs the command.

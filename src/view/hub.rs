@@ -229,18 +229,30 @@ impl Hub {
         *lock(&self.grip) = None;
     }
 
+    /// The viewer who has the wheel at this moment, also while no tick comes.
+    pub fn holder(&self) -> Option<u64> {
+        lock(&self.grip).filter(|grip| !grip.is_lost()).map(|grip| grip.viewer)
+    }
+
     /// The wheel's wanted position. A viewer who has gone loses the wheel.
     pub fn hands(&self) -> Hands {
         let mut grip = lock(&self.grip);
         match *grip {
             None => Hands::Off,
-            Some(Grip { viewer, seen, told, .. }) if seen.elapsed() > GRIP || told.elapsed() > HUNG => {
+            Some(lost) if lost.is_lost() => {
                 *grip = None;
-                Hands::Lost(viewer)
+                Hands::Lost(lost.viewer)
             }
             Some(Grip { viewer, told, .. }) if told.elapsed() > BUSY => Hands::On(viewer, Wanted::default()),
             Some(Grip { viewer, wanted, .. }) => Hands::On(viewer, wanted),
         }
+    }
+}
+
+impl Grip {
+    /// Whether the viewer has gone, or says nothing.
+    fn is_lost(&self) -> bool {
+        self.seen.elapsed() > GRIP || self.told.elapsed() > HUNG
     }
 }
 

@@ -11,14 +11,18 @@ use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
-use axum::serve::ListenerExt;
 use bytes::Bytes;
+use hyper::server::conn::http1;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::service::TowerToHyperService;
 use serde_json::json;
+use std::collections::VecDeque;
 use std::net::{SocketAddr, TcpListener};
 use std::str::FromStr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::watch;
+use tokio::task::JoinHandle;
 
 /// Why the live view cannot start.
 #[derive(Debug, thiserror::Error)]
@@ -171,7 +175,7 @@ type Shared = (Arc<Hub>, Guard);
 
 async fn serve(listener: TcpListener, hub: Arc<Hub>, guard: Guard) -> std::io::Result<()> {
     let mut closing = hub.closing.subscribe();
-    let shared = Arc::new((hub, guard));
+    let shared = Arc::new((Arc::clone(&hub), guard));
     let app = Router::new()
         .route("/", get(|| file("text/html; charset=utf-8", include_str!("page/index.html"))))
         .route("/view.css", get(|| file("text/css; charset=utf-8", include_str!("page/view.css"))))
@@ -184,20 +188,48 @@ async fn serve(listener: TcpListener, hub: Arc<Hub>, guard: Guard) -> std::io::R
         .route("/ws", get(upgrade))
         .layer(from_fn_with_state(Arc::clone(&shared), check))
         .with_state(shared);
-    // A frame of a few hundred bytes must not wait for the next one.
-    let listener = tokio::net::TcpListener::from_std(listener)?.tap_io(|stream| {
+    let listener = tokio::net::TcpListener::from_std(listener)?;
+    let mut http = http1::Builder::new();
+    http.timer(TokioTimer::new()).header_read_timeout(HEADER_TIME);
+    // Viewers are not among them: a connection leaves when it becomes a WebSocket.
+    let mut open: VecDeque<JoinHandle<()>> = VecDeque::new();
+    loop {
+        let stream = tokio::select! {
+            accepted = listener.accept() => match accepted {
+                Ok((stream, _)) => stream,
+                Err(error) => {
+                    // Out of files, or the other side has gone: it may be better soon.
+                    tracing::debug!("no connection: {error}");
+                    tokio::time::sleep(PULSE).await;
+                    continue;
+                }
+            },
+            () = closed(&mut closing) => break,
+        };
+        // A frame of a few hundred bytes must not wait for the next one.
         if let Err(error) = stream.set_nodelay(true) {
             tracing::debug!("TCP_NODELAY: {error}");
         }
-    });
-    let mut ended = closing.clone();
-    let over = async move { closed(&mut closing).await };
-    let serving = axum::serve(listener, app).with_graceful_shutdown(over);
-    tokio::select! {
-        served = serving => served,
-        // Somebody who keeps a connection open does not keep the run.
-        () = async { closed(&mut ended).await; tokio::time::sleep(LEAVE).await } => Ok(()),
+        open.retain(|connection| !connection.is_finished());
+        if open.len() >= MOST_OPEN
+            && let Some(oldest) = open.pop_front()
+        {
+            oldest.abort();
+        }
+        let service = TowerToHyperService::new(app.clone());
+        let connection = http.serve_connection(TokioIo::new(stream), service).with_upgrades();
+        open.push_back(tokio::spawn(async move {
+            if let Err(error) = connection.await {
+                tracing::debug!("a connection ended: {error}");
+            }
+        }));
     }
+    // Time for the last messages; somebody who keeps a connection open does not keep the run.
+    let until = tokio::time::Instant::now() + LEAVE;
+    while hub.viewers() > 0 && tokio::time::Instant::now() < until {
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    Ok(())
 }
 
 /// Checks access; scripts and styles hold no secrets and need no token.
@@ -256,9 +288,19 @@ async fn upgrade(State(shared): State<Arc<Shared>>, upgrade: WebSocketUpgrade) -
 
 /// How often the browser of a driver is asked whether it is there.
 const PULSE: Duration = Duration::from_millis(200);
+/// How often viewers are told that the server is there.
+const HEARTBEAT: Duration = Duration::from_millis(500);
 /// Time to send the last message to viewers.
 const LEAVE: Duration = Duration::from_millis(300);
 const MOST_VIEWERS: usize = 64;
+/// Time for the header of a request, and between two requests of a connection.
+const HEADER_TIME: Duration = Duration::from_secs(10);
+/// Open connections that are not viewers. One more, and the oldest is closed: those that are opened and not used
+/// keep nobody out.
+const MOST_OPEN: usize = 64;
+/// How often a viewer is asked whether it is there, and the time without a word after which it counts as gone.
+const ROLL_CALL: Duration = Duration::from_secs(5);
+const SILENT: Duration = Duration::from_secs(30);
 /// Packets that a viewer has not drawn yet; what comes meanwhile is left out.
 const IN_FLIGHT: u64 = 2;
 /// Time without a received message after which a viewer counts as gone.
@@ -285,6 +327,7 @@ async fn talk(mut socket: WebSocket, hub: Arc<Hub>) {
 
 const OVER: &str = "the run has ended";
 const GONE: &str = "it takes nothing any more";
+const QUIET: &str = "it says nothing any more";
 
 /// Why it ended; empty if the viewer disconnected.
 async fn serve_viewer(socket: &mut WebSocket, hub: &Arc<Hub>, viewer: &mut Viewer) -> &'static str {
@@ -297,11 +340,14 @@ async fn serve_viewer(socket: &mut WebSocket, hub: &Arc<Hub>, viewer: &mut Viewe
     let mut budget = Budget::new(Instant::now());
     let (mut wrong, mut in_flight, mut route) = (0_u32, 0_u64, 0_u64);
     let mut pulse = tokio::time::interval(PULSE);
+    let mut heartbeat = tokio::time::interval(HEARTBEAT);
+    let (mut roll_call, mut heard) = (tokio::time::interval(ROLL_CALL), Instant::now());
     viewer.ask(Request::Refresh);
     loop {
         tokio::select! {
             message = socket.recv() => {
                 viewer.is_there();
+                heard = Instant::now();
                 let text = match message {
                     Some(Ok(Message::Text(text))) => text,
                     Some(Ok(Message::Ping(_) | Message::Pong(_))) => continue,
@@ -356,6 +402,19 @@ async fn serve_viewer(socket: &mut WebSocket, hub: &Arc<Hub>, viewer: &mut Viewe
                     return GONE;
                 }
             }
+            _ = roll_call.tick() => {
+                if heard.elapsed() > SILENT {
+                    return QUIET;
+                }
+                if !send(socket, Message::Ping(Bytes::new())).await {
+                    return GONE;
+                }
+            }
+            _ = heartbeat.tick() => {
+                if !send(socket, Message::Text(beat(hub).into())).await {
+                    return GONE;
+                }
+            }
             Ok(()) = greeting.changed() => {
                 if !greet(socket, hub, viewer.id).await {
                     return GONE;
@@ -365,6 +424,11 @@ async fn serve_viewer(socket: &mut WebSocket, hub: &Arc<Hub>, viewer: &mut Viewe
             () = closed(&mut closing) => return OVER,
         }
     }
+}
+
+/// That the server is there, and who has the wheel: the last tick's answer is old when the simulation hangs.
+fn beat(hub: &Hub) -> String {
+    json!({ "type": "beat", "holder": hub.holder() }).to_string()
 }
 
 /// Says what is shown.

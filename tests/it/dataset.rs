@@ -122,3 +122,26 @@ fn no_time_still_leaves_a_dataset_to_go_on_with() {
     assert_eq!(output.status.code(), Some(2));
     assert!(error.contains("holds no frames"), "{error}");
 }
+
+/// Two writers into one folder would delete or repeat each other's work.
+#[test]
+fn a_folder_that_another_process_writes_is_refused_by_all_that_write_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let lock = wad_cosim::folder_lock::FolderLock::take(folder.path()).unwrap();
+    let mut commands = vec![vec!["dataset", "collect", "--town", "town5", "--frames", "8"]];
+    commands.push(vec!["eval", "nocrash", "--agent", "random", "--episodes", "1"]);
+    if cfg!(feature = "learn") {
+        commands.push(vec!["train", "encoder", "--data", "missing"]);
+        commands.push(vec!["train", "detector", "--data", "missing"]);
+        commands.push(vec!["train", "agent", "--algo", "td3", "--encoder", "pooled"]);
+    }
+    for command in commands {
+        let output = wad(&command, folder.path());
+        let error = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{command:?}: {error}");
+        assert!(error.contains("another process is writing"), "{command:?}: {error}");
+    }
+    let left: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+    assert_eq!(left, [".lock"], "written in spite of the lock");
+    drop(lock);
+}

@@ -231,6 +231,40 @@ fn an_external_agent_drives_and_one_that_fails_costs_its_episode_only() {
     assert_eq!(summary["ticks"], 20);
 }
 
+/// Neither the names nor the options change here, only what the files hold.
+#[test]
+fn results_are_not_continued_with_another_scenario_or_detector() {
+    let copy = crate::scenario::Copy::of("straight");
+    let folder = tempfile::tempdir().unwrap();
+    let weights = folder.path().join("detector.onnx");
+    std::fs::write(&weights, "some weights").unwrap();
+    let (scenario, detector) = (copy.folder.display().to_string(), format!("onnx:{}", weights.display()));
+    let eval = || {
+        let mut command =
+            wad(&["eval", &scenario, "--detector", &detector, "--agent", "constant", "--episodes", "1"]);
+        command.arg("--out").arg(folder.path().join("out")).arg("--resume");
+        command
+    };
+    ok(&mut eval());
+    ok(&mut eval());
+    let refused = |difference: &str| {
+        let output = eval().output().unwrap();
+        assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
+        assert!(stderr(&output).contains("must not be mixed"), "{}", stderr(&output));
+        assert!(stderr(&output).contains(difference), "{}", stderr(&output));
+    };
+    std::fs::write(&weights, "other weights").unwrap();
+    refused("detector: expected");
+    std::fs::write(&weights, "some weights").unwrap();
+    ok(&mut eval());
+    copy.change(
+        "add.xml",
+        "</additional>",
+        "<poi id=\"a\" type=\"bench\" lane=\"NW2A4_0\" pos=\"60\"/></additional>",
+    );
+    refused("towns.");
+}
+
 #[test]
 fn mistakes_are_named() {
     let folder = tempfile::tempdir().unwrap();

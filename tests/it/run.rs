@@ -86,7 +86,7 @@ impl Background {
 }
 
 /// The SUMO child of a process.
-fn sumo_of(parent: u32) -> Option<i32> {
+pub fn sumo_of(parent: u32) -> Option<i32> {
     std::fs::read_dir("/proc").ok()?.flatten().find_map(|entry| {
         let pid: i32 = entry.file_name().to_str()?.parse().ok()?;
         let stat = std::fs::read_to_string(entry.path().join("stat")).ok()?;
@@ -272,14 +272,66 @@ fn sumo_dies_with_us_even_when_we_are_killed() {
     assert!(whole + 1 >= telemetry.lines().count(), "more than the last line is torn");
 }
 
+/// An agent that leaves a process in a session of its own, and writes that process's number to `file`.
+#[cfg(feature = "vision")]
+fn agent_with_a_daemon(file: &Path, then: &str) -> String {
+    format!("exec:setsid sleep 1000 & echo $! >{}; echo '{{}}'; {then}", file.display())
+}
+
+#[cfg(feature = "vision")]
+#[test]
+fn external_agents_die_with_us_even_by_sigkill() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let file = dir.path().join("pid");
+    let drive = r#"while read -r line; do echo '{"throttle": 0.2, "steer": 0, "brake": 0}'; done"#;
+    let background = Background::start(dir.path(), &["--agent", &agent_with_a_daemon(&file, drive)]);
+    let daemon: i32 = std::fs::read_to_string(&file).expect("a number").trim().parse().expect("a number");
+    assert!(Path::new(&format!("/proc/{daemon}")).exists());
+    background.signal(background.child.id() as i32, libc::SIGKILL);
+    background.wait();
+    assert!(is_gone(daemon), "the agent's process outlived us");
+}
+
+#[cfg(feature = "vision")]
+#[test]
+fn ctrl_c_is_answered_at_once_and_the_second_ends_with_4() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let file = dir.path().join("pid");
+    // It hangs, and would for ten minutes.
+    let agent = agent_with_a_daemon(&file, "sleep 1000");
+    let mut command = wad(&["eval", "straight", "--agent-timeout", "600", "--agent", &agent]);
+    command.process_group(0).stdout(Stdio::null()).stderr(Stdio::piped());
+    let mut child = command.spawn().expect("the binary runs");
+    let began = Instant::now();
+    let daemon: i32 = loop {
+        if let Ok(Ok(pid)) = std::fs::read_to_string(&file).map(|text| text.trim().parse()) {
+            break pid;
+        }
+        assert!(began.elapsed() < Duration::from_secs(120), "the agent did not start");
+        std::thread::sleep(Duration::from_millis(20));
+    };
+    let group = -(child.id() as i32);
+    // SAFETY: kill() only takes numbers; the process is this test's own.
+    let interrupt = || assert_eq!(unsafe { libc::kill(group, libc::SIGINT) }, 0);
+    interrupt();
+    let mut lines = std::io::BufRead::lines(std::io::BufReader::new(child.stderr.take().expect("a pipe")));
+    assert!(lines.any(|line| line.expect("UTF-8").contains("once more ends at once")));
+    interrupt();
+    let status = child.wait().expect("it ends");
+    assert_eq!(status.code(), Some(4), "{status}");
+    assert!(is_gone(daemon), "the agent's process outlived us");
+}
+
 #[test]
 fn ctrl_c_keeps_the_results() {
     let dir = tempfile::tempdir().expect("a folder");
     let background = Background::start(dir.path(), &[]);
     let sumo = background.sumo;
-    background.signal(background.child.id() as i32, libc::SIGINT);
+    // To the whole group, as a terminal does.
+    background.signal(-(background.child.id() as i32), libc::SIGINT);
     let (status, text, out) = background.wait();
     assert_eq!(status.code(), Some(4), "{text}");
+    assert!(!text.contains("did not close properly"), "{text}");
     assert!(is_gone(sumo));
     let summary: Value =
         serde_json::from_str(&std::fs::read_to_string(out.join("summary.json")).expect("a summary"))

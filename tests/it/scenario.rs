@@ -46,7 +46,7 @@ impl Copy {
     }
 
     /// Replaces the first `old` in the file with that ending.
-    fn change(&self, ending: &str, old: &str, new: &str) -> &Self {
+    pub fn change(&self, ending: &str, old: &str, new: &str) -> &Self {
         let path = self.folder.join(format!("{}.{ending}", self.name));
         let text = std::fs::read_to_string(&path).unwrap();
         assert!(text.contains(old), "{}: no {old} in {text}", path.display());
@@ -161,10 +161,11 @@ fn an_accident_blocks_the_lane_and_is_passed_on_the_next() {
     let copy = Copy::of("accident_ahead");
     let path = copy.folder.join("accident_ahead.rou.xml");
     let text = std::fs::read_to_string(&path).unwrap();
-    let kept: Vec<&str> =
-        text.lines().filter(|l| !l.contains("wad.via") && !l.contains("wad.destination")).collect();
-    let lane = text.split("departLane=\"").nth(1).unwrap().split('"').next().unwrap().to_string();
-    let kept = kept.join("\n").replace("arrivalPos=", &format!("arrivalLane=\"{lane}\" arrivalPos="));
+    let kept: Vec<&str> = text.lines().filter(|l| !l.contains("wad.via")).collect();
+    let value =
+        |name: &str| text.split(&format!("{name}=\"")).nth(1).unwrap().split('"').next().unwrap().to_string();
+    let arrival = |lane: &str| format!("arrivalLane=\"{lane}\"");
+    let kept = kept.join("\n").replace(&arrival(&value("arrivalLane")), &arrival(&value("departLane")));
     std::fs::write(&path, kept).unwrap();
     let mut nearest = f64::INFINITY;
     let ending = drive(&copy.config(), |_, record| {
@@ -332,9 +333,9 @@ fn every_mistake_is_named_with_file_element_and_fix() {
         (
             "accident_ahead",
             "rou.xml",
-            "wad.destination\" value=\"",
-            "wad.destination\" value=\"X",
-            &["`wad.destination` `X", "neither an edge nor a lane"],
+            "<param key=\"wad.task",
+            "<param key=\"wad.destination\" value=\"X\"/><param key=\"wad.task",
+            &["`wad.destination` `X`", "neither an edge nor a lane"],
         ),
         (
             "accident_ahead",
@@ -435,6 +436,59 @@ fn every_mistake_is_named_with_file_element_and_fix() {
         }
     }
     assert!(failures.is_empty(), "{failures}");
+}
+
+#[test]
+fn five_mistakes_are_told_at_once() {
+    let copy = Copy::of("accident_ahead");
+    copy.change("rou.xml", "from=\"", "from=\"X")
+        .change("rou.xml", "arrivalPos=\"", "arrivalPos=\"9")
+        .change("rou.xml", "arrivalLane=\"", "arrivalLane=\"7")
+        .change("rou.xml", "wad.via\" value=\"", "wad.via\" value=\"nowhere elsewhere ")
+        .change("rou.xml", "ClearNoon", "ClearNon")
+        .change("add.xml", "pos=\"", "posLat=\"60\" pos=\"")
+        .change("add.xml", "car,truck", "tank,car");
+    let said = copy.problems();
+    for mistake in [
+        "its first edge `X",
+        "arrivalPos is `9",
+        "arrivalLane is `7",
+        "`wad.via` `nowhere`",
+        "`wad.via` `elsewhere`",
+        "`wad.weather` is `ClearNon`",
+        "lies off the road",
+        "`wad.vehicles` is `tank`",
+    ] {
+        assert!(said.contains(mistake), "{mistake} is missing in {said}");
+    }
+    assert_eq!(said.lines().count(), 8, "{said}");
+
+    // Files that cannot be read: all of them, and no complaint that follows from it.
+    let copy = Copy::of("accident_ahead");
+    copy.change("sumocfg", ".net.xml", ".nett.xml").change("rou.xml", "</routes>", "");
+    std::fs::remove_file(copy.folder.join("accident_ahead.add.xml")).unwrap();
+    let said = copy.problems();
+    for mistake in
+        [".nett.xml`, which does not exist", "not well-formed XML", "accident_ahead.add.xml: cannot be read"]
+    {
+        assert!(said.contains(mistake), "{mistake} is missing in {said}");
+    }
+    assert_eq!(said.lines().count(), 3, "{said}");
+}
+
+#[test]
+fn a_destination_moved_in_netedit_wins_over_the_parameter() {
+    let copy = Copy::of("straight");
+    let drawn = Scenario::load(&copy.config()).unwrap().placement.to;
+    let edge = drawn.lane.rsplit_once('_').unwrap().0.to_string();
+    let param =
+        |value: &str| format!("<param key=\"wad.destination\" value=\"{value}\"/><param key=\"wad.task");
+    copy.change("rou.xml", "<param key=\"wad.task", &param("NW2A4_0@60"));
+    assert_eq!(Scenario::load(&copy.config()).unwrap().placement.to, drawn);
+    // On the drawn edge it says the lane, and what is drawn of lane and position wins again.
+    let lane = format!("{edge}_1");
+    copy.change("rou.xml", "NW2A4_0@60", &format!("{lane}@12"));
+    assert_eq!(Scenario::load(&copy.config()).unwrap().placement.to, drawn);
 }
 
 #[test]

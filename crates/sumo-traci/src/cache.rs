@@ -3,10 +3,10 @@
 use std::ffi::OsString;
 use std::path::PathBuf;
 
-/// The user's cache folder of this project: `$XDG_CACHE_HOME/wad-cosim` or `~/.cache/wad-cosim`; in the
-/// system's folder for temporary files where neither is set.
-pub fn cache_dir() -> PathBuf {
-    cache_in(|name| std::env::var_os(name)).unwrap_or_else(|| std::env::temp_dir().join("wad-cosim"))
+/// The user's cache folder of this project: `$XDG_CACHE_HOME/wad-cosim` or `~/.cache/wad-cosim`; None where
+/// neither is set.
+pub fn cache_dir() -> Option<PathBuf> {
+    cache_in(|name| std::env::var_os(name))
 }
 
 /// The same with these variables; None where neither names a folder. A relative `XDG_CACHE_HOME` is

@@ -19,6 +19,9 @@ pub const API_VERSION: i32 = 22;
 /// Time limit per message unless changed.
 pub const DEFAULT_TIMEOUT: Duration = Duration::from_secs(60);
 
+/// How long closing waits for the answer to a message that nobody waits for any more.
+const SETTLE: Duration = Duration::from_secs(5);
+
 const CMD_GET_VERSION: u8 = 0x00;
 const CMD_LOAD: u8 = 0x01;
 const CMD_SET_ORDER: u8 = 0x03;
@@ -114,30 +117,30 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Client<S> {
         self.timeout = timeout;
     }
 
-    /// Sends a batch and waits for the answers. A refused command is an error in its own slot.
+    /// Sends a batch and waits for the answers. A refused command is an error in its own slot. For an empty
+    /// batch nothing is sent.
     ///
     /// # Errors
     /// Fatal ones: the connection broke, no answer in time, an answer that is not TraCI; the client is
-    /// unusable afterwards, as it is when this future is dropped half way. Or the batch is not one that
-    /// may be sent ([`Error::Batch`]); then nothing was.
+    /// unusable afterwards. It can only be closed when this future is dropped half way. Or the batch is not
+    /// one that may be sent ([`Error::Batch`]); then nothing was.
     pub async fn send(&mut self, batch: &Batch) -> Result<Replies, Error> {
         let message = batch.message().map_err(Error::Batch)?;
         if batch.is_empty() {
-            return Err(Error::Batch("it has no commands"));
+            return Ok(Replies::none(batch));
         }
         let exchange = self.connection.exchange(message);
         let answer = match self.timeout {
             Some(limit) => match tokio::time::timeout(limit, exchange).await {
                 Ok(answer) => answer,
-                Err(_) => return Err(Error::Timeout { limit, pending: batch.summary() }),
+                Err(_) => {
+                    self.connection.give_up();
+                    return Err(Error::Timeout { limit, pending: batch.summary() });
+                }
             },
             None => exchange.await,
         };
-        let answer = answer.map_err(|error| match error {
-            ConnectionError::Io(source) => Error::Closed { pending: batch.summary(), source },
-            ConnectionError::Garbage(what) => Error::Protocol { pending: batch.summary(), what },
-            ConnectionError::Unusable => Error::Unusable,
-        })?;
+        let answer = answer.map_err(|error| told(error, || batch.summary()))?;
         Replies::parse(batch, answer).map_err(|error| {
             self.connection.give_up();
             Error::Protocol { pending: batch.summary(), what: error.to_string() }
@@ -231,13 +234,27 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Client<S> {
         self.set(simulation::LOAD_STATE, "", file).await
     }
 
-    /// Ends the simulation: SUMO writes its outputs and exits.
+    /// Ends the simulation: SUMO writes its outputs and exits. If the future of an earlier message was dropped
+    /// half way, waits up to 5 s for its answer first: SUMO reads no message while it works on another.
     ///
     /// # Errors
     /// As [`Client::get`].
     pub async fn close(mut self) -> Result<(), Error> {
+        let pending = || "the message before the command: close".to_owned();
+        match tokio::time::timeout(SETTLE, self.connection.settle()).await {
+            Ok(settled) => settled.map_err(|error| told(error, pending))?,
+            Err(_) => return Err(Error::Timeout { limit: SETTLE, pending: pending() }),
+        }
         let mut batch = Batch::new();
         let ticket = batch.control(Expect::Status, CMD_CLOSE, ["close", "", ""], |_| ());
         self.send_one(batch, ticket).await
+    }
+}
+
+fn told(error: ConnectionError, pending: impl FnOnce() -> String) -> Error {
+    match error {
+        ConnectionError::Io(source) => Error::Closed { pending: pending(), source },
+        ConnectionError::Garbage(what) => Error::Protocol { pending: pending(), what },
+        ConnectionError::Unusable => Error::Unusable,
     }
 }

@@ -18,7 +18,7 @@ pub enum ConnectionError {
     /// What came is not a message.
     #[error("{0}")]
     Garbage(String),
-    /// An earlier exchange did not finish, so what comes next belongs to it.
+    /// An earlier exchange failed or did not finish, so what comes next belongs to it.
     #[error("an earlier message did not finish")]
     Unusable,
 }
@@ -28,59 +28,99 @@ pub enum ConnectionError {
 pub struct Connection<S> {
     stream: S,
     inbox: BytesMut,
-    /// An exchange has begun and not ended; stays set when it fails or its future is dropped.
-    unfinished: bool,
+    /// The rest of the message that is being sent.
+    outbox: BytesMut,
+    state: State,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum State {
+    /// Between messages.
+    Idle,
+    /// Within an exchange; stays so when its future is dropped.
+    Busy,
+    /// The stream makes no sense any more.
+    Broken,
 }
 
 impl<S: AsyncRead + AsyncWrite + Unpin> Connection<S> {
     /// Wraps a stream.
     pub fn new(stream: S) -> Self {
-        Self { stream, inbox: BytesMut::with_capacity(64 * 1024), unfinished: false }
+        let (inbox, outbox) = (BytesMut::with_capacity(64 * 1024), BytesMut::with_capacity(64 * 1024));
+        Self { stream, inbox, outbox, state: State::Idle }
     }
 
     /// Writes `message` (with its length field) at once and reads the answer (without its length field).
     ///
     /// # Errors
-    /// After any error, and when the future was dropped half way, the connection is unusable.
+    /// After any error the connection is unusable; so it is when the future was dropped half way,
+    /// until [`Connection::settle`].
     pub async fn exchange(&mut self, message: &[u8]) -> Result<Bytes, ConnectionError> {
-        if self.unfinished {
+        if self.state != State::Idle {
             return Err(ConnectionError::Unusable);
         }
-        self.unfinished = true;
         if !self.inbox.is_empty() {
+            self.state = State::Broken;
             let stray = self.inbox.len();
             return Err(ConnectionError::Garbage(format!("{stray} bytes before any request")));
         }
-        self.stream.write_all(message).await?;
-        self.stream.flush().await?;
-        let answer = self.read().await?;
-        self.unfinished = false;
-        Ok(answer)
+        self.outbox.clear();
+        self.outbox.extend_from_slice(message);
+        self.state = State::Busy;
+        self.finish().await
+    }
+
+    /// Finishes an exchange whose future was dropped half way, and throws its answer away. The connection is
+    /// between messages again.
+    ///
+    /// # Errors
+    /// The stream failed, now or before.
+    pub async fn settle(&mut self) -> Result<(), ConnectionError> {
+        match self.state {
+            State::Idle => Ok(()),
+            State::Busy => self.finish().await.map(drop),
+            State::Broken => Err(ConnectionError::Unusable),
+        }
     }
 
     /// Declares the stream unusable: its answers no longer make sense.
     pub fn give_up(&mut self) {
-        self.unfinished = true;
+        self.state = State::Broken;
     }
 
-    async fn read(&mut self) -> Result<Bytes, ConnectionError> {
-        self.fill(4).await?;
-        let length = self.inbox.get_i32();
+    /// Sends what is left of the message and reads the answer. Goes on where a dropped future of its own stopped.
+    async fn finish(&mut self) -> Result<Bytes, ConnectionError> {
+        let answer = self.write_and_read().await;
+        self.state = if answer.is_ok() { State::Idle } else { State::Broken };
+        answer
+    }
+
+    async fn write_and_read(&mut self) -> Result<Bytes, ConnectionError> {
+        while self.outbox.has_remaining() {
+            if self.stream.write_buf(&mut self.outbox).await? == 0 {
+                return Err(io::Error::from(io::ErrorKind::WriteZero).into());
+            }
+        }
+        self.stream.flush().await?;
+        self.fill(0, 4).await?;
+        // Left in the inbox until the body is there too: the future may be dropped in between.
+        let length = self.inbox.as_ref().get_i32();
         let body = usize::try_from(length).ok().and_then(|n| n.checked_sub(4)).filter(|&n| n <= MAX_MESSAGE);
         let Some(body) = body else {
             return Err(ConnectionError::Garbage(format!("a message length of {length} bytes")));
         };
-        self.fill(body).await?;
+        self.fill(4, body).await?;
+        self.inbox.advance(4);
         Ok(self.inbox.split_to(body).freeze())
     }
 
-    /// Reads until at least `n` bytes are in the inbox.
-    async fn fill(&mut self, n: usize) -> Result<(), ConnectionError> {
-        while self.inbox.len() < n {
-            self.inbox.reserve((n - self.inbox.len()).clamp(4096, READ_AHEAD));
+    /// Reads until the inbox has `n` bytes after the first `read`.
+    async fn fill(&mut self, read: usize, n: usize) -> Result<(), ConnectionError> {
+        while self.inbox.len() < read + n {
+            self.inbox.reserve((read + n - self.inbox.len()).clamp(4096, READ_AHEAD));
             if self.stream.read_buf(&mut self.inbox).await? == 0 {
-                let (found, wanted) = (self.inbox.len(), n);
-                let text = format!("the stream ended after {found} of {wanted} bytes");
+                let found = self.inbox.len() - read;
+                let text = format!("the stream ended after {found} of {n} bytes");
                 return Err(io::Error::new(io::ErrorKind::UnexpectedEof, text).into());
             }
         }

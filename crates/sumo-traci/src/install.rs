@@ -1,9 +1,11 @@
 //! Finding a SUMO on this machine.
 
+use super::keeper;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::Mutex;
+use std::time::Duration;
 
 /// The oldest SUMO release that is good enough.
 pub const OLDEST_SUMO: (u32, u32, u32) = (1, 28, 0);
@@ -39,6 +41,9 @@ pub enum InstallError {
         needed: (u32, u32, u32),
     },
 }
+
+/// How long a SUMO may take to say its version or its options.
+pub const ANSWER: Duration = Duration::from_secs(30);
 
 /// A SUMO on this machine.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -115,7 +120,9 @@ impl SumoInstall {
     pub fn version(&self) -> Result<(u32, u32, u32), InstallError> {
         let program = self.program("sumo");
         let broken = |why: String| InstallError::Broken { program: program.clone(), why };
-        let output = self.command("sumo").arg("--version").output().map_err(|e| broken(e.to_string()))?;
+        let mut command = self.command("sumo");
+        command.arg("--version");
+        let output = keeper::output_within(command, ANSWER).map_err(|e| broken(e.to_string()))?;
         let text = String::from_utf8_lossy(&output.stdout);
         parse_version(&text).ok_or_else(|| {
             let stderr = String::from_utf8_lossy(&output.stderr);

@@ -62,6 +62,7 @@ pub mod connection;
 pub mod domains;
 pub mod error;
 mod install;
+pub mod keeper;
 mod port;
 mod post_mortem;
 pub mod process;

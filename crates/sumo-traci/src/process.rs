@@ -2,15 +2,13 @@
 
 use super::client::TcpClient;
 use super::error::Error;
-pub use super::install::{InstallError, OLDEST_SUMO, SumoInstall};
-use super::port;
+pub use super::install::{ANSWER, InstallError, OLDEST_SUMO, SumoInstall};
 pub use super::post_mortem::PostMortem;
+use super::{keeper, port};
 use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitStatus, Stdio};
-use std::sync::mpsc;
-use std::sync::{Mutex, OnceLock};
+use std::process::{Child, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 /// Options that the launcher itself gives to SUMO.
@@ -250,8 +248,11 @@ impl SumoProcess {
         let out = log.try_clone().and_then(|out| Ok((out, log.try_clone()?)));
         let (out, err) = out.map_err(LaunchError::Spawn)?;
         command.stdout(Stdio::from(out)).stderr(Stdio::from(err));
+        // A Ctrl-C in the terminal is for this process, which then closes SUMO between two messages.
+        #[cfg(unix)]
+        std::os::unix::process::CommandExt::process_group(&mut command, 0);
         tracing::debug!(?command, "launching SUMO");
-        let child = spawn_from_keeper(command).map_err(LaunchError::Spawn)?;
+        let child = keeper::spawn(command, libc::SIGKILL).map_err(LaunchError::Spawn)?;
         Ok(Self { child, log, log_file: options.log_file.clone(), port })
     }
 
@@ -357,61 +358,6 @@ fn tail(log: &File) -> io::Result<String> {
     let lines: Vec<&str> = text.lines().map(str::trim_end).filter(|line| !line.is_empty()).collect();
     Ok(lines[lines.len().saturating_sub(LOG_LINES)..].join("\n"))
 }
-
-/// Starts a command so that it is killed when this process ends, however it ends.
-///
-/// The kernel sends the signal when the *thread* that started the child ends. So one thread, which
-/// lives as long as the process, starts them all.
-fn spawn_from_keeper(command: Command) -> io::Result<Child> {
-    type Request = (Command, mpsc::Sender<io::Result<Child>>);
-    static KEEPER: OnceLock<Option<Mutex<mpsc::Sender<Request>>>> = OnceLock::new();
-    let keeper = KEEPER.get_or_init(|| {
-        let (sender, requests) = mpsc::channel::<Request>();
-        let keep = move || {
-            for (mut command, answer) in requests {
-                die_with_us(&mut command);
-                // A requester that is gone has dropped its receiver; the child then goes with the answer.
-                if let Err(mpsc::SendError(Ok(mut child))) = answer.send(command.spawn()) {
-                    let _ = child.kill();
-                    let _ = child.wait();
-                }
-            }
-        };
-        let thread = std::thread::Builder::new().name("sumo-keeper".to_owned()).spawn(keep);
-        thread.ok().map(|_| Mutex::new(sender))
-    });
-    let gone = || io::Error::other("the thread that starts SUMO could not be started");
-    let (sender, answer) = mpsc::channel();
-    let keeper = keeper.as_ref().ok_or_else(gone)?;
-    keeper.lock().map_err(|_| gone())?.send((command, sender)).map_err(|_| gone())?;
-    answer.recv().map_err(|_| gone())?
-}
-
-#[cfg(target_os = "linux")]
-fn die_with_us(command: &mut Command) {
-    use std::os::unix::process::CommandExt;
-    let parent = std::process::id();
-    let before_exec = move || {
-        // SAFETY: prctl and getppid are async-signal-safe and touch no memory of ours.
-        let (refused, now) = unsafe {
-            let refused = libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL) != 0;
-            (refused, libc::getppid())
-        };
-        if refused {
-            return Err(io::Error::last_os_error());
-        }
-        // We may have died before the request for the signal was in place.
-        if now as u32 != parent {
-            return Err(io::Error::from_raw_os_error(libc::ESRCH));
-        }
-        Ok(())
-    };
-    // SAFETY: the closure runs between fork and exec, and allocates nothing.
-    unsafe { command.pre_exec(before_exec) };
-}
-
-#[cfg(not(target_os = "linux"))]
-fn die_with_us(_command: &mut Command) {}
 
 #[cfg(test)]
 mod tests {

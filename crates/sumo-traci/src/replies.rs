@@ -66,16 +66,21 @@ impl Replies {
         self.data.len()
     }
 
-    /// Parses `data`, a message without its length field, as the answer to `batch`.
-    pub(super) fn parse(batch: &Batch, data: Bytes) -> Result<Self, ReplyError> {
-        let mut replies = Self {
+    /// No answers yet to `batch`.
+    pub(super) fn none(batch: &Batch) -> Self {
+        Self {
             serial: batch.serial(),
             slots: Vec::with_capacity(batch.len()),
             subscriptions: Vec::new(),
             objects: Vec::new(),
             with_step: 0,
             data: Bytes::new(),
-        };
+        }
+    }
+
+    /// Parses `data`, a message without its length field, as the answer to `batch`.
+    pub(super) fn parse(batch: &Batch, data: Bytes) -> Result<Self, ReplyError> {
+        let mut replies = Self::none(batch);
         let mut reader = Reader::new(&data);
         for (index, command) in batch.commands().iter().enumerate() {
             let slot = replies.parse_one(batch, command, index, &mut reader)?;

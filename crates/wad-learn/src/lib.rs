@@ -10,6 +10,7 @@
 //! | [`dataset`] | datasets of camera frames from the autopilot's drives |
 //! | `train` | training of encoder, detector and agents |
 //! | [`eval`] | suites of episodes, driven in parallel |
+//! | [`folder_lock`] | one process at a time writes into a results folder |
 //! | [`encoder_score`] | scores of an encoder |
 //! | [`tour`] | a drive through a town for pictures |
 
@@ -20,6 +21,7 @@ pub mod driver;
 pub mod encoder_score;
 pub mod env;
 pub mod eval;
+pub mod folder_lock;
 #[cfg(feature = "learn")]
 pub mod optim;
 pub mod reward;

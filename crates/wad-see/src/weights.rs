@@ -68,6 +68,10 @@ pub enum WeightsError {
     Torch(#[from] TchError),
 }
 
+/// Key of [`Weights::hash`] in a file's metadata: [`Weights::save`] writes it, and [`Weights::parse`] holds the
+/// tensors to it.
+pub const HASH: &str = "hash";
+
 /// Named tensors and metadata.
 #[derive(Debug)]
 pub struct Weights {
@@ -83,7 +87,8 @@ impl Weights {
     /// Reads a file's bytes; `path` is for messages.
     ///
     /// # Errors
-    /// They are not in the safetensors format.
+    /// They are not in the safetensors format, hold numbers that are not finite, or were changed since they were
+    /// saved.
     pub fn parse(path: &Path, bytes: &[u8]) -> Result<Self, WeightsError> {
         let format =
             |e: &dyn std::fmt::Display| WeightsError::Format { path: path.to_path_buf(), why: e.to_string() };
@@ -92,10 +97,20 @@ impl Weights {
             safetensors::SafeTensors::read_metadata(bytes).map_err(|e| format(&format!("{e:?}")))?;
         let mut tensors = Vec::new();
         for (name, view) in file.tensors() {
-            tensors.push((name, Tensor::try_from(view)?));
+            let tensor = Tensor::try_from(view)?;
+            if tensor.is_floating_point() && !bool::try_from(tensor.f_isfinite()?.f_all()?)? {
+                return Err(format(&format!("tensor `{name}` has values that are not finite")));
+            }
+            tensors.push((name, tensor));
         }
         let metadata = header.metadata().clone().unwrap_or_default();
-        Ok(Self { path: path.to_path_buf(), tensors, metadata })
+        let weights = Self { path: path.to_path_buf(), tensors, metadata };
+        match weights.metadata.get(HASH) {
+            Some(said) if *said != weights.hash()? => {
+                Err(format(&"its tensors do not have the hash that it says, so it is damaged"))
+            }
+            _ => Ok(weights),
+        }
     }
 
     /// Reads a file.
@@ -123,7 +138,9 @@ impl Weights {
                 .map_err(|e| WeightsError::Format { path: path.to_path_buf(), why: format!("{e:?}") })?;
             views.push((*name, view));
         }
-        let file = safetensors::serialize(views, &Some(self.metadata.clone()))
+        let mut metadata = self.metadata.clone();
+        metadata.insert(HASH.to_string(), self.hash()?);
+        let file = safetensors::serialize(views, &Some(metadata))
             .map_err(|e| WeightsError::Format { path: path.to_path_buf(), why: format!("{e:?}") })?;
         let staging = path.with_extension("safetensors.tmp");
         let io = |source| WeightsError::Io { what: "write", path: path.to_path_buf(), source };
@@ -187,4 +204,37 @@ fn raw(tensor: &Tensor) -> Result<Vec<u8>, TchError> {
 /// torch fails.
 pub fn half(tensor: &Tensor) -> Result<Tensor, TchError> {
     tensor.f_detach()?.f_to_device(tch::Device::Cpu)?.f_to_kind(Kind::Half)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn saved(values: &[f32]) -> (tempfile::TempDir, PathBuf) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.safetensors");
+        let tensors = vec![("w".to_string(), Tensor::from_slice(values))];
+        Weights { path: path.clone(), tensors, metadata: HashMap::new() }.save(&path).unwrap();
+        (folder, path)
+    }
+
+    #[test]
+    fn a_changed_bit_is_noticed() {
+        let (_folder, path) = saved(&[1.0, 2.0, 3.0]);
+        Weights::load(&path).unwrap();
+        let mut bytes = std::fs::read(&path).unwrap();
+        *bytes.last_mut().unwrap() ^= 1;
+        std::fs::write(&path, &bytes).unwrap();
+        let error = Weights::load(&path).unwrap_err().to_string();
+        assert!(error.contains("it is damaged"), "{error}");
+    }
+
+    #[test]
+    fn numbers_that_are_not_finite_are_refused() {
+        for value in [f32::NAN, f32::INFINITY] {
+            let (_folder, path) = saved(&[1.0, value]);
+            let error = Weights::load(&path).unwrap_err().to_string();
+            assert!(error.contains("`w` has values that are not finite"), "{error}");
+        }
+    }
 }

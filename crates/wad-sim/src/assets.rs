@@ -15,6 +15,7 @@ use wad_vehicle::StaticBody;
 pub struct Assets {
     config: PathBuf,
     net_hash: String,
+    files_hash: String,
     name: String,
     town_name: String,
     /// If the config is a scenario.
@@ -76,7 +77,12 @@ impl Assets {
         let loaded = SumoConfig::load(config, &schema)?;
         let net_file = loaded.net_file()?;
         let network = Network::load(&net_file)?;
-        let net_hash = hash(&net_file);
+        let net_hash = hash_of(&net_file);
+        // A bare net is its own configuration.
+        let config_file = Some(config.to_path_buf()).filter(|file| *file != net_file);
+        let files = [loaded.route_files(), loaded.additional_files()].concat();
+        let hashes: Vec<String> = config_file.iter().chain(&files).map(|file| hash_of(file)).collect();
+        let files_hash = hash(hashes.join(" ").as_bytes());
         network.require_drivable(crate::destination::EGO_CLASS)?;
         let mut shapes = Shapes::default();
         for file in loaded.additional_files() {
@@ -95,6 +101,7 @@ impl Assets {
         Ok(Arc::new(Self {
             config: config.to_path_buf(),
             net_hash,
+            files_hash,
             name: loaded.name(),
             town_name: loaded.town(),
             scenario,
@@ -114,6 +121,12 @@ impl Assets {
     /// Stands for the bytes of the net's file.
     pub fn net_hash(&self) -> &str {
         &self.net_hash
+    }
+
+    /// Stands for the bytes of the configuration and the files that it names beside the net: routes, polygons, a
+    /// scenario's ego and events.
+    pub fn files_hash(&self) -> &str {
+        &self.files_hash
     }
 
     /// The town's name, e.g. `town3`.
@@ -174,8 +187,12 @@ impl Assets {
     }
 }
 
-/// CRC 32 and length of a file that was read a moment ago.
-fn hash(path: &Path) -> String {
-    let bytes = std::fs::read(path).unwrap_or_default();
-    format!("{:08x}-{}", crc32fast::hash(&bytes), bytes.len())
+/// Stands for some bytes: their CRC 32 and length.
+pub fn hash(bytes: &[u8]) -> String {
+    format!("{:08x}-{}", crc32fast::hash(bytes), bytes.len())
+}
+
+/// [`hash`] of a file that was read a moment ago.
+fn hash_of(path: &Path) -> String {
+    hash(&std::fs::read(path).unwrap_or_default())
 }

@@ -3,9 +3,10 @@
 //! The program hands its files over with [`register`], once, at its start: this crate holds none. If
 //! nothing was registered (a test or an example of the workspace), the files beside the crates are read.
 
+use crate::suggest;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
+use std::sync::{Mutex, OnceLock, PoisonError};
 pub use sumo_traci::cache::{cache_dir, cache_in};
 
 /// Files by their path in the repository, e.g. `sumo_nets/town3/town3.sumocfg`.
@@ -60,15 +61,16 @@ fn configs(folder: &str) -> Vec<String> {
 pub enum ResolveError {
     /// Neither a file nor the name of a bundled town or scenario.
     #[error(
-        "no such config: `{name}` is neither a file (.sumocfg, .net.xml, .net.xml.gz), nor a bundled town ({}), nor a bundled scenario ({})",
-        bundled.join(", "),
-        scenarios().join(", ")
+        "no such config: `{name}` is neither a file (.sumocfg, .net.xml, .net.xml.gz), nor a bundled town ({}), nor a bundled scenario ({}){}",
+        towns().join(", "),
+        scenarios().join(", "),
+        if near.is_empty() { String::new() } else { format!("; did you mean {}?", near.join(" or ")) }
     )]
     NotFound {
         /// The argument.
         name: String,
-        /// The bundled towns.
-        bundled: Vec<String>,
+        /// The nearest names: files in the same folder, bundled towns and scenarios.
+        near: Vec<String>,
     },
     /// A folder with no `.sumocfg`, or with several.
     #[error("`{}` is a folder with {found} .sumocfg files; name the one to run", path.display())]
@@ -79,7 +81,11 @@ pub enum ResolveError {
         found: usize,
     },
     /// The bundled towns cannot be written to the cache.
-    #[error("could not unpack the bundled towns into {}: {source}; check that the folder is writable and the disk has room", path.display())]
+    #[error(
+        "could not unpack the bundled towns into {}: {source}; check that the folder is yours and writable, and the disk \
+         has room, or name another with XDG_CACHE_HOME",
+        path.display()
+    )]
     Unpack {
         /// The cache's folder.
         path: PathBuf,
@@ -129,8 +135,11 @@ pub fn detector(name: &str) -> Option<&'static [u8]> {
 }
 
 /// The file that `name` means: a path that exists wins (a folder means the one .sumocfg in it),
-/// then the bundled town of that file name (`nets/town5.sumocfg`, `town5.sumocfg` and `town5` alike), then
-/// the bundled scenario.
+/// then the bundled town of that name (`nets/town5.sumocfg`, `town5.sumocfg` and `town5` alike), then the
+/// bundled scenario. Any other path that does not exist is an error: it meant another file.
+///
+/// # Errors
+/// There is no such file, a folder has not one .sumocfg, or the bundled files cannot be unpacked.
 pub fn resolve(name: &str) -> Result<PathBuf, ResolveError> {
     let path = Path::new(name);
     if path.is_file() {
@@ -148,27 +157,66 @@ pub fn resolve(name: &str) -> Result<PathBuf, ResolveError> {
             found => Err(ResolveError::AmbiguousFolder { path: path.to_path_buf(), found }),
         };
     }
-    let file = path.file_name().and_then(|f| f.to_str()).unwrap_or(name);
-    let stem = [".sumocfg", ".net.xml.gz", ".net.xml"]
-        .iter()
-        .find_map(|suffix| file.strip_suffix(suffix))
-        .unwrap_or(file);
-    let bundled = towns();
-    if !bundled.iter().any(|town| town == stem) {
-        if scenarios().iter().any(|scenario| scenario == stem) {
-            return Ok(unpack()?.join("scenarios").join(stem).join(format!("{stem}.sumocfg")));
-        }
-        return Err(ResolveError::NotFound { name: name.to_string(), bundled });
+    let file = name.strip_prefix("nets/").unwrap_or(name);
+    let stem = stem(file);
+    let folder = match (towns().iter().any(|town| town == stem), scenarios().iter().any(|s| s == stem)) {
+        (true, _) => "sumo_nets",
+        (_, true) if !is_net(file) => "scenarios",
+        _ => return Err(ResolveError::NotFound { name: name.to_string(), near: near(path) }),
+    };
+    let folder = unpack()?.join(folder).join(stem);
+    Ok(if is_net(file) { net_file(&folder, stem) } else { folder.join(format!("{stem}.sumocfg")) })
+}
+
+/// Endings of what a config may be.
+const ENDINGS: [&str; 3] = [".sumocfg", ".net.xml.gz", ".net.xml"];
+
+/// A file's name without the ending of a config.
+fn stem(file: &str) -> &str {
+    ENDINGS.iter().find_map(|ending| file.strip_suffix(ending)).unwrap_or(file)
+}
+
+fn is_net(file: &str) -> bool {
+    ENDINGS[1..].iter().any(|ending| file.ends_with(ending))
+}
+
+/// Configs and folders beside a path that does not exist, then bundled names, that are nearest to it.
+fn near(path: &Path) -> Vec<String> {
+    let file = path.file_name().unwrap_or_default().to_string_lossy();
+    let parent = path.parent().unwrap_or(Path::new(""));
+    let folder = if parent.as_os_str().is_empty() { Path::new(".") } else { parent };
+    let beside = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    let beside = beside.filter(|path| {
+        path.is_dir() || ENDINGS.iter().any(|ending| path.to_string_lossy().ends_with(ending))
+    });
+    let beside = beside.filter_map(|path| Some(path.file_name()?.to_str()?.to_string()));
+    let mut beside: Vec<String> = beside.collect();
+    beside.sort();
+    let stems: Vec<&str> = beside.iter().map(|file| stem(file)).collect();
+    let mut found: Vec<String> = Vec::new();
+    for stem in suggest::near(stem(&file), stems.iter().copied()) {
+        let named = beside.iter().zip(&stems).filter(|(_, other)| **other == stem);
+        found.extend(named.map(|(file, _)| parent.join(file).display().to_string()));
     }
-    let root = unpack()?.join("sumo_nets");
-    let net_only = file.ends_with(".net.xml") || file.ends_with(".net.xml.gz");
-    let town = root.join(stem);
-    Ok(if net_only { net_file(&town, stem) } else { town.join(format!("{stem}.sumocfg")) })
+    let bundled: Vec<String> = towns().into_iter().chain(scenarios()).collect();
+    found
+        .extend(suggest::near(stem(&file), bundled.iter().map(String::as_str)).into_iter().map(String::from));
+    found.dedup();
+    found.truncate(3);
+    found
 }
 
 /// Whether a file is a bundled one, unpacked in the cache.
 pub fn is_unpacked(path: &Path) -> bool {
-    path.starts_with(cache_dir().join("towns"))
+    caches().any(|cache| path.starts_with(cache))
+}
+
+/// Where the bundled files may be unpacked: in the user's cache, else in the system's folder for temporary files.
+fn caches() -> impl Iterator<Item = PathBuf> {
+    // SAFETY: geteuid only returns a number.
+    let user = unsafe { libc::geteuid() };
+    let temporary = std::env::temp_dir().join(format!("wad-cosim-{user}"));
+    cache_dir().into_iter().chain([temporary]).map(|cache| cache.join("towns"))
 }
 
 fn net_file(town: &Path, stem: &str) -> PathBuf {
@@ -176,35 +224,72 @@ fn net_file(town: &Path, stem: &str) -> PathBuf {
     if plain.is_file() { plain } else { town.join(format!("{stem}.net.xml.gz")) }
 }
 
-/// Writes the bundled towns and scenarios into the cache once per content, side by side as in the
-/// repository, and returns the folder.
-fn unpack() -> Result<PathBuf, ResolveError> {
+/// The folder with the bundled towns and scenarios, side by side as in the repository. Files in it that are
+/// missing or changed are written again. It is in the user's cache; in the system's folder for temporary files
+/// if that cannot be used.
+///
+/// # Errors
+/// Neither can be written by this user alone.
+pub fn unpack() -> Result<PathBuf, ResolveError> {
+    static UNPACKED: Mutex<Option<PathBuf>> = Mutex::new(None);
+    let mut unpacked = UNPACKED.lock().unwrap_or_else(PoisonError::into_inner);
+    // Looked over once in a process, and again when the folder has gone.
+    if let Some(root) = unpacked.as_ref().filter(|root| root.is_dir()) {
+        return Ok(root.clone());
+    }
+    let mut failed = None;
+    for cache in caches() {
+        match unpack_in(&cache) {
+            Ok(root) => return Ok(unpacked.insert(root).clone()),
+            Err(source) => failed.get_or_insert(ResolveError::Unpack { path: cache, source }),
+        };
+    }
+    let nowhere =
+        || ResolveError::Unpack { path: PathBuf::new(), source: std::io::ErrorKind::NotFound.into() };
+    Err(failed.unwrap_or_else(nowhere))
+}
+
+fn unpack_in(cache: &Path) -> std::io::Result<PathBuf> {
     let wanted: Vec<(&String, &[u8])> = files()
         .iter()
         .filter(|(path, _)| path.starts_with("sumo_nets/") || path.starts_with("scenarios/"))
         .map(|(path, bytes)| (path, *bytes))
         .collect();
-    let root = cache_dir().join("towns").join(format!("{:016x}", content_hash(&wanted)));
-    if root.is_dir() {
-        return Ok(root);
+    let root = cache.join(format!("{:016x}", content_hash(&wanted)));
+    for folder in [cache.parent().unwrap_or(cache), cache, &root] {
+        make_private(folder)?;
     }
-    let fail = |source| ResolveError::Unpack { path: root.clone(), source };
-    // Unpacked beside its place and moved there, so that a torn copy is never used and two
-    // processes at once do not see each other's half.
-    let staging = root.with_extension(format!("tmp{}", std::process::id()));
-    let write = |(path, bytes): &(&String, &[u8])| {
-        let path = staging.join(path);
-        path.parent().map_or(Ok(()), std::fs::create_dir_all)?;
-        std::fs::write(path, bytes)
-    };
-    let written = std::fs::create_dir_all(&staging).and_then(|()| wanted.iter().try_for_each(write));
-    if let Err(error) = written.and_then(|()| std::fs::rename(&staging, &root)) {
-        let _ = std::fs::remove_dir_all(&staging);
-        if !root.is_dir() {
-            return Err(fail(error));
+    for (path, bytes) in wanted {
+        let path = root.join(path);
+        if std::fs::read(&path).is_ok_and(|found| found == bytes) {
+            continue;
         }
+        path.parent().map_or(Ok(()), std::fs::create_dir_all)?;
+        // Written beside its place and moved there, so that another process never reads half a file.
+        let mut draft = path.clone().into_os_string();
+        draft.push(format!(".{}.tmp", std::process::id()));
+        std::fs::write(&draft, bytes).and_then(|()| std::fs::rename(&draft, &path))?;
     }
     Ok(root)
+}
+
+/// Makes a folder that only this user can write, or takes others' right to write from one that is there.
+fn make_private(folder: &Path) -> std::io::Result<()> {
+    use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
+    std::fs::DirBuilder::new().recursive(true).mode(0o700).create(folder)?;
+    let found = std::fs::symlink_metadata(folder)?;
+    // A link in a folder that others can write may be theirs.
+    let link = found.is_symlink() && folder.starts_with(std::env::temp_dir());
+    let found = std::fs::metadata(folder)?;
+    // SAFETY: geteuid only returns a number.
+    if link || found.uid() != unsafe { libc::geteuid() } {
+        return Err(std::io::Error::other(format!("{} belongs to another user", folder.display())));
+    }
+    let mode = found.mode() & 0o7777;
+    if mode & 0o022 == 0 {
+        return Ok(());
+    }
+    std::fs::set_permissions(folder, std::fs::Permissions::from_mode(mode & !0o022))
 }
 
 /// FNV-1a over the names and contents, in the order of the names.
@@ -226,11 +311,67 @@ mod tests {
     }
 
     #[test]
+    fn a_path_that_does_not_exist_is_not_the_bundled_town_of_its_file_name() {
+        for name in ["bogus/dir/town5.sumocfg", "/home/me/fork/town5.net.xml", "other/cross", "nets/a/town5"]
+        {
+            let error = resolve(name).unwrap_err().to_string();
+            assert!(error.contains(name) && error.contains("did you mean"), "{name}: {error}");
+        }
+        let error = resolve("twon5").unwrap_err().to_string();
+        assert!(error.contains("did you mean town5"), "{error}");
+    }
+
+    #[test]
+    fn the_nearest_files_beside_a_missing_one_are_named() {
+        let dir = tempfile::tempdir().unwrap();
+        for file in ["my_town.sumocfg", "my_town.net.xml", "notes.txt"] {
+            std::fs::write(dir.path().join(file), "").unwrap();
+        }
+        let error = resolve(&dir.path().join("mytown.sumocfg").to_string_lossy()).unwrap_err().to_string();
+        let meant = dir.path().join("my_town.sumocfg");
+        assert!(error.contains(&format!("{}", meant.display())) && !error.contains("notes"), "{error}");
+    }
+
+    #[test]
     fn every_spelling_of_a_bundled_town_is_the_same_file() {
         let path = resolve("town5").unwrap();
         assert!(path.is_file());
         assert_eq!(resolve("nets/town5.sumocfg").unwrap(), path);
         assert_eq!(resolve("town5.sumocfg").unwrap(), path);
         assert!(resolve("town5.net.xml").unwrap().is_file());
+    }
+
+    #[test]
+    fn a_changed_or_missing_bundled_file_is_written_again() {
+        let dir = tempfile::tempdir().unwrap();
+        let cache = dir.path().join("wad-cosim/towns");
+        let root = unpack_in(&cache).unwrap();
+        let (gone, changed) =
+            (root.join("sumo_nets/town5/town5.sumocfg"), root.join("scenarios/cross/cross.rou.xml"));
+        let before = std::fs::read(&changed).unwrap();
+        std::fs::remove_file(&gone).unwrap();
+        std::fs::write(&changed, "<routes/>").unwrap();
+        assert_eq!(unpack_in(&cache).unwrap(), root);
+        assert!(gone.is_file());
+        assert_eq!(std::fs::read(&changed).unwrap(), before);
+        let left = std::fs::read_dir(changed.parent().unwrap()).unwrap();
+        assert!(left.flatten().all(|file| !file.path().to_string_lossy().ends_with(".tmp")));
+    }
+
+    #[test]
+    fn a_cache_that_others_can_write_is_not_used_as_it_is() {
+        use std::os::unix::fs::{MetadataExt, PermissionsExt};
+        let dir = tempfile::tempdir().unwrap();
+        let open = dir.path().join("open");
+        std::fs::create_dir(&open).unwrap();
+        std::fs::set_permissions(&open, std::fs::Permissions::from_mode(0o777)).unwrap();
+        let root = unpack_in(&open.join("towns")).unwrap();
+        for folder in root.ancestors().take(3) {
+            assert_eq!(std::fs::metadata(folder).unwrap().mode() & 0o022, 0, "{}", folder.display());
+        }
+        // A link among temporary files may be anybody's.
+        let link = dir.path().join("link");
+        std::os::unix::fs::symlink(&open, &link).unwrap();
+        assert!(make_private(&link).unwrap_err().to_string().contains("another user"));
     }
 }

@@ -30,6 +30,7 @@ pub mod replay;
 pub mod scenario;
 pub mod session;
 pub mod stats;
+mod suggest;
 pub mod sumo_config;
 pub mod tasks;
 pub mod telemetry;

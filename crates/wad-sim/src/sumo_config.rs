@@ -11,7 +11,8 @@ use std::collections::BTreeMap;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
-use sumo_traci::process::SumoInstall;
+use sumo_traci::keeper;
+use sumo_traci::process::{ANSWER, SumoInstall};
 
 /// Why a configuration could not be used.
 #[derive(Debug, thiserror::Error)]
@@ -68,6 +69,14 @@ pub enum ConfigError {
         /// The system's error.
         source: std::io::Error,
     },
+    /// SUMO takes a path apart that has one of these characters.
+    #[error("SUMO cannot use the path `{}`: it has {found}; rename the folder or file", path.display())]
+    Path {
+        /// The path.
+        path: PathBuf,
+        /// What is in it.
+        found: &'static str,
+    },
     /// SUMO does not list its options.
     #[error("could not ask SUMO at `{}` for its options: {problem}", binary.display())]
     Schema {
@@ -93,11 +102,9 @@ impl OptionSchema {
         let program = if gui { "sumo-gui" } else { "sumo" };
         let binary = install.program(program);
         let fail = |problem: String| ConfigError::Schema { binary: binary.clone(), problem };
-        let output = install
-            .command(program)
-            .args(["--save-template", "/dev/stdout", "--save-template.commented", "true"])
-            .output()
-            .map_err(|e| fail(e.to_string()))?;
+        let mut command = install.command(program);
+        command.args(["--save-template", "/dev/stdout", "--save-template.commented", "true"]);
+        let output = keeper::output_within(command, ANSWER).map_err(|e| fail(e.to_string()))?;
         let text = String::from_utf8_lossy(&output.stdout);
         let schema = Self::parse(&text).map_err(fail)?;
         if schema.types.is_empty() {
@@ -169,8 +176,35 @@ impl SumoConfig {
     /// # Errors
     /// The file is unreadable or not XML, names no net, or names a file that does not exist.
     pub fn load(path: &Path, schema: &OptionSchema) -> Result<Self, ConfigError> {
+        let config = Self::read(path, schema)?;
+        for option in ["net-file", "route-files", "additional-files"] {
+            config.present(option)?;
+        }
+        Ok(config)
+    }
+
+    /// The network file, which exists.
+    ///
+    /// # Errors
+    /// There is none, or it does not exist.
+    pub(crate) fn present_net(&self) -> Result<PathBuf, ConfigError> {
+        self.present("net-file")?;
+        self.net_file()
+    }
+
+    fn present(&self, option: &str) -> Result<(), ConfigError> {
+        let missing = self.files(option).into_iter().find(|file| !file.exists());
+        missing.map_or(Ok(()), |missing| {
+            let (config, option) = (self.path.clone(), option.to_string());
+            Err(ConfigError::MissingInput { config, option, missing })
+        })
+    }
+
+    /// [`Self::load`], but files that it names may be missing.
+    pub(crate) fn read(path: &Path, schema: &OptionSchema) -> Result<Self, ConfigError> {
         let path = std::path::absolute(path)
             .map_err(|source| ConfigError::Read { path: path.to_path_buf(), source })?;
+        usable(&path)?;
         let name = path.to_string_lossy();
         if name.ends_with(".net.xml") || name.ends_with(".net.xml.gz") {
             let options = BTreeMap::from([("net-file".to_string(), name.to_string())]);
@@ -196,17 +230,6 @@ impl SumoConfig {
         let config = Self { path: path.clone(), options, ignored };
         if config.net_files().is_empty() {
             return Err(ConfigError::NoNet { path });
-        }
-        for option in ["net-file", "route-files", "additional-files"] {
-            for file in config.files(option) {
-                if !file.exists() {
-                    return Err(ConfigError::MissingInput {
-                        config: path,
-                        option: option.to_string(),
-                        missing: file,
-                    });
-                }
-            }
         }
         Ok(config)
     }
@@ -294,6 +317,7 @@ impl SumoConfig {
         // SUMO counts relative paths from the configuration's own folder, not from ours.
         let dir =
             &std::path::absolute(&overrides.output_dir).unwrap_or_else(|_| overrides.output_dir.clone());
+        usable(dir)?;
         std::fs::create_dir_all(dir).map_err(|source| ConfigError::Write { path: dir.clone(), source })?;
         let mut options = self.options.clone();
         for dropped in DROPPED {
@@ -303,7 +327,8 @@ impl SumoConfig {
             options.remove("route-files");
         }
         for (option, value) in options.iter_mut() {
-            if is_output(option) && schema.is_file(option) {
+            // SUMO calls some of them plain text.
+            if is_output(option) && schema.is_file(option) || OUTPUT_PARAMETERS.contains(&option.as_str()) {
                 *value = redirected(value, dir);
             }
         }
@@ -315,10 +340,14 @@ impl SumoConfig {
             }
             *value = kept.join(",");
         }
-        if let (Some(dropped), Some(value)) = (overrides.drop_type, options.get_mut("route-files")) {
+        if let Some(value) = options.get_mut("route-files") {
             let mut kept = Vec::new();
             for file in self.route_files() {
-                kept.push(without_type(&file, dropped, dir)?.to_string_lossy().to_string());
+                let mut file = redirect_outputs(&file, dir)?;
+                if let Some(dropped) = overrides.drop_type {
+                    file = without_type(&file, dropped, dir)?;
+                }
+                kept.push(file.to_string_lossy().to_string());
             }
             *value = kept.join(",");
         }
@@ -338,6 +367,22 @@ impl SumoConfig {
         std::fs::write(&path, text).map_err(|source| ConfigError::Write { path: path.clone(), source })?;
         Ok(path)
     }
+}
+
+/// SUMO separates the files of a list by commas and replaces `%20` and the like; line breaks do not survive in XML.
+fn usable(path: &Path) -> Result<(), ConfigError> {
+    let text = path.to_string_lossy();
+    let is_code = |part: &str| part.len() >= 2 && part.bytes().take(2).all(|b| b.is_ascii_hexdigit());
+    let found = if text.contains(',') {
+        "a comma"
+    } else if text.contains(['\n', '\r']) {
+        "a line break"
+    } else if text.split('%').skip(1).any(is_code) {
+        "a % before two digits"
+    } else {
+        return Ok(());
+    };
+    Err(ConfigError::Path { path: path.to_path_buf(), found })
 }
 
 /// Options that a run decides itself or that would act on the user's files.
@@ -397,6 +442,9 @@ fn absolute(folder: &Path, file: &str) -> String {
     folder.join(file).to_string_lossy().to_string()
 }
 
+/// Generic parameters of vehicles and vehicle types that name a file which SUMO writes, and options too.
+const OUTPUT_PARAMETERS: [&str; 2] = ["device.ssm.file", "device.toc.file"];
+
 /// Elements of additional files that write, with the attribute that names where.
 fn output_attribute(element: &str) -> Option<&'static str> {
     match element {
@@ -422,14 +470,14 @@ fn output_attribute(element: &str) -> Option<&'static str> {
 fn without_type(file: &Path, dropped: &str, dir: &Path) -> Result<PathBuf, ConfigError> {
     let text = read_plain(file)?;
     let malformed = |problem: String| ConfigError::Malformed { path: file.to_path_buf(), problem };
-    let mut reader = quick_xml::Reader::from_str(&text);
+    let mut reader = Events::of(&text);
     let mut writer = quick_xml::Writer::new(Vec::with_capacity(text.len()));
     let (mut inside, mut found) = (0usize, false);
     let is_dropped = |start: &BytesStart<'_>| {
         start.attributes().flatten().any(|a| a.key.0 == "type" && a.value.as_ref() == dropped)
     };
     loop {
-        let event = reader.read_event().map_err(|e| malformed(e.to_string()))?;
+        let event = reader.next().map_err(malformed)?;
         let drop = match &event {
             Event::Eof => break,
             Event::Start(start) if inside > 0 || is_dropped(start) => {
@@ -475,15 +523,15 @@ fn redirect_outputs(file: &Path, dir: &Path) -> Result<PathBuf, ConfigError> {
     let text = read_plain(file)?;
     let writers =
         ["Detector", "ductionLoop", "edgeData", "laneData", "meanData", "Probe", "calibrator", "timedEvent"];
-    if !writers.iter().any(|w| text.contains(w)) {
+    if !writers.iter().chain(&OUTPUT_PARAMETERS).any(|w| text.contains(w)) {
         return Ok(file.to_path_buf());
     }
     let folder = file.parent().map(Path::to_path_buf).unwrap_or_default();
     let malformed = |problem: String| ConfigError::Malformed { path: file.to_path_buf(), problem };
-    let mut reader = quick_xml::Reader::from_str(&text);
+    let mut reader = Events::of(&text);
     let mut writer = quick_xml::Writer::new(Vec::with_capacity(text.len()));
     loop {
-        let event = reader.read_event().map_err(|e| malformed(e.to_string()))?;
+        let event = reader.next().map_err(malformed)?;
         let event = match event {
             Event::Eof => break,
             Event::Start(start) => Event::Start(redirect_element(&start, &folder, dir).map_err(malformed)?),
@@ -505,7 +553,13 @@ fn redirect_element(
     dir: &Path,
 ) -> Result<BytesStart<'static>, String> {
     let name = start.name().0.to_string();
-    let written = output_attribute(&name);
+    let is_output_parameter = |a: quick_xml::events::attributes::Attribute<'_>| {
+        a.key.0 == "key" && OUTPUT_PARAMETERS.contains(&a.value.as_ref())
+    };
+    let written = match name.as_str() {
+        "param" if start.attributes().flatten().any(is_output_parameter) => Some("value"),
+        name => output_attribute(name),
+    };
     let mut out = BytesStart::new(name);
     for attribute in start.attributes() {
         let attribute = attribute.map_err(|e| e.to_string())?;
@@ -523,16 +577,39 @@ fn redirect_element(
     Ok(out)
 }
 
+/// The events of an XML text. One that ends within an element is an error: it has been cut off.
+struct Events<'a> {
+    reader: quick_xml::Reader<&'a [u8]>,
+    open: usize,
+}
+
+impl<'a> Events<'a> {
+    fn of(text: &'a str) -> Self {
+        Self { reader: quick_xml::Reader::from_str(text), open: 0 }
+    }
+
+    fn next(&mut self) -> Result<Event<'a>, String> {
+        let event = self.reader.read_event();
+        let event = event.map_err(|e| format!("{e} (at byte {})", self.reader.error_position()))?;
+        match event {
+            Event::Start(_) => self.open += 1,
+            Event::End(_) => self.open = self.open.saturating_sub(1),
+            Event::Eof if self.open > 0 => return Err("it is cut off before its end".to_string()),
+            _ => {}
+        }
+        Ok(event)
+    }
+}
+
 /// Calls `visit` with each element's name and attributes.
 fn for_each_element(
     text: &str,
     mut visit: impl FnMut(&str, &BTreeMap<String, String>),
 ) -> Result<(), String> {
-    let mut reader = quick_xml::Reader::from_str(text);
+    let mut reader = Events::of(text);
     let mut elements = 0usize;
     loop {
-        let event = reader.read_event().map_err(|e| format!("{e} (at byte {})", reader.error_position()))?;
-        match event {
+        match reader.next()? {
             Event::Eof => break,
             Event::Start(start) | Event::Empty(start) => {
                 elements += 1;
@@ -624,5 +701,53 @@ mod tests {
             let error = SumoConfig::load(&path, &schema).unwrap_err().to_string();
             assert!(error.contains(expected), "{text}: {error}");
         }
+    }
+
+    #[test]
+    fn a_file_that_is_cut_off_is_not_a_configuration() {
+        let dir = tempfile::tempdir().unwrap();
+        let schema = OptionSchema::parse(TEMPLATE).unwrap();
+        write(dir.path(), "a.net.xml", "<net/>");
+        let whole = "<sumoConfiguration><input><net-file value=\"a.net.xml\"/></input></sumoConfiguration>";
+        let path = write(dir.path(), "a.sumocfg", whole);
+        SumoConfig::load(&path, &schema).unwrap();
+        write(dir.path(), "a.sumocfg", whole.strip_suffix("</input></sumoConfiguration>").unwrap());
+        let error = SumoConfig::load(&path, &schema).unwrap_err().to_string();
+        assert!(error.contains("cut off"), "{error}");
+    }
+
+    #[test]
+    fn a_vehicles_device_writes_into_the_run_folder() {
+        let dir = tempfile::tempdir().unwrap();
+        let schema = OptionSchema::parse(TEMPLATE).unwrap();
+        write(dir.path(), "a.net.xml", "<net/>");
+        let ssm = "<param key=\"device.ssm.file\" value=\"/elsewhere/ssm.xml\"/>";
+        write(dir.path(), "a.rou.xml", &format!("<routes><vType id=\"t\">{ssm}</vType></routes>"));
+        let text = "<c><net-file value=\"a.net.xml\"/><route-files value=\"a.rou.xml\"/></c>";
+        let config = SumoConfig::load(&write(dir.path(), "a.sumocfg", text), &schema).unwrap();
+        let out = dir.path().join("out");
+        let overrides = Overrides { output_dir: out.clone(), ..Overrides::default() };
+        let effective =
+            std::fs::read_to_string(config.write_effective(&schema, &overrides).unwrap()).unwrap();
+        let routes = out.join("redirected-a.rou.xml");
+        assert!(effective.contains(&routes.display().to_string()), "{effective}");
+        let routes = std::fs::read_to_string(routes).unwrap();
+        assert!(routes.contains(&out.join("ssm.xml").display().to_string()), "{routes}");
+        assert!(!routes.contains("elsewhere"), "{routes}");
+    }
+
+    #[test]
+    fn a_path_that_sumo_takes_apart_is_refused_with_the_reason() {
+        let dir = tempfile::tempdir().unwrap();
+        let schema = OptionSchema::parse(TEMPLATE).unwrap();
+        for (name, found) in [("a,b", "a comma"), ("a%20b", "a % before"), ("a\nb", "a line break")] {
+            let folder = dir.path().join(name);
+            std::fs::create_dir(&folder).unwrap();
+            let error = SumoConfig::load(&write(&folder, "a.net.xml", "<net/>"), &schema).unwrap_err();
+            assert!(error.to_string().contains(found), "{error}");
+        }
+        let folder = dir.path().join("100% a");
+        std::fs::create_dir(&folder).unwrap();
+        SumoConfig::load(&write(&folder, "a.net.xml", "<net/>"), &schema).unwrap();
     }
 }

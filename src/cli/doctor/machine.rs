@@ -68,14 +68,11 @@ pub fn memory() -> Finding {
     }
 }
 
-/// The cache folder, tested by writing to it.
+/// The folder that the bundled towns are unpacked into.
 pub fn cache() -> Finding {
-    let folder = bundled::cache_dir();
-    let found = folder.display().to_string();
-    match std::fs::create_dir_all(&folder).and_then(|()| tempfile::tempfile_in(&folder)) {
-        Ok(_) => Finding::ok("cache", found),
-        Err(error) => Finding::missing("cache", format!("{found} cannot be written to: {error}"))
-            .advice("make it writable, or set XDG_CACHE_HOME to a folder that is"),
+    match bundled::unpack() {
+        Ok(folder) => Finding::ok("cache", folder.display().to_string()),
+        Err(error) => Finding::missing("cache", error.to_string()),
     }
 }
 

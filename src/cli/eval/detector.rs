@@ -120,7 +120,7 @@ async fn look(
     times: &mut Vec<f64>,
 ) -> anyhow::Result<(Vec<View>, bool)> {
     let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
-    let mut interrupt = run::Interrupt::listen()?;
+    let mut interrupt = crate::cli::interrupt()?;
     let options = DriveOptions::passing(config, args.seed, args.traffic, scratch.path());
     let mut tour = Tour::start(options, args.seed).await.map_err(run::with_exit)?;
     let mut camera = Camera::new(CameraConfig::default()).map_err(|e| Exit::Input.because(e))?;

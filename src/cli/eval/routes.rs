@@ -37,7 +37,8 @@ pub struct Args {
 }
 
 enum News {
-    Tried,
+    /// One was driven: did it hold?
+    Tried(bool),
     Set(TaskKind, Result<Result<Vec<wad_cosim::tasks::Placement>, String>, wad_cosim::env::EnvError>),
 }
 
@@ -46,7 +47,7 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
     let assets = Assets::load(&args.config).map_err(|e| with_exit(e.into()))?;
     let out = args.out.clone().unwrap_or_else(|| Routes::beside(&assets));
     let kinds = if args.sets.is_empty() { Routes::SETS.to_vec() } else { args.sets.clone() };
-    let bar = Bar::new((kinds.len() * args.count) as u64, "routes tried");
+    let bar = Bar::new((kinds.len() * args.count) as u64, "routes");
     let (sender, receiver) = mpsc::channel();
     let next = std::sync::Mutex::new(kinds.iter().copied());
     let (mut sets, mut missing) = (BTreeMap::new(), BTreeMap::new());
@@ -57,22 +58,23 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
                 loop {
                     let Ok(Some(kind)) = next.lock().map(|mut kinds| kinds.next()) else { break };
                     // The receiver is gone if another set has failed.
-                    let found = routes::find(assets, kind, args.count, args.seed, |_, _| {
-                        let _ = sender.send(News::Tried);
+                    let found = routes::find(assets, kind, args.count, args.seed, |_, holds| {
+                        let _ = sender.send(News::Tried(holds));
                     });
                     let _ = sender.send(News::Set(kind, found));
                 }
             });
         }
         drop(sender);
-        let mut tried = 0;
+        let (mut found, mut tried) = (0, 0);
         for news in receiver {
             match news {
-                News::Tried => {
+                News::Tried(holds) => {
                     tried += 1;
-                    bar.show(tried, "");
+                    found += u64::from(holds);
+                    bar.show(found, &format!("of {tried} tried"));
                 }
-                News::Set(kind, found) => match found.map_err(|e| with_exit(e.into()))? {
+                News::Set(kind, set) => match set.map_err(|e| with_exit(e.into()))? {
                     Ok(routes) => {
                         bar.say(&format!("{kind}: {} routes", routes.len()));
                         sets.insert(kind.name().to_string(), routes);

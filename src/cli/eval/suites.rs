@@ -3,7 +3,6 @@
 use crate::cli::agents;
 use crate::cli::progress::Bar;
 use crate::cli::{Exit, print};
-use anyhow::Context;
 use clap::ValueHint;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -18,6 +17,8 @@ use wad_cosim::eval::{
     self, Case, DriverError, DriverSpec, EpisodeRecord, EvalError, Evaluation, Fault, Keep, Manifest, Row,
     Score, Selection, Shard, Store, StoreError, Suite,
 };
+use wad_cosim::folder_lock::LockError;
+use wad_cosim::perception;
 use wad_cosim::traci::process::SumoInstall;
 use wad_cosim::traffic::TrafficSpec;
 
@@ -220,6 +221,9 @@ pub fn run(suite: &str, args: Args) -> anyhow::Result<Exit> {
         Ok((agent.to_string(), made.id))
     });
     let ids = ids.collect::<anyhow::Result<_>>()?;
+    let hashes = |hash: fn(&Assets) -> &str| -> BTreeMap<String, String> {
+        towns.iter().map(|(town, assets)| (town.clone(), hash(assets).to_string())).collect()
+    };
     let manifest = Manifest {
         build: env!("WAD_COSIM_VERSION").to_string(),
         sumo: sumo_version()?,
@@ -227,7 +231,9 @@ pub fn run(suite: &str, args: Args) -> anyhow::Result<Exit> {
         selection,
         options: options.clone(),
         agents: ids,
-        nets: towns.iter().map(|(town, assets)| (town.clone(), assets.net_hash().to_string())).collect(),
+        nets: hashes(Assets::net_hash),
+        towns: hashes(Assets::files_hash),
+        detector: perception::weights_hash(&args.detector),
         shard: args.shard,
     };
     let opened = args.out.as_ref().map(|out| Store::open(out, &manifest, args.resume)).transpose();
@@ -241,7 +247,7 @@ pub fn run(suite: &str, args: Args) -> anyhow::Result<Exit> {
         .filter(|(_, done)| done.is_none())
         .map(|(case, _)| case.clone())
         .collect();
-    let stop = wad_cosim::interrupt::flag().context("cannot listen for Ctrl-C")?;
+    let stop = crate::cli::interrupt()?.flag();
     let bar = Bar::new(mine.len() as u64, "episodes");
     let before = (mine.len() - left.len()) as u64;
     bar.show(before, "");
@@ -357,7 +363,7 @@ pub fn with_exit(error: EvalError) -> anyhow::Error {
         EvalError::Driver(
             DriverError::Unknown { .. } | DriverError::Constant { .. } | DriverError::Manual,
         ) => Exit::Input,
-        EvalError::Store(StoreError::File { .. }) => Exit::Other,
+        EvalError::Store(StoreError::File { .. } | StoreError::Lock(LockError::Make { .. })) => Exit::Other,
         EvalError::Store(_) => Exit::Input,
         #[cfg(feature = "learn")]
         EvalError::Driver(DriverError::Policy(_) | DriverError::Encoder(_)) => Exit::Input,
@@ -386,19 +392,28 @@ fn failure(record: &EpisodeRecord) -> String {
 
 /// The totals as text.
 fn table(summary: &Summary) -> String {
-    let mut text = format!(
-        "{:10} {:9} {:7} {:18} {:>9}  {:>14}  {:>5}  {:>6}  ends\n",
-        "agent", "condition", "town", "task", "success", "95 %", "km/h", "return"
-    );
-    for total in &summary.totals {
+    let named = |total: &Total| {
+        [&*eval::report::short(&total.agent), &total.condition, &total.town, &total.task].map(str::to_string)
+    };
+    let names: Vec<[String; 4]> = summary.totals.iter().map(named).collect();
+    // As wide as the longest name, so that columns stay columns.
+    let mut widths = [10, 9, 7, 18];
+    for (column, width) in widths.iter_mut().enumerate() {
+        let longest = names.iter().map(|row| row[column].chars().count()).max();
+        *width = longest.unwrap_or(0).max(*width);
+    }
+    let row = |cells: [&str; 4]| {
+        let cells = cells.iter().zip(widths).map(|(cell, width)| format!("{cell:width$} "));
+        cells.collect::<String>()
+    };
+    let mut text = row(["agent", "condition", "town", "task"]);
+    text += &format!("{:>9}  {:>14}  {:>5}  {:>6}  ends\n", "success", "95 %", "km/h", "return");
+    for (total, names) in summary.totals.iter().zip(&names) {
         let score = &total.score;
         let ends: Vec<String> = score.ends.iter().map(|(end, n)| format!("{end} {n}")).collect();
+        text += &row(names.each_ref().map(String::as_str));
         text += &format!(
-            "{:10} {:9} {:7} {:18} {:>4}/{:<4}  {:>5.1}-{:<5.1} %  {:>5.1}  {:>6}  {}{}\n",
-            eval::report::short(&total.agent),
-            total.condition,
-            total.town,
-            total.task,
+            "{:>4}/{:<4}  {:>5.1}-{:<5.1} %  {:>5.1}  {:>6}  {}{}\n",
             score.successes,
             score.episodes,
             100.0 * score.interval.0,
@@ -413,4 +428,25 @@ fn table(summary: &Summary) -> String {
         text += &format!("{} of {} episodes\n", summary.episodes, summary.planned);
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn long_names_keep_the_columns() {
+        let total = |task: &str, town: &str| Total {
+            agent: "autopilot".to_string(),
+            condition: "new".to_string(),
+            town: town.to_string(),
+            task: task.to_string(),
+            score: Score::of(&[]),
+        };
+        let totals = vec![total("short", "town3"), total("a task with a very long name", "my_own_long_town")];
+        let summary = Summary { suite: String::new(), episodes: 0, planned: 0, totals, rows: Vec::new() };
+        let text = table(&summary);
+        let places: Vec<_> = text.lines().skip(1).map(|line| line.find("   0/0")).collect();
+        assert!(places[0].is_some() && places[0] == places[1], "{text}");
+    }
 }

@@ -16,8 +16,11 @@ impl StatusLine {
     pub fn new(plain: bool, limit: Option<u64>) -> Self {
         let bar = (!plain).then(|| {
             let bar = limit.map_or_else(ProgressBar::new_spinner, ProgressBar::new);
-            let template =
-                if limit.is_some() { "{bar:20} {pos}/{len}  {msg}" } else { "{spinner} {pos}  {msg}" };
+            let template = if limit.is_some() {
+                "{bar:20} {pos}/{len}, {eta} left  {msg}"
+            } else {
+                "{spinner} {pos}  {msg}"
+            };
             ProgressStyle::with_template(template).map_or(bar.clone(), |style| bar.with_style(style))
         });
         Self { bar, last: None }
@@ -63,12 +66,17 @@ fn describe_tick(status: &Status) -> String {
     format!(
         "{:7.1} s  {:5.1} km/h (limit {:.0})  light {light}  leader {leader}  route {:3.0} %  {}  {:.0} ticks/s",
         r.time,
-        r.ego.speed * 3.6,
+        tenths(r.ego.speed * 3.6),
         r.limit * 3.6,
         100.0 * r.route.s / r.route.length.max(1e-9),
         r.reason.map_or(String::new(), |reason| reason_name(&reason)),
         status.ticks_per_second,
     )
+}
+
+/// Rounded to a tenth, and never -0.0: a car that stands may roll back by a hair.
+fn tenths(x: f64) -> f64 {
+    (10.0 * x).round() / 10.0 + 0.0
 }
 
 fn describe_percept(percept: &Percept) -> String {
@@ -107,4 +115,15 @@ fn reason_name(reason: &wad_cosim::autopilot::Reason) -> String {
 
 fn serde_name(value: &impl serde::Serialize) -> String {
     serde_json::to_string(value).unwrap_or_default().trim_matches('"').replace('_', " ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_standing_car_has_no_negative_speed() {
+        assert_eq!(format!("{:.1}", tenths(-0.004)), "0.0");
+        assert_eq!(format!("{:.1} {:.1}", tenths(-0.06), tenths(49.97)), "-0.1 50.0");
+    }
 }

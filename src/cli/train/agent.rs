@@ -3,7 +3,7 @@
 use super::encoder::Device;
 use crate::cli::progress::Bar;
 use crate::cli::{Exit, agents, answer, dataset};
-use anyhow::{Context, anyhow};
+use anyhow::anyhow;
 use clap::{ValueEnum, ValueHint};
 use std::path::{Path, PathBuf};
 use wad_cosim::agent::batch::Inputs;
@@ -15,6 +15,7 @@ use wad_cosim::agent::sac::SacParams;
 use wad_cosim::agent::td3::Td3Params;
 use wad_cosim::env::{Assets, Env, EnvError, EnvOptions};
 use wad_cosim::eyes::EyesError;
+use wad_cosim::folder_lock::LockError;
 use wad_cosim::latent::{Encoder, TchEncoder};
 use wad_cosim::tasks::Curriculum;
 use wad_cosim::train::agent::{Limits, Maker, Progress, TrainConfig, TrainError, Trained, train};
@@ -229,7 +230,7 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
         record: args.record.clone(),
     };
     let maker = maker(&config.encoder, &config.curriculum.town)?;
-    let interrupt = wad_cosim::interrupt::flag().context("cannot listen for Ctrl-C")?;
+    let interrupt = crate::cli::interrupt()?.flag();
     let bar = Bar::new(limits.steps, "steps");
     let result = train(&config, &limits, args.resume, &interrupt, &maker, |progress| show(&bar, &progress));
     bar.clear();
@@ -428,6 +429,7 @@ pub fn with_exit(error: TrainError) -> anyhow::Error {
         TrainError::Buffer(_)
         | TrainError::Policy(_)
         | TrainError::Config(_)
+        | TrainError::Lock(LockError::Busy { .. })
         | TrainError::ConfigFile { .. }
         | TrainError::Taken { .. }
         | TrainError::NoCheckpoint { .. } => Exit::Input,

@@ -4,7 +4,6 @@ use super::encoder::Device;
 use super::{show, with_exit};
 use crate::cli::progress::Bar;
 use crate::cli::{Exit, answer, dataset};
-use anyhow::Context;
 use clap::{ValueEnum, ValueHint};
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
@@ -125,7 +124,7 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
     let device = args.device.open()?;
     let data = args.data.first().cloned().unwrap_or_else(|| args.out.join("data"));
     let options = options(&args, &data)?;
-    let interrupt = wad_cosim::interrupt::flag().context("cannot listen for Ctrl-C")?;
+    let interrupt = crate::cli::interrupt()?.flag();
     if let Some(count) = args.collect
         && !collected(count, &data, args.seed, &interrupt)?
     {

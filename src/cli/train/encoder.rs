@@ -3,7 +3,6 @@
 use super::{show, with_exit};
 use crate::cli::progress::Bar;
 use crate::cli::{Exit, answer, dataset};
-use anyhow::Context;
 use clap::{ValueEnum, ValueHint};
 use std::path::PathBuf;
 use wad_cosim::train::encoder::{Progress, TrainOptions, Trained, train};
@@ -125,7 +124,7 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
     wad_cosim::torch::threads(args.threads);
     let device = args.device.open()?;
     let options = options(&args)?;
-    let interrupt = wad_cosim::interrupt::flag().context("cannot listen for Ctrl-C")?;
+    let interrupt = crate::cli::interrupt()?.flag();
     let bar = Bar::new(0, "steps");
     let result = train(&options, device, args.resume, &interrupt, |progress| show(&bar, progress, words));
     bar.clear();

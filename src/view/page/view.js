@@ -43,7 +43,10 @@ function connect() {
   setLink("wait", "connecting");
   socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/ws${query}`);
   socket.binaryType = "arraybuffer";
-  socket.onmessage = (event) => (typeof event.data === "string" ? tell(JSON.parse(event.data)) : show(event.data));
+  socket.onmessage = (event) => {
+    heard = performance.now();
+    typeof event.data === "string" ? tell(JSON.parse(event.data)) : show(event.data);
+  };
   socket.onopen = () => (wait = 400);
   socket.onclose = (event) => {
     hands.stop();
@@ -61,6 +64,22 @@ function setLink(kind, text) {
   if ($("link").textContent !== text) $("link").textContent = text;
 }
 
+// When the server last said anything, and when the state that is shown came (ms).
+let heard = 0, shown = 0;
+/// Seconds for which the server has said nothing, once that is too long; else 0.
+const silence = () => { const s = (performance.now() - heard) / 1000; return s > 1.5 ? s : 0; };
+/// The link's label: what is shown is live only as long as ticks come.
+function link() {
+  if (!state || socket?.readyState !== 1) return;
+  const age = (performance.now() - shown) / 1000, due = Math.max(1.5, state.speed_factor > 0 ? (3 * state.dt) / state.speed_factor : 0);
+  if (silence()) setLink("wait", `no answer for ${silence().toFixed(0)} s`);
+  else if (hello.mode === "replay") setLink("on", "replay");
+  else if (state.paused || state.over) setLink("on", state.paused ? "paused" : "live");
+  else if (age > due) setLink("wait", `${age.toFixed(0)} s old`);
+  else setLink("on", "live");
+}
+setInterval(() => { link(); if (state && silence()) says(state); }, 250);
+
 function banner(text) {
   const old = $("banner").textContent;
   if (old === text) return;
@@ -72,6 +91,7 @@ function tell(message) {
   if (message.type === "hello") greet(message);
   else if (message.type === "route") { wad.route = message.id; map.setRoute(message.line); }
   else if (message.type === "refused") note({ time: state?.time || 0, said: "refused: " + message.why }, "warn");
+  else if (message.type === "beat") { if (state && hello?.mode === "run" && state.holder !== message.holder) { state.holder = message.holder; paint(); } }
   else if (message.type === "history") points = message.points;
 }
 
@@ -137,6 +157,7 @@ async function show(buffer) {
   const drawn = await Promise.all(pictures.map(async ([name, blob]) => [name, await createImageBitmap(blob)]));
   if (!state || next.tick !== state.tick) remember(next);
   state = wad.state = next;
+  shown = performance.now();
   map.update(next);
   paintPictures(drawn);
   paint();
@@ -204,6 +225,13 @@ function clock(s) {
   return `${m}:${((tenths - 600 * m) / 10).toFixed(1).padStart(4, "0")}`;
 }
 
+/// The banner: who drives, as far as the server says so.
+function says(s) {
+  const quiet = hello.mode === "replay" ? "" : "no answer: the autopilot takes the wheel of who is not heard";
+  const drives = s.holder === null ? "" : silence() ? quiet : s.holder === hello.you ? "you drive: arrow keys, M gives back" : `viewer ${s.holder} drives`;
+  banner(s.over ? s.over : s.loading ? `loading ${s.loading.toUpperCase()}` : s.paused ? (hello.mode === "replay" ? "" : "paused") : drives);
+}
+
 function paint() {
   if (!state) return;
   const s = state;
@@ -213,7 +241,7 @@ function paint() {
   put("viewers", String(s.viewers));
   const late = [...wad.latencies.slice(-15)].sort((a, b) => a - b)[Math.min(7, wad.latencies.length >> 1)];
   put("latency", late >= 0 && late < 9999 && hello.mode === "run" ? late.toFixed(0) + " ms" : "–");
-  setLink("on", hello.mode === "replay" ? "replay" : s.paused ? "paused" : "live");
+  link();
   $("pause").setAttribute("aria-pressed", s.paused);
   put("pause", s.paused ? (s.over && hello.mode === "replay" ? "Play again" : "Go on") : "Pause");
   if (document.activeElement !== $("speed")) $("speed").value = String(s.speed_factor);
@@ -229,7 +257,7 @@ function paint() {
   document.body.classList.toggle("driving", mine);
   mine ? hands.start() : hands.driving && hands.stop();
   $("pads").hidden = !(mine && matchMedia("(pointer: coarse)").matches);
-  banner(s.over ? s.over : s.loading ? `loading ${s.loading.toUpperCase()}` : s.paused ? (hello.mode === "replay" ? "" : "paused") : mine ? "you drive: arrow keys, M gives back" : s.holder !== null ? `viewer ${s.holder} drives` : "");
+  says(s);
   $("record").setAttribute("aria-pressed", s.recording !== null);
   put("record", s.recording !== null ? "■ Stop" : "● Record");
   dial($("dial"), s.ego.speed, s.limit);

@@ -125,6 +125,25 @@ impl Viewer {
         }
     }
 
+    /// Who has the wheel, by the next heartbeat that says so.
+    fn until_holder(&mut self, holder: &Value) {
+        let began = Instant::now();
+        loop {
+            match self.receive() {
+                Some(Ok(Message::Text(text))) => {
+                    let said: Value = serde_json::from_str(&text).expect("JSON");
+                    if said["type"] == "beat" && said["holder"] == *holder {
+                        return;
+                    }
+                }
+                Some(Ok(Message::Binary(_))) => self.send(json!({ "do": "shown", "seq": 0 })),
+                Some(Ok(_)) => {}
+                other => panic!("{other:?}"),
+            }
+            assert!(began.elapsed() < Duration::from_secs(30), "never held by {holder}");
+        }
+    }
+
     /// The state that the next tick shows, and its pictures.
     fn tick(&mut self) -> (Value, Vec<u8>) {
         loop {
@@ -194,6 +213,33 @@ fn request(address: &str, path: &str, headers: &str) -> String {
     let mut answer = String::new();
     let _ = stream.read_to_string(&mut answer);
     answer.lines().next().unwrap_or_default().to_string()
+}
+
+#[test]
+fn connections_that_never_ask_keep_no_viewer_out() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let viewed = run_in(dir.path(), &[]);
+    Viewer::join(&viewed.address);
+    let files = || std::fs::read_dir(format!("/proc/{}/fd", viewed.child.id())).expect("its files").count();
+    let before = files();
+    let half_open: Vec<TcpStream> = (0..300)
+        .map(|_| {
+            let mut stream = TcpStream::connect(&viewed.address).expect("it listens");
+            stream.write_all(b"GET / HTTP/1.1\r\nHost: ").expect("it reads");
+            stream
+        })
+        .collect();
+    assert!(request(&viewed.address, "/", &format!("Host: {}\r\n", viewed.address)).contains("200"));
+    Viewer::join(&viewed.address).tick();
+    assert!(files() < before + 100, "{} files for {before}", files());
+    // All are closed in the end, without a word from us.
+    for mut stream in half_open {
+        stream.set_read_timeout(Some(Duration::from_secs(60))).expect("a limit");
+        let ended = stream.read_to_end(&mut Vec::new());
+        let closed = |e: &std::io::Error| e.kind() == std::io::ErrorKind::ConnectionReset;
+        assert!(ended.as_ref().is_ok() || ended.as_ref().is_err_and(closed), "{ended:?}");
+    }
+    assert_eq!(viewed.stop(), Some(4));
 }
 
 #[test]
@@ -309,6 +355,28 @@ fn a_person_drives_goes_and_the_drive_can_be_driven_again() {
     let telemetry = std::fs::read_to_string(folder.path().join("run/telemetry.jsonl")).unwrap();
     assert!(telemetry.contains(r#""driver":"manual""#) && telemetry.contains(r#""wish":"respawn""#));
     collect_again(folder.path());
+}
+
+/// SUMO hangs, so no tick comes: the server says that it is there, and that a silent viewer has lost the wheel.
+#[test]
+fn who_has_the_wheel_is_said_while_the_simulation_hangs() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = run_in(folder.path(), &[]);
+    let mut viewer = Viewer::join(&run.address);
+    viewer.tick();
+    viewer.send(json!({ "do": "driver", "name": "manual" }));
+    let own = viewer.hello["you"].clone();
+    viewer.until("at the wheel", |state| state["holder"] == own);
+    viewer.drive(0.0, 0.0);
+    viewer.until_holder(&own);
+    let sumo = crate::run::sumo_of(run.child.id()).expect("a SUMO");
+    // SAFETY: kill() only takes numbers; the process is this test's own.
+    let signal = |signal| assert_eq!(unsafe { libc::kill(sumo, signal) }, 0);
+    signal(libc::SIGSTOP);
+    viewer.until_holder(&Value::Null);
+    signal(libc::SIGCONT);
+    viewer.until("the autopilot's", |state| state["holder"].is_null() && state["driver"] == "autopilot");
+    assert_eq!(run.stop(), Some(4));
 }
 
 /// `dataset collect` drives the run again, and finds the ego where the run says.

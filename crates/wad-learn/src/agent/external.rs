@@ -8,7 +8,7 @@
 //!    `tick` 0 begins an episode. `raw` and `state` are [`RawState`]'s numbers, scaled and in units.
 //! 3. It answers each with `{"throttle": 0..1, "steer": -1..1, "brake": 0..1}` within the time limit.
 //!
-//! At the end its standard input is closed, and it is killed. If it dies, hangs or gives an invalid
+//! At the end it is killed with all processes that it has started; so it is if this program dies. If it dies, hangs or gives an invalid
 //! answer, the episode fails, and a new process is started for the next one.
 
 use super::{Agent, AgentError, Seen};
@@ -20,6 +20,7 @@ use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
+use sumo_traci::keeper;
 use wad_camera::Picture;
 use wad_see::observation::{Observation, RawState};
 use wad_vehicle::Control;
@@ -193,15 +194,14 @@ struct Process {
 
 impl Process {
     fn start(command: &str, limit: Duration) -> Result<Self, String> {
-        let mut child = Command::new("sh")
-            .args(["-c", command])
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            // A process group of its own: its children end with it, and Ctrl-C comes to us only.
-            .process_group(0)
-            .spawn()
-            .map_err(|e| format!("it cannot be started: {e}"))?;
+        let mut guard = Command::new("sh");
+        guard.args(["-c", GUARD, "sh", command]);
+        guard.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        // A process group of its own: its children end with it, and Ctrl-C comes to us only.
+        guard.process_group(0);
+        adopt_orphans(&mut guard);
+        let mut child =
+            keeper::spawn(guard, libc::SIGTERM).map_err(|e| format!("it cannot be started: {e}"))?;
         let (questions, asked) = channel::<Vec<u8>>();
         let (said, lines) = channel();
         let tail = Arc::new(Mutex::new(VecDeque::new()));
@@ -281,13 +281,64 @@ impl Process {
     }
 }
 
+/// Runs the agent `$1`, and ends all that it has started: when it ends by itself, or when this shell gets SIGTERM.
+///
+/// Orphans, those with a session of their own too, become children of this shell ([`adopt_orphans`]), so killing
+/// its children until it has none leaves nobody. Where the kernel does not list them, the process group is killed.
+const GUARD: &str = r#"
+sweep() {
+    passes=0
+    while [ $passes -lt 100 ]; do
+        children=
+        read -r children < "/proc/$$/task/$$/children"
+        [ -n "$children" ] || break
+        kill -KILL $children
+        # Waiting collects the dead too.
+        sh -c : & wait $!
+        passes=$((passes + 1))
+    done
+}
+trap 'trap "" TERM; sweep; kill -KILL 0' TERM
+exec 3<&0
+sh -c "$1" <&3 3<&- &
+exec 3<&- </dev/null >/dev/null 2>&1
+wait $!
+code=$?
+sweep
+exit $code
+"#;
+
+#[cfg(target_os = "linux")]
+fn adopt_orphans(command: &mut Command) {
+    let before_exec = || {
+        // SAFETY: prctl is async-signal-safe and touches no memory of ours. It fails before Linux 3.4 only.
+        unsafe { libc::prctl(libc::PR_SET_CHILD_SUBREAPER, 1) };
+        Ok(())
+    };
+    // SAFETY: the closure runs between fork and exec, and allocates nothing.
+    unsafe { command.pre_exec(before_exec) };
+}
+
+#[cfg(not(target_os = "linux"))]
+fn adopt_orphans(_command: &mut Command) {}
+
+/// How long the guard may take to end the agent's processes.
+const PATIENCE: Duration = Duration::from_secs(2);
+
 impl Drop for Process {
     fn drop(&mut self) {
-        if let Ok(pid) = i32::try_from(self.child.id()) {
-            // SAFETY: sends a signal to the group that this child leads; it has not been waited for yet, or
-            // its number is still ours until then.
-            unsafe { libc::kill(-pid, libc::SIGKILL) };
+        let Ok(pid) = i32::try_from(self.child.id()) else { return };
+        // SAFETY: sends a signal to a child that has not been waited for, or whose end `died` has seen: then its
+        // number leads a group that is still ours, or none.
+        let signal = |pid, signal| unsafe { libc::kill(pid, signal) };
+        let until = Instant::now() + PATIENCE;
+        if matches!(self.child.try_wait(), Ok(None)) {
+            signal(pid, libc::SIGTERM);
+            while matches!(self.child.try_wait(), Ok(None)) && Instant::now() < until {
+                std::thread::sleep(Duration::from_millis(2));
+            }
         }
+        signal(-pid, libc::SIGKILL);
         // An error means that it has ended already.
         let _ = self.child.wait();
     }
@@ -374,6 +425,36 @@ mod tests {
         assert!(act(&mut agent).is_err());
         agent.reset(2);
         assert!(act(&mut agent).is_ok());
+    }
+
+    fn is_gone(pid: &str) -> bool {
+        let stat = || std::fs::read_to_string(format!("/proc/{}/stat", pid.trim())).unwrap_or_default();
+        let dead = |stat: String| stat.rsplit(')').next().is_none_or(|s| s.is_empty() || s.starts_with(" Z"));
+        (0..500).any(|_| dead(stat()) || std::thread::sleep(Duration::from_millis(10)) != ())
+    }
+
+    #[test]
+    fn nothing_that_it_started_outlives_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = |name: &str| folder.path().join(name).display().to_string();
+        // A child, a grandchild, and two that left the group.
+        let started = format!(
+            "sleep 1000 & echo $! >{}; setsid sleep 1000 & echo $! >{}; setsid sh -c 'sleep 1000 & echo $! >{}; wait' & \
+             sleep 0.2; ",
+            file("a"),
+            file("b"),
+            file("c")
+        );
+        for end in [GOOD, "echo '{}'; read -r line; exit 4"] {
+            let mut agent = agent(&format!("{started}{end}"));
+            agent.reset(1);
+            assert_eq!(act(&mut agent).is_ok(), end == GOOD);
+            drop(agent);
+            for name in ["a", "b", "c"] {
+                let pid = std::fs::read_to_string(file(name)).unwrap();
+                assert!(is_gone(&pid), "{name} of {end}");
+            }
+        }
     }
 
     #[test]

@@ -113,6 +113,14 @@ pub enum PolicyError {
 
 /// Key of the card in the file's header.
 const CARD: &str = "wad_cosim_policy";
+/// Key of the checksum of card and tensors in the file's header; files of older versions have none.
+const CHECKSUM: &str = "wad_cosim_crc32";
+
+fn checksum<const N: usize>(parts: [&[u8]; N]) -> String {
+    let mut crc = crc32fast::Hasher::new();
+    parts.into_iter().for_each(|part| crc.update(part));
+    format!("{:08x}", crc.finalize())
+}
 
 impl Policy {
     /// Rounds `values` as the file will.
@@ -145,7 +153,8 @@ impl Policy {
             ),
         ];
         let card = serde_json::to_string(&self.card).map_err(|e| failed(e.into()))?;
-        let header = Some(HashMap::from([(CARD.to_string(), card)]));
+        let sum = checksum([card.as_bytes(), &half, &offset, &factor]);
+        let header = Some(HashMap::from([(CARD.to_string(), card), (CHECKSUM.to_string(), sum)]));
         let bytes = safetensors::serialize(tensors, &header).map_err(invalid)?;
         let part = path.with_extension("part");
         std::fs::write(&part, bytes).and_then(|()| std::fs::rename(&part, path)).map_err(failed)
@@ -191,6 +200,8 @@ impl Policy {
             .as_ref()
             .and_then(|metadata| metadata.get(CARD))
             .ok_or_else(|| format!("its header has no `{CARD}`"))?;
+        let said = header.metadata().as_ref().and_then(|metadata| metadata.get(CHECKSUM));
+        let card_text = card.as_bytes();
         let card: PolicyCard = serde_json::from_str(card).map_err(|e| format!("its card: {e}"))?;
         let file = SafeTensors::deserialize(bytes).map_err(|e| format!("not safetensors ({e:?})"))?;
         let tensor = |name: &str, dtype: Dtype| {
@@ -200,6 +211,15 @@ impl Policy {
             }
             Ok(tensor.data().to_vec())
         };
+        if let Some(said) = said {
+            let data = |name: &str| file.tensor(name).map(|tensor| tensor.data()).unwrap_or_default();
+            let parts = [card_text, data("actor"), data("input.offset"), data("input.factor")];
+            if checksum(parts) != *said {
+                return Err(
+                    "its contents do not have the checksum that it says, so it is damaged".to_string()
+                );
+            }
+        }
         let floats = |name: &str| {
             let data = tensor(name, Dtype::F32)?;
             Ok::<_, String>(
@@ -438,6 +458,13 @@ mod tests {
             std::fs::write(&path, &bytes[..keep]).unwrap();
             let error = Policy::load(&path).unwrap_err().to_string();
             assert!(error.contains("is not a trained agent"), "{error}");
+        }
+        for at in [bytes.len() - 1, bytes.len() / 2] {
+            let mut flipped = bytes.clone();
+            flipped[at] ^= 1;
+            std::fs::write(&path, &flipped).unwrap();
+            let error = Policy::load(&path).unwrap_err().to_string();
+            assert!(error.contains("it is damaged"), "{error}");
         }
         assert!(Policy::load(&folder.path().join("none")).is_err());
     }

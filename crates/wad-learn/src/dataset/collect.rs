@@ -9,6 +9,7 @@ use super::plan::{Segment, plan};
 use super::record::FrameRecord;
 use super::recorded::{RecordedRun, RunDrive};
 use super::shard::{ShardHeader, ShardReader, ShardWriter};
+use crate::folder_lock::FolderLock;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -104,7 +105,7 @@ pub fn collect(
     if let Some(other) = options.runs.iter().map(RecordedRun::town).find(|other| *other != town) {
         return Err(DatasetError::Towns { first: town, other });
     }
-    std::fs::create_dir_all(&options.out).map_err(DatasetError::io("make the folder", &options.out))?;
+    let _lock = FolderLock::take(&options.out)?;
     let mut manifest = Manifest::new(options, &town);
     if let Some(found) = Manifest::load(&options.out)? {
         found.check_same(&manifest, &options.out)?;

@@ -1,10 +1,14 @@
 //! Errors of datasets.
 
+use crate::folder_lock::LockError;
 use std::path::PathBuf;
 
 /// Why a dataset cannot be read, written or collected.
 #[derive(Debug, thiserror::Error)]
 pub enum DatasetError {
+    /// The folder cannot be locked.
+    #[error(transparent)]
+    Lock(#[from] LockError),
     /// A file or folder cannot be read or written.
     #[error("could not {what} `{}`: {source}", path.display())]
     Io {

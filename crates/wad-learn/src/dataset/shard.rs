@@ -230,6 +230,10 @@ impl ShardReader {
             return Err(torn("it ends before its last frame"));
         }
         let frames = u32::from_le_bytes([trailer[4], trailer[5], trailer[6], trailer[7]]) as usize;
+        // Each frame has a length and a checksum at the least.
+        if frames as u64 > (length - begin - 8) / 8 {
+            return Err(torn(&format!("its last bytes claim {frames} frames, more than it has room for")));
+        }
         file.seek(SeekFrom::Start(begin)).map_err(io)?;
         Ok(Self { path: path.into(), file, header, frames, read: 0, at: begin, payload: Vec::new() })
     }

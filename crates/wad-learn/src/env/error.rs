@@ -77,6 +77,12 @@ impl EnvError {
 
     /// Whether SUMO failed.
     pub fn is_sumo(&self) -> bool {
-        matches!(self, Self::Bridge(_) | Self::Start { .. } | Self::Assets(_)) && !self.is_input()
+        let bridge: &BridgeError = match self {
+            Self::Assets(assets) => return !assets.is_input(),
+            Self::Bridge(bridge) => bridge,
+            Self::Start { source, .. } => source,
+            _ => return false,
+        };
+        !matches!(bridge, BridgeError::Folder { .. }) && !bridge.is_input()
     }
 }

@@ -40,6 +40,7 @@ mod error;
 mod green;
 mod obstacle;
 mod options;
+mod scratch;
 mod world;
 
 pub use error::EnvError;

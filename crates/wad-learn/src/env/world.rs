@@ -3,6 +3,7 @@
 use super::episode::{Episode, nowhere};
 use super::green::{self, Held};
 use super::obstacle;
+use super::scratch::Scratch;
 use super::{EnvError, EnvOptions, Info, Stages, Step, WorldMode};
 use crate::reward::{self, RewardTerms};
 use std::path::PathBuf;
@@ -10,7 +11,6 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use sumo_network::network::{EdgeKind, LaneId, Network, Route};
 use sumo_network::seeds;
-use tempfile::TempDir;
 use wad_see::eyes::Eyes;
 use wad_see::latent::Encoder;
 use wad_see::observation::Observation;
@@ -56,7 +56,7 @@ pub struct World {
     episode: Option<Episode>,
     /// Draws the further destinations of a route that never ends.
     onward: Option<Destinations>,
-    folder: TempDir,
+    folder: Scratch,
     pub stages: Stages,
 }
 
@@ -67,10 +67,7 @@ impl World {
         encoder: Box<dyn Encoder>,
     ) -> Result<Self, EnvError> {
         options.ego.check().map_err(BridgeError::from)?;
-        let folder = tempfile::Builder::new()
-            .prefix("wad-env-")
-            .tempdir()
-            .map_err(|source| EnvError::Folder { source })?;
+        let folder = Scratch::new().map_err(|source| EnvError::Folder { source })?;
         Ok(Self {
             eyes: Eyes::of_agent(&assets, options.observation, &options.detector, options.camera, encoder)?,
             assets,

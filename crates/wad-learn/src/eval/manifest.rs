@@ -23,6 +23,12 @@ pub struct Manifest {
     pub agents: BTreeMap<String, String>,
     /// Hashes of the towns' nets.
     pub nets: BTreeMap<String, String>,
+    /// Hashes of the towns' other files: routes, polygons, a scenario's ego and events.
+    #[serde(default)]
+    pub towns: BTreeMap<String, String>,
+    /// The hash of the detector's weights; None for detectors without weights.
+    #[serde(default)]
+    pub detector: Option<String>,
     /// The driven part of the plan; None: all of it.
     pub shard: Option<Shard>,
 }
@@ -75,6 +81,8 @@ mod tests {
             options: EnvOptions::evaluation(),
             agents: [("wad-t".to_string(), "abc".to_string())].into(),
             nets: BTreeMap::new(),
+            towns: BTreeMap::new(),
+            detector: None,
             shard: None,
         };
         assert!(manifest.differences(&manifest, true).is_empty());
@@ -82,12 +90,20 @@ mod tests {
         other.build = "2".into();
         other.agents.insert("wad-t".into(), "xyz".into());
         other.options.tick_ms = 100.0;
+        other.towns.insert("my_jam".into(), "abc-1".into());
+        other.detector = Some("def-2".into());
         other.shard = Some(Shard { part: 1, of: 2 });
         let differences = manifest.differences(&other, false).join("; ");
-        for part in ["build: expected \"1\", found \"2\"", "agents.wad-t", "options.tick_ms: expected 167"] {
+        for part in [
+            "build: expected \"1\", found \"2\"",
+            "agents.wad-t",
+            "options.tick_ms: expected 167",
+            "towns.my_jam: expected null",
+            "detector: expected null",
+        ] {
             assert!(differences.contains(part), "{differences}");
         }
         assert!(!differences.contains("shard"));
-        assert_eq!(manifest.differences(&other, true).len(), 4);
+        assert_eq!(manifest.differences(&other, true).len(), 6);
     }
 }

@@ -136,7 +136,7 @@ impl Routes {
     pub fn beside(assets: &Assets) -> PathBuf {
         let name = format!("{}.routes.json", assets.name());
         let folder = assets.config().parent().unwrap_or(Path::new(""));
-        if folder.starts_with(bundled::cache_dir()) { PathBuf::from(name) } else { folder.join(name) }
+        if bundled::is_unpacked(folder) { PathBuf::from(name) } else { folder.join(name) }
     }
 
     /// One of the sets.

@@ -9,6 +9,7 @@
 
 use super::record::RECORDINGS;
 use super::{Case, EpisodeRecord, Manifest, RecordingFolder};
+use crate::folder_lock::{FolderLock, LockError};
 use serde::Deserialize;
 use std::collections::{HashMap, HashSet};
 use std::fs::{File, OpenOptions};
@@ -70,12 +71,9 @@ pub enum StoreError {
         /// The cause.
         why: String,
     },
-    /// Another process writes into the folder.
-    #[error("another evaluation is writing into {}", path.display())]
-    Busy {
-        /// The file or folder.
-        path: PathBuf,
-    },
+    /// The folder cannot be locked.
+    #[error(transparent)]
+    Lock(#[from] LockError),
     /// The folder is not an evaluation's.
     #[error("{} is not an evaluation's folder: {why}", path.display())]
     Format {
@@ -102,6 +100,7 @@ pub enum StoreError {
 pub struct Store {
     path: PathBuf,
     episodes: File,
+    _lock: FolderLock,
 }
 
 /// A folder's manifest and episodes, as read.
@@ -254,14 +253,13 @@ impl Store {
         if !goes_on {
             free(path)?;
         }
-        std::fs::create_dir_all(path).map_err(file("make", path))?;
+        let lock = FolderLock::take(path)?;
         let lines = path.join(EPISODES);
         let open =
             || OpenOptions::new().append(true).create(true).open(&lines).map_err(file("write", &lines));
         let mut episodes = Vec::new();
         let log = if goes_on {
             let log = open()?;
-            lock(&log, path)?;
             let results = Results::open(path)?;
             let differences = results.manifest.differences(manifest, true);
             if !differences.is_empty() {
@@ -272,16 +270,16 @@ impl Store {
             episodes = results.episodes;
             log
         } else {
+            // Another process may have ended since.
+            free(path)?;
             write_json(&path.join(CONFIG), manifest).map_err(|e| StoreError::File {
                 what: "write",
                 path: e.path,
                 source: e.source,
             })?;
-            let log = open()?;
-            lock(&log, path)?;
-            log
+            open()?
         };
-        Ok((Self { path: path.to_path_buf(), episodes: log }, episodes))
+        Ok((Self { path: path.to_path_buf(), episodes: log, _lock: lock }, episodes))
     }
 
     /// Appends an episode.
@@ -387,25 +385,13 @@ fn plain_files(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
     Ok(files)
 }
 
-/// Locks the folder: two evaluations in one folder would drive every episode twice.
-fn lock(log: &File, path: &Path) -> Result<(), StoreError> {
-    match log.try_lock() {
-        Ok(()) => Ok(()),
-        Err(std::fs::TryLockError::WouldBlock) => Err(StoreError::Busy { path: path.to_path_buf() }),
-        // A file system without locks.
-        Err(std::fs::TryLockError::Error(error)) => {
-            tracing::debug!("no lock on {}: {error}", path.display());
-            Ok(())
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::env::{End, Ending, EnvOptions};
     use crate::eval::{DriverSpec, EventCounts, Histogram, Selection, Suite};
     use crate::reward::RewardTerms;
+    use std::collections::BTreeMap;
     use wad_sim::tasks::{Placement, Spot};
 
     fn manifest() -> Manifest {
@@ -422,6 +408,8 @@ mod tests {
             options: EnvOptions::evaluation(),
             agents: Default::default(),
             nets: Default::default(),
+            towns: BTreeMap::new(),
+            detector: None,
             shard: None,
         }
     }

@@ -36,6 +36,14 @@ pub enum VerifyError {
         /// Hash of the town's net.
         found: String,
     },
+    /// The recording has fewer ticks than the episode.
+    #[error("the recording is cut short: expected {expected} ticks, found {found}")]
+    Short {
+        /// Ticks of the episode.
+        expected: u64,
+        /// Ticks of the recording.
+        found: u64,
+    },
 }
 
 /// The driver of an episode's second simulation.
@@ -78,6 +86,11 @@ pub fn verify(
     if assets.net_hash() != kept.net {
         let (town, found) = (case.town.clone(), assets.net_hash().to_string());
         return Err(VerifyError::OtherNet { town, expected: kept.net.clone(), found });
+    }
+    let (expected, found) = (kept.episode.ticks, recording.frames().last().map_or(0, |frame| frame.tick));
+    // SUMO died in the last tick of an episode with a fault.
+    if found < expected && kept.episode.fault.is_none() {
+        return Err(VerifyError::Short { expected, found });
     }
     let options = EnvOptions { gui, ..kept.options.clone() };
     let external = matches!(case.agent, DriverSpec::Exec(_));

@@ -197,6 +197,7 @@ pub fn train(
     interrupt: &AtomicBool,
     mut report: impl FnMut(Progress),
 ) -> Result<Trained, TrainError> {
+    let _lock = run::claim(&options.out, resume)?;
     let trainer = Trainer::start(options, device, resume)?;
     run::walk(trainer, &options.out, interrupt, &mut report)
 }
@@ -204,7 +205,6 @@ pub fn train(
 impl<'a> Trainer<'a> {
     fn start(options: &'a TrainOptions, device: Device, resume: bool) -> Result<Self, TrainError> {
         wad_see::torch::one_thread();
-        run::check(&options.out, resume)?;
         let checkpoint = run::checkpoint(&options.out);
         let folders = std::iter::once(&options.data).chain(&options.more);
         let datasets: Vec<Dataset> =

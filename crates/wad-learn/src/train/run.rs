@@ -8,6 +8,7 @@
 use super::images::ImagesError;
 use super::tensorboard::EventWriter;
 use crate::dataset::DatasetError;
+use crate::folder_lock::{FolderLock, LockError};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::fs::OpenOptions;
@@ -23,6 +24,9 @@ use wad_sim::telemetry;
 /// Why training failed.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
+    /// The folder cannot be locked.
+    #[error(transparent)]
+    Lock(#[from] LockError),
     /// The dataset cannot be read.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
@@ -97,6 +101,7 @@ impl TrainError {
     pub fn is_input(&self) -> bool {
         match self {
             Self::Dataset(_)
+            | Self::Lock(LockError::Busy { .. })
             | Self::Perception(PerceptionError::Detector { .. })
             | Self::Images(ImagesError::Dataset(_))
             | Self::Taken { .. }
@@ -128,8 +133,17 @@ pub(super) fn checkpoint(out: &Path) -> PathBuf {
     out.join("checkpoint.safetensors")
 }
 
+/// Locks `out` for a training, or for the one in it if `resume`.
+pub(super) fn claim(out: &Path, resume: bool) -> Result<FolderLock, TrainError> {
+    // Before the lock makes the folder, and once more: another training may have ended in between.
+    check(out, resume)?;
+    let lock = FolderLock::take(out)?;
+    check(out, resume)?;
+    Ok(lock)
+}
+
 /// Checks that `out` holds a training if `resume`, else none.
-pub(super) fn check(out: &Path, resume: bool) -> Result<(), TrainError> {
+fn check(out: &Path, resume: bool) -> Result<(), TrainError> {
     match (resume, checkpoint(out).is_file()) {
         (true, false) => Err(TrainError::NothingToResume { path: out.to_path_buf() }),
         (false, true) => Err(TrainError::Taken { path: out.to_path_buf() }),

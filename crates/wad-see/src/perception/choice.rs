@@ -5,6 +5,7 @@ use super::{Detector, Faults, PerceptionError, TruthDetector};
 use crate::weights::Weights;
 #[cfg(feature = "learn")]
 use std::path::Path;
+use wad_sim::assets::hash;
 
 /// The forms that [`detector`] knows, for help texts.
 pub const DETECTORS: &str = "truth (the renderer's boxes), truth:faulty (with a real detector's faults), \
@@ -100,4 +101,18 @@ fn onnx(name: &str, file: Option<&str>, min_score: f32) -> Result<Box<dyn Detect
 fn onnx(name: &str, _: Option<&str>, _: f32) -> Result<Box<dyn Detector>, PerceptionError> {
     let why = "this program was built without OpenCV: build it with the cargo feature `vision`";
     Err(failed(name, why.to_string()))
+}
+
+/// Stands for the weights of the detector called `name`; None if it has none, or its file cannot be read.
+pub fn weights_hash(name: &str) -> Option<String> {
+    let (kind, file) = name.split_once(':').map_or((name, ""), |(kind, file)| (kind, file));
+    let read = |file: &std::path::Path| Some(hash(&std::fs::read(file).ok()?));
+    match (kind, file) {
+        #[cfg(feature = "learn")]
+        ("centernet", "") => wad_sim::bundled::detector(BUNDLED).map(hash),
+        #[cfg(feature = "vision")]
+        ("onnx", "") => read(&super::OnnxDetector::default_path()?),
+        ("centernet" | "onnx", file) => read(file.as_ref()),
+        _ => None,
+    }
 }

@@ -33,7 +33,7 @@ mod truth;
 
 #[cfg(feature = "learn")]
 pub use choice::centernet_weights;
-pub use choice::{DETECTORS, MIN_SCORE, detector};
+pub use choice::{DETECTORS, MIN_SCORE, detector, weights_hash};
 pub use facts::EgoFacts;
 pub use ground::GroundPlane;
 pub use image::{TRANSFORMED_SIZE, TransformedImage};

@@ -10,6 +10,8 @@ use wad_camera::{CameraConfig, Frame};
 
 /// Side of the input where the file leaves it open (pixels).
 const OPEN_SIDE: usize = 640;
+/// Largest side of an input (pixels): pictures of the front camera have 512.
+const LARGEST_SIDE: usize = 4096;
 /// Grey level of the part of the input that the picture leaves empty.
 const FILL: f64 = 114.0;
 
@@ -53,6 +55,13 @@ impl OnnxDetector {
                 input.name, input.shape
             )));
         }
+        let size = (width.unwrap_or(OPEN_SIDE), height.unwrap_or(OPEN_SIDE));
+        if size.0 > LARGEST_SIDE || size.1 > LARGEST_SIDE {
+            return Err(failed(format!(
+                "its input {} is {} x {} pixels: expected sides up to {LARGEST_SIDE}",
+                input.name, size.0, size.1
+            )));
+        }
         let refused = |e: opencv::Error| {
             failed(format!(
                 "OpenCV cannot run it: {}. Try to export it with opset 11 and fixed sizes",
@@ -66,7 +75,7 @@ impl OnnxDetector {
             name: name.clone(),
             net,
             input: input.name,
-            size: (width.unwrap_or(OPEN_SIDE), height.unwrap_or(OPEN_SIDE)),
+            size,
             outputs,
             head: Head::Finished,
             min_score,

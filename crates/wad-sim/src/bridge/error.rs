@@ -56,10 +56,10 @@ pub enum BridgeError {
         /// The reason, as far as it is known.
         why: String,
     },
-    /// The folder for SUMO's files cannot be made.
-    #[error("could not make the folder `{}` for SUMO's files: {source}", path.display())]
+    /// SUMO's files cannot be written.
+    #[error("could not write `{}` for SUMO: {source}; is the disk full?", path.display())]
     Folder {
-        /// The folder.
+        /// The file or folder.
         path: PathBuf,
         /// The system's error.
         source: std::io::Error,

@@ -21,7 +21,7 @@ pub use error::BridgeError;
 
 use crate::cores::SharedCore;
 use crate::destination::EGO_CLASS;
-use crate::sumo_config::{OptionSchema, Overrides, SumoConfig};
+use crate::sumo_config::{ConfigError, OptionSchema, Overrides, SumoConfig};
 use crate::traffic::{Population, StepEvents, TrafficSpec};
 use background::population_of;
 use observe::ActorCatalog;
@@ -162,14 +162,16 @@ impl Bridge {
             None => Arc::new(Network::load(&config.net_file()?)?),
         };
         network.require_drivable(EGO_CLASS)?;
-        let timeout = Duration::from_secs_f64(options.tick_timeout.max(0.001));
+        // Longer than a Duration holds is no limit.
+        let timeout = Duration::try_from_secs_f64(options.tick_timeout.max(0.001)).unwrap_or(Duration::MAX);
         let wanted = match options.tick_ms {
             Some(ms) => Some(ms),
             None => config.time("step-length")?.map(|s| s * 1000.0),
         };
         let (mut client, process, begin_ms, tick_ms) = match &options.attach {
             Some(address) => {
-                let mut client = TcpClient::attach(address).await?;
+                let mut client = TcpClient::attach_within(address, timeout).await?;
+                client.set_timeout(Some(timeout));
                 let step = client.get(simulation::DELTA_T, "").await? * 1000.0;
                 if let Some(wanted) = options.tick_ms.filter(|ms| (ms - step).abs() > 0.5) {
                     return Err(BridgeError::AttachedTick { address: address.clone(), found: step, wanted });
@@ -182,10 +184,16 @@ impl Bridge {
                 if !(1.0..=1000.0).contains(&tick_ms) {
                     return Err(BridgeError::Tick { found: tick_ms });
                 }
-                let effective = config.write_effective(&schema, &overrides(options, &config, tick_ms))?;
+                let effective = config.write_effective(&schema, &overrides(options, &config, tick_ms));
+                let effective = effective.map_err(|error| match error {
+                    ConfigError::Write { path, source } => BridgeError::Folder { path, source },
+                    error => error.into(),
+                })?;
                 let launch = LaunchOptions {
                     gui: options.gui,
                     log_file: Some(options.output_dir.join("sumo.log")),
+                    // What SUMO writes under a name of its own goes there too.
+                    working_dir: Some(options.output_dir.clone()),
                     ..LaunchOptions::config(effective)
                 };
                 let (process, client) = SumoProcess::launch_with(&install, &launch).await?;

@@ -172,10 +172,9 @@ impl Memory {
             self.actors.insert(key, (Arc::from(id), Arc::clone(of_type)));
         }
         for (index, state) in line.lights {
-            if self.lights.len() <= index {
-                self.lights.resize(index + 1, None);
-            }
-            self.lights[index] = (!state.is_empty()).then(|| Arc::from(state));
+            let lights = self.lights.len();
+            let light = self.lights.get_mut(index).ok_or(format!("light {index} of {lights}"))?;
+            *light = (!state.is_empty()).then(|| Arc::from(state));
         }
         let [throttle, steer, brake] = &line.control;
         Ok(Frame {

@@ -25,7 +25,7 @@ use crate::criteria::Event;
 use flate2::read::GzDecoder;
 use format::{FORMAT, Line, Memory};
 use std::fs::File;
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use sumo_network::world::{Actor, ActorKind, ActorType, VehicleSignals, WorldState};
@@ -81,6 +81,41 @@ pub struct Frame {
     pub bits: u64,
 }
 
+impl Frame {
+    /// Its size in memory (bytes).
+    fn size(&self) -> usize {
+        let world = &self.world;
+        size_of::<Self>()
+            + size_of_val(world.vehicles.as_slice())
+            + size_of_val(world.pedestrians.as_slice())
+            + size_of_val(world.traffic_lights.as_slice())
+    }
+}
+
+/// A recording is as long as somebody made it: what is read of one is limited, line (bytes) and memory (bytes).
+const LONGEST_LINE: u64 = 64 << 20;
+const MOST_HELD: usize = 4 << 30;
+
+/// Lines of at most [`LONGEST_LINE`].
+struct Lines<R>(R);
+
+impl<R: BufRead> Iterator for Lines<R> {
+    type Item = std::io::Result<String>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let mut line = String::new();
+        match self.0.by_ref().take(LONGEST_LINE).read_line(&mut line) {
+            Ok(0) => None,
+            Ok(_) if line.len() as u64 >= LONGEST_LINE => {
+                let text = format!("a line is longer than {} MiB", LONGEST_LINE >> 20);
+                Some(Err(std::io::Error::other(text)))
+            }
+            Ok(_) => Some(Ok(line)),
+            Err(error) => Some(Err(error)),
+        }
+    }
+}
+
 /// A recording, read whole.
 #[derive(Clone, Debug)]
 pub struct Recording {
@@ -101,7 +136,7 @@ impl Recording {
             path: path.clone(),
             source,
         })?;
-        let mut lines = BufReader::new(GzDecoder::new(BufReader::new(file))).lines();
+        let mut lines = Lines(BufReader::new(GzDecoder::new(BufReader::new(file))));
         let first = match lines.next() {
             Some(Ok(line)) => line,
             Some(Err(error)) => return Err(broken(error.to_string())),
@@ -112,12 +147,24 @@ impl Recording {
             return Err(broken(format!("expected the format `{FORMAT}`, found `{}`", header.format)));
         }
         let mut memory = Memory::new(header.lights.len());
-        let mut frames = Vec::new();
+        let mut frames: Vec<Frame> = Vec::new();
+        let mut held = 0;
         for (index, line) in lines.enumerate() {
             let line = line.map_err(|e| broken(format!("it is cut short after tick {index}: {e}")))?;
             let line: Line =
                 serde_json::from_str(&line).map_err(|e| broken(format!("line {}: {e}", index + 2)))?;
-            frames.push(memory.frame(line).map_err(|why| broken(format!("line {}: {why}", index + 2)))?);
+            let frame = memory.frame(line).map_err(|why| broken(format!("line {}: {why}", index + 2)))?;
+            held += frame.size();
+            if held > MOST_HELD {
+                return Err(broken(format!(
+                    "its first {index} ticks take {} GiB of memory",
+                    MOST_HELD >> 30
+                )));
+            }
+            frames.push(frame);
+        }
+        if frames.is_empty() {
+            return Err(broken("it has no ticks".to_string()));
         }
         Ok(Self { header, frames })
     }
@@ -281,6 +328,30 @@ mod tests {
         changed.save(&folder.path().join(FILE)).unwrap();
         let recording = Recording::open(folder.path()).unwrap();
         assert_eq!(recording.frames()[3].bits, digest(&moment));
+    }
+
+    #[test]
+    fn a_recording_that_would_fill_the_memory_or_has_no_ticks_is_refused() {
+        use std::io::Write;
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(FILE);
+        recorded().save(&path).unwrap();
+        let mut text = String::new();
+        GzDecoder::new(File::open(&path).unwrap()).read_to_string(&mut text).unwrap();
+        let lines: Vec<&str> = text.lines().collect();
+        let open = |lines: &[&str]| {
+            let mut file = flate2::write::GzEncoder::new(File::create(&path).unwrap(), Default::default());
+            lines.iter().for_each(|line| writeln!(file, "{line}").unwrap());
+            file.finish().unwrap();
+            Recording::open(&path).map(|recording| recording.frames().len()).map_err(|e| e.to_string())
+        };
+        assert_eq!(open(&lines), Ok(lines.len() - 1));
+        assert!(open(&lines[..1]).unwrap_err().contains("no ticks"));
+        let long = " ".repeat((LONGEST_LINE + 1) as usize);
+        assert!(open(&[lines[0], &long]).unwrap_err().contains("longer than 64 MiB"));
+        let lit = lines.iter().find(|line| line.contains("\"lights\":[[1")).unwrap();
+        let far = lit.replace("\"lights\":[[1", "\"lights\":[[4000000000");
+        assert!(open(&[lines[0], lines[1], &far]).unwrap_err().contains("light 4000000000 of 2"));
     }
 
     #[test]

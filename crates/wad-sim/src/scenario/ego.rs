@@ -1,10 +1,11 @@
 //! The ego of a scenario: a trip or vehicle of type `ego`, and what its parameters say.
 
 use super::params::{EGO, Reader};
-use super::problem::{Problem, meant, near};
+use super::problem::Problem;
 use super::xml::Element;
 use crate::bridge::EGO_TYPE;
 use crate::destination::EGO_CLASS;
+use crate::suggest::{meant, near};
 use crate::tasks::{Placement, Spot, TaskKind};
 use crate::traffic::TrafficSpec;
 use sumo_network::network::{EdgeKind, LaneId, LanePosition, Network, Route};
@@ -43,6 +44,10 @@ pub fn find<'a>(
         problems.push(more.problem(what, "give it another type, or delete it"));
     }
     let Some(ego) = egos.first() else {
+        // A file that cannot be read may have it.
+        if !problems.is_empty() {
+            return None;
+        }
         problems.push(Problem::of_file(
             config,
             "no ego: none of its route files has a trip or vehicle of type `ego`",
@@ -107,9 +112,9 @@ pub fn read(
     let time_limit = reader.optional("wad.time_limit", 1.0, 36_000.0, "seconds");
     let ends = Ends { network, elements };
     let start = ends.start(&mut reader);
-    let (start, to) = (start?, ends.destination(&mut reader));
-    let via = ends.via(&mut reader);
-    let (to, via) = (to?, via?);
+    // All three before the first `?`, so that one mistake does not hide another.
+    let (to, via) = (ends.destination(&mut reader), ends.via(&mut reader));
+    let (start, to, via) = (start?, to?, via?);
     let (route, via) = ends.route(&mut reader, start, &via, to)?;
     if route.length() < SHORTEST {
         let what = format!("its way is only {:.0} m long", route.length());
@@ -191,32 +196,40 @@ impl Ends<'_> {
         };
         let lanes = self.open(reader, "its first edge", &from)?;
         let lane = match element.get("departLane") {
-            None | Some("first" | "best" | "allowed" | "free") => lanes[0],
-            Some(text) => {
-                let index = text.parse::<usize>().ok();
-                match lanes.iter().copied().find(|l| Some(self.network.lane(*l).index) == index) {
-                    Some(lane) => lane,
-                    None => {
-                        let open: Vec<String> =
-                            lanes.iter().map(|l| self.network.lane(*l).index.to_string()).collect();
-                        reader.wrong(
-                            format!("departLane is `{text}`"),
-                            format!("cars may use lane {} of `{from}`", open.join(" or ")),
-                        );
-                        return None;
-                    }
-                }
-            }
+            None | Some("first" | "best" | "allowed" | "free") => Some(lanes[0]),
+            Some(text) => self.named_lane(reader, "departLane", text, &from, &lanes),
         };
-        let (length, half) = (self.network.lane(lane).length, 0.5 * EgoParams::default().length);
+        let half = 0.5 * EgoParams::default().length;
+        let length = self.network.lane(lane.unwrap_or(lanes[0])).length;
         // SUMO counts to the front bumper.
         let front = match element.get("departPos") {
-            None | Some("base" | "free") => 2.0 * half + START_ROOM,
-            Some(text) => self.position(reader, "departPos", text, length)?,
+            None | Some("base" | "free") => Some(2.0 * half + START_ROOM),
+            Some(text) => self.position(reader, "departPos", text, length),
         };
+        let (lane, front) = (lane?, front?);
         let lane_ = self.network.lane(lane);
         let s = lane_.arc_length(front.max(2.0 * half)) - half;
         Some(LanePosition { lane, s: s.clamp(0.0, lane_.shape.length()) })
+    }
+
+    /// The one of an edge's open `lanes` with index `text`.
+    fn named_lane(
+        &self,
+        reader: &mut Reader<'_>,
+        name: &str,
+        text: &str,
+        edge: &str,
+        lanes: &[LaneId],
+    ) -> Option<LaneId> {
+        let index = |lane: &LaneId| self.network.lane(*lane).index;
+        let wanted = text.parse::<usize>().ok();
+        let found = lanes.iter().copied().find(|lane| Some(index(lane)) == wanted);
+        if found.is_none() {
+            let open: Vec<String> = lanes.iter().map(|lane| index(lane).to_string()).collect();
+            let fix = format!("cars may use lane {} of `{edge}`", open.join(" or "));
+            reader.wrong(format!("{name} is `{text}`"), fix);
+        }
+        found
     }
 
     /// A position on a lane (m), from its end where it is negative.
@@ -255,41 +268,65 @@ impl Ends<'_> {
         Some(lanes.into_iter().map(at).collect())
     }
 
+    /// The end of the trip or route as drawn. `wad.destination` counts where nothing is drawn, and adds lane and
+    /// position where it names the drawn edge: netedit moves the one and does not know the other.
     fn destination(&self, reader: &mut Reader<'_>) -> Option<Places> {
         let element = reader.element;
         let late = |length: f64| (length - END_ROOM).max(0.5 * length);
-        if let Some(text) = element.param("wad.destination") {
-            return self.place(reader, "`wad.destination`", text, late);
-        }
         let edges = self.edges(element);
-        let to = match (edges.as_ref().and_then(|edges| edges.last()), element.get("to")) {
-            (Some(last), _) => last.clone(),
-            (_, Some(to)) => to.to_string(),
-            _ => {
+        let to = edges.as_ref().and_then(|edges| edges.last()).map(String::as_str).or(element.get("to"));
+        let parameter = element.param("wad.destination");
+        let named = parameter.map(|text| (text, self.place(reader, "`wad.destination`", text, late)));
+        let Some(to) = to else {
+            if named.is_none() {
                 reader.wrong(
                     "it has no destination",
                     "draw it as a trip to an edge, or add the parameter wad.destination with an edge or lane",
                 );
-                return None;
+            }
+            return named?.1;
+        };
+        let lanes = self.open(reader, "its last edge", to);
+        let named = match named {
+            Some((text, places)) => Some((text, places?)),
+            None => None,
+        };
+        let lanes = lanes?;
+        let edge = |lane: LaneId| self.network.lane(lane).edge;
+        let mut places: Places = match named {
+            Some((_, places)) if edge(places[0].lane) == edge(lanes[0]) => places,
+            named => {
+                if let Some((text, _)) = named {
+                    tracing::warn!(
+                        "{}:{}: the drawn destination `{to}` counts, not wad.destination `{text}`; remove it",
+                        element.file.display(),
+                        element.line
+                    );
+                }
+                let at = |lane: LaneId| {
+                    let l = self.network.lane(lane);
+                    LanePosition { lane, s: l.arc_length(late(l.length)) }
+                };
+                lanes.iter().copied().map(at).collect()
             }
         };
-        let mut places = self.place(reader, "its last edge", &to, late)?;
-        if let Some(text) = element.get("arrivalPos").filter(|text| *text != "max") {
-            let length = self.network.lane(places[0].lane).length;
-            let position = self.position(reader, "arrivalPos", text, length)?;
+        let lane = match element.get("arrivalLane").filter(|text| !matches!(*text, "current" | "first")) {
+            None => Some(None),
+            Some(text) => self.named_lane(reader, "arrivalLane", text, to, &lanes).map(Some),
+        };
+        let length = self.network.lane(lane.flatten().unwrap_or(places[0].lane)).length;
+        let position = match element.get("arrivalPos").filter(|text| *text != "max") {
+            None => Some(None),
+            Some(text) => self.position(reader, "arrivalPos", text, length).map(Some),
+        };
+        let (lane, position) = (lane?, position?);
+        if let Some(lane) = lane {
+            let s = self.network.lane(lane).arc_length(late(length));
+            places = vec![places.into_iter().find(|p| p.lane == lane).unwrap_or(LanePosition { lane, s })];
+        }
+        if let Some(position) = position {
             for place in &mut places {
                 place.s = self.network.lane(place.lane).arc_length(position);
-            }
-        }
-        if let Some(text) = element.get("arrivalLane").filter(|text| !matches!(*text, "current" | "first")) {
-            let index = text.parse::<usize>().ok();
-            places.retain(|place| Some(self.network.lane(place.lane).index) == index);
-            if places.is_empty() {
-                reader.wrong(
-                    format!("arrivalLane is `{text}`"),
-                    format!("cars may not use such a lane of `{to}`"),
-                );
-                return None;
             }
         }
         Some(places)
@@ -309,7 +346,9 @@ impl Ends<'_> {
                 names.extend(via.split_whitespace().map(|n| ("via", n.to_string())));
             }
         }
-        names.iter().map(|(what, name)| self.place(reader, what, name, middle)).collect()
+        let places: Vec<_> =
+            names.iter().map(|(what, name)| self.place(reader, what, name, middle)).collect();
+        places.into_iter().collect()
     }
 
     /// The shortest way, and the via points as they came to lie on lanes.

@@ -81,28 +81,30 @@ impl Inspection {
 
 /// Looks a scenario over, every mistake at once.
 pub fn inspect(config: &Path) -> Inspection {
-    let broken = |problem: Problem| Inspection { scenario: None, problems: vec![problem] };
     let loaded = match open(config) {
         Ok(loaded) => loaded,
-        Err(problem) => return broken(problem),
+        Err(problem) => return Inspection { scenario: None, problems: vec![problem] },
     };
-    let net = match loaded.net_file() {
-        Ok(net) => net,
-        Err(error) => return broken(about_config(config, &error)),
+    let problem = match loaded.present_net() {
+        Err(error) => about_config(config, &error),
+        Ok(net) => match Network::load(&net) {
+            Ok(network) => return inspect_on(&loaded, &network),
+            Err(error) => {
+                Problem::of_file(&net, error.to_string(), "name a net that SUMO can read as net-file")
+            }
+        },
     };
-    match Network::load(&net) {
-        Ok(network) => inspect_on(&loaded, &network),
-        Err(error) => {
-            broken(Problem::of_file(&net, error.to_string(), "name a net that SUMO can read as net-file"))
-        }
-    }
+    // Without a net, only what is wrong with the other files as such.
+    let mut problems = vec![problem];
+    elements(&loaded, &mut problems);
+    Inspection { scenario: None, problems }
 }
 
 fn open(config: &Path) -> Result<SumoConfig, Problem> {
     let install = SumoInstall::find()
         .map_err(|error| Problem::of_file(config, error.to_string(), "run wad-cosim doctor"))?;
     let schema = OptionSchema::cached(&install, false).map_err(|error| about_config(config, &error))?;
-    SumoConfig::load(config, &schema).map_err(|error| about_config(config, &error))
+    SumoConfig::read(config, &schema).map_err(|error| about_config(config, &error))
 }
 
 fn about_config(config: &Path, error: &ConfigError) -> Problem {

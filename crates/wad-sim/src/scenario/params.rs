@@ -1,7 +1,8 @@
 //! The generic parameters `wad.*`: which element takes which, and how their values are read.
 
-use super::problem::{Problem, meant, near};
+use super::problem::Problem;
 use super::xml::Element;
+use crate::suggest::{meant, near};
 
 /// Prefix of all our parameters.
 pub const PREFIX: &str = "wad.";

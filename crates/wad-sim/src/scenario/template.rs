@@ -178,7 +178,7 @@ pub fn find(name: &str) -> Result<&'static Template, TemplateError> {
     let names: Vec<&str> = TEMPLATES.iter().map(|t| t.name).collect();
     TEMPLATES.iter().find(|t| t.name == name.replace('-', "_")).ok_or_else(|| TemplateError::Unknown {
         found: name.to_string(),
-        fix: super::problem::meant(name, &names),
+        fix: crate::suggest::meant(name, &names),
     })
 }
 
@@ -420,17 +420,16 @@ fn trip(
         let seconds = (route.length() / (10.0 / 3.6)).ceil().max(60.0);
         params.push(("wad.time_limit".to_string(), format!("{seconds}")));
     }
-    // Name the destination's lane, not only its edge.
-    params.insert(1, ("wad.destination".to_string(), format!("{}@{arrive:.2}", network.lane(to.lane).id)));
     let mut text = format!(
         "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n\n<routes {SCHEMA}routes_file.xsd\">\n    \
          <!-- VTypes -->\n    <vType id=\"ego\" length=\"{}\" width=\"{}\" height=\"{}\" color=\"220,30,30\"/>\n    \
          <!-- Vehicles, persons and containers (sorted by depart) -->\n    \
-         <trip id=\"ego\" type=\"ego\" depart=\"0.00\" departLane=\"{}\" departPos=\"{depart:.2}\" arrivalPos=\"{arrive:.2}\" from=\"{}\" to=\"{}\">\n",
+         <trip id=\"ego\" type=\"ego\" depart=\"0.00\" departLane=\"{}\" departPos=\"{depart:.2}\" arrivalLane=\"{}\" arrivalPos=\"{arrive:.2}\" from=\"{}\" to=\"{}\">\n",
         ego.length,
         ego.width,
         ego.height,
         lane.index,
+        network.lane(to.lane).index,
         edge(from.lane),
         edge(to.lane),
     );

@@ -1,9 +1,10 @@
 //! A scenario's obstacles and events: points and polygons by type.
 
 use super::params::{PREFIX, Reader};
-use super::problem::{Problem, meant, near};
+use super::problem::Problem;
 use super::xml::Element;
 use crate::destination::EGO_CLASS;
+use crate::suggest::{meant, near};
 use crate::tasks::ObstacleKind;
 use crate::traffic::{FLEET, Model, WALKERS, Walker};
 use sumo_network::geometry::{Point, Pose, Vector, polygon_contains};
@@ -291,6 +292,23 @@ fn read_point(
     network: &Network,
     route: Option<&Route>,
 ) -> Option<Thing> {
+    let place = place(reader, kind, network);
+    // Its parameters are read even if it has no place: every mistake is told at once.
+    let kind = kind_of(reader, kind, elements, network, place, route);
+    let (point, at) = place?;
+    Some(Thing {
+        id: reader.element.id().to_string(),
+        kind: kind?,
+        point,
+        lane: at.lane,
+        s: at.s,
+        d: at.d,
+        pose: network.lane(at.lane).shape.at(at.s),
+    })
+}
+
+/// Where a point lies, and the lane that it belongs to.
+fn place(reader: &mut Reader<'_>, kind: &str, network: &Network) -> Option<(Point, NearLane)> {
     let element = reader.element;
     let Some(found) = shape(element, network).0 else {
         let (what, fix) = match element.get("lane") {
@@ -338,17 +356,7 @@ fn read_point(
     {
         at = *on;
     }
-    let pose = network.lane(at.lane).shape.at(at.s);
-    let kind = kind_of(reader, kind, elements, network, &found, at, route)?;
-    Some(Thing {
-        id: element.id().to_string(),
-        kind,
-        point: found.position,
-        lane: at.lane,
-        s: at.s,
-        d: at.d,
-        pose,
-    })
+    Some((found.position, at))
 }
 
 fn trigger(reader: &mut Reader<'_>, default: Option<f64>) -> Trigger {
@@ -358,8 +366,8 @@ fn trigger(reader: &mut Reader<'_>, default: Option<f64>) -> Trigger {
 }
 
 /// Complains of an event that the ego never comes near.
-fn on_the_way(reader: &mut Reader<'_>, at: Point, trigger: &Trigger, route: Option<&Route>) {
-    let Some(route) = route else { return };
+fn on_the_way(reader: &mut Reader<'_>, at: Option<Point>, trigger: &Trigger, route: Option<&Route>) {
+    let (Some(at), Some(route)) = (at, route) else { return };
     let nearest = route.centre_line.project(at).distance;
     if nearest > trigger.distance.unwrap_or(0.0).max(OF_ROUTE) {
         reader.wrong(
@@ -393,20 +401,23 @@ fn obstacle(reader: &mut Reader<'_>, name: &str, lane_width: f64) -> Kind {
     Kind::Object { shape, width }
 }
 
-#[allow(clippy::too_many_arguments)]
+/// Lane width (m) and speed limit (m/s) of a point that lies on no lane: they give defaults only.
+const NO_LANE: (f64, f64) = (3.2, 13.9);
+
 fn kind_of(
     reader: &mut Reader<'_>,
     kind: &str,
     elements: &[Element],
     network: &Network,
-    found: &PointOfInterest,
-    at: NearLane,
+    place: Option<(Point, NearLane)>,
     route: Option<&Route>,
 ) -> Option<Kind> {
-    let lane = network.lane(at.lane);
+    let (point, at) = place.unzip();
+    let lane = at.map(|at| network.lane(at.lane));
+    let (width, speed_limit) = lane.map_or(NO_LANE, |lane| (lane.width, lane.speed_limit));
     let always = Trigger { distance: None, time: None };
     if let Some(name) = kind.strip_prefix("obstacle.") {
-        return Some(obstacle(reader, name, lane.width));
+        return Some(obstacle(reader, name, width));
     }
     Some(match kind {
         "bench" => {
@@ -417,10 +428,10 @@ fn kind_of(
             reader.only(&["wad.person", "wad.speed", "wad.way", "wad.distance", "wad.time"]);
             let name = reader.choice("wad.person", &["adult", "child", "senior"], "adult");
             let speed = reader.number("wad.speed", 1.8, 0.2, 6.0, "metres a second");
-            let way = reader.number("wad.way", at.d.abs() + 8.0, 0.5, 60.0, "metres");
+            let way = reader.number("wad.way", at.map_or(0.0, |at| at.d.abs()) + 8.0, 0.5, 60.0, "metres");
             // Near enough for a surprise, far enough for an attentive driver to stop: 2.5 s at the limit.
-            let trigger = trigger(reader, Some((2.5 * lane.speed_limit).max(15.0)));
-            on_the_way(reader, found.position, &trigger, route);
+            let trigger = trigger(reader, Some((2.5 * speed_limit).max(15.0)));
+            on_the_way(reader, point, &trigger, route);
             walkable(reader, network);
             Kind::Pedestrian { walker: walker(name), speed, way, trigger }
         }
@@ -429,7 +440,7 @@ fn kind_of(
             let gap = reader.number("wad.gap", 15.0, 2.0, 90.0, "metres");
             let deceleration = reader.number("wad.deceleration", 7.0, 1.0, 10.0, "metres a second squared");
             let duration = reader.number("wad.duration", 4.0, 0.0, 600.0, "seconds");
-            on_the_way(reader, found.position, &always, route);
+            on_the_way(reader, point, &always, route);
             let text = reader.element.param("wad.vehicle").unwrap_or("car");
             let drawn = elements.iter().any(|e| {
                 matches!(e.tag.as_str(), "trip" | "vehicle") && e.id() == text && e.get("type") != Some("ego")
@@ -444,7 +455,7 @@ fn kind_of(
         }
         "event.accident" => {
             reader.only(&["wad.vehicles"]);
-            on_the_way(reader, found.position, &always, route);
+            on_the_way(reader, point, &always, route);
             let text = reader.element.param("wad.vehicles").unwrap_or("car,van").to_string();
             let names: Vec<&str> = text.split(',').map(str::trim).collect();
             let [first, second] = names.as_slice() else {
@@ -463,15 +474,17 @@ fn kind_of(
         "event.signal_off" => {
             reader.only(&["wad.signal", "wad.distance", "wad.time"]);
             let trigger = trigger(reader, None);
-            on_the_way(reader, found.position, &trigger, route);
-            Kind::SignalOff { light: light(reader, network, found.position)?, trigger }
+            on_the_way(reader, point, &trigger, route);
+            Kind::SignalOff { light: light(reader, network, point)?, trigger }
         }
         "event.lane_closed" => {
             reader.only(&["wad.length", "wad.distance", "wad.time"]);
-            let room = (lane.shape.length() - at.s).max(1.0);
+            let rest = at.zip(lane).map(|(at, lane)| lane.shape.length() - at.s);
+            let room = rest.map_or(f64::INFINITY, |rest| rest.max(1.0));
             let length = reader.number("wad.length", 30.0_f64.min(room), 1.0, 1000.0, "metres").min(room);
             let trigger = trigger(reader, None);
-            on_the_way(reader, found.position, &trigger, route);
+            on_the_way(reader, point, &trigger, route);
+            let at = at?;
             let closure = Closure { at: LanePosition { lane: at.lane, s: at.s }, length };
             Kind::LaneClosed { closure, trigger }
         }
@@ -512,7 +525,7 @@ pub fn pedestrian_edge(network: &Network, point: Point) -> Option<(&str, f64)> {
 }
 
 /// The light that is named, or the nearest.
-fn light(reader: &mut Reader<'_>, network: &Network, point: Point) -> Option<String> {
+fn light(reader: &mut Reader<'_>, network: &Network, point: Option<Point>) -> Option<String> {
     if let Some(name) = reader.element.param("wad.signal") {
         if network.traffic_light_by_id(name).is_some() {
             return Some(name.to_string());
@@ -527,6 +540,7 @@ fn light(reader: &mut Reader<'_>, network: &Network, point: Point) -> Option<Str
         reader.wrong(format!("the net has no traffic light `{name}`"), fix);
         return None;
     }
+    let point = point?;
     let distance = |l: &sumo_network::network::TrafficLight| (l.position - point).norm();
     let nearest = network.traffic_lights.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)));
     match nearest {

@@ -129,3 +129,16 @@ fn an_unfinished_shard_leaves_nothing() {
     drop(writer);
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
 }
+
+#[test]
+fn a_trailer_that_claims_more_frames_than_there_is_room_for_is_damage() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("shard.wads");
+    write(&path);
+    let mut bytes = std::fs::read(&path).unwrap();
+    let count = bytes.len() - 4;
+    bytes[count..].copy_from_slice(&0xffff_fff0_u32.to_le_bytes());
+    std::fs::write(&path, bytes).unwrap();
+    let error = ShardReader::open(&path).err().unwrap().to_string();
+    assert!(error.contains("4294967280 frames"), "{error}");
+}

@@ -110,6 +110,7 @@ fn comparable(manifest: &Manifest) -> Manifest {
         selection: Default::default(),
         agents: Default::default(),
         nets: Default::default(),
+        towns: Default::default(),
         ..manifest.clone()
     }
 }

@@ -17,6 +17,7 @@ use crate::agent::policy::{Policy, PolicyCard};
 use crate::agent::replay_buffer::{ReplayBuffer, Sampled};
 use crate::agent::replay_files::write_whole;
 use crate::env::Stages;
+use crate::folder_lock::FolderLock;
 use rand_chacha::ChaCha8Rng;
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -58,6 +59,7 @@ pub fn train(
         let failed = |source| TrainError::Write { path: folder.clone(), source };
         std::fs::create_dir_all(folder).map_err(failed)?;
     }
+    let _lock = FolderLock::take(&limits.out)?;
     let mut learning = Learning::begin(config, limits, resume)?;
     if !resume {
         learning.recall(interrupt, maker, &mut progress)?;

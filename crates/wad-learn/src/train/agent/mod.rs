@@ -33,6 +33,7 @@ use crate::agent::learner::Misfit;
 use crate::agent::policy::PolicyError;
 use crate::agent::replay_buffer::BufferError;
 use crate::env::{Env, EnvError, EnvOptions};
+use crate::folder_lock::LockError;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -83,6 +84,9 @@ pub enum TrainError {
     /// A saved state does not fit.
     #[error(transparent)]
     Misfit(#[from] Misfit),
+    /// The folder cannot be locked.
+    #[error(transparent)]
+    Lock(#[from] LockError),
     /// A setting is invalid.
     #[error("the training's configuration is invalid: {0}")]
     Config(String),
