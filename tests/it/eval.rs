@@ -18,7 +18,7 @@ impl Small {
         let path = folder.path().join("small.json");
         let text = format!(
             r#"{{"name": "small", "title": "Small", "episodes": {episodes},
-                "conditions": [{{"name": "new", "town": "town3", "weathers": ["WetNoon"]}}],
+                "conditions": [{{"name": "wet", "town": "town3", "weathers": ["WetNoon"]}}],
                 "tasks": [{{"name": "busy", "kind": "composite", "traffic": "6,6", "tick_limit": {ticks}}}]}}"#
         );
         std::fs::write(&path, text).unwrap();
@@ -275,7 +275,7 @@ fn mistakes_are_named() {
     };
     let error = failed(&["eval", "nocash"]);
     assert!(error.contains("nocash") && error.contains("nocrash"), "{error}");
-    assert!(failed(&["eval", "nocrash", "--condition", "newer"]).contains("training, new"));
+    assert!(failed(&["eval", "nocrash", "--condition", "newer"]).contains("training, development, test"));
     assert!(failed(&["eval", "composite", "--agent", "wad-x", "--episodes", "1"]).contains("wad-x"));
     assert!(failed(&["eval", "nocrash", "--shard", "3/2"]).contains("K/N"));
     assert!(failed(&["report"]).contains("eval --out"));

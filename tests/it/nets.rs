@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use wad_cosim::bridge::BridgeOptions;
+use wad_cosim::bundled;
 use wad_cosim::drive::{Drive, DriveOptions};
 use wad_cosim::nets::{self, NetError, Wanted};
 use wad_cosim::network::{Network, Shapes};
@@ -86,12 +87,21 @@ fn opendrive_and_plain_sources_become_nets() {
     assert!(lanes(&network) * 10 > lanes(&shipped) * 9, "{} of {}", lanes(&network), lanes(&shipped));
     drive(&made.config, Counts::new(5, 0), 60);
 
-    let made = nets::build(&town.join("town5.netccfg"), &dir.path().join("built")).unwrap();
-    let built = Network::load(&made.net).unwrap();
-    let moved = nets::compare(&shipped, &built);
-    assert_eq!((moved.compared, moved.missing, moved.lanes), (lanes(&shipped), 0, 0), "{moved:?}");
     let made = nets::build(&town.join("town5.edg.xml"), &dir.path().join("plain")).unwrap();
     assert_eq!(lanes(&Network::load(&made.net).unwrap()), lanes(&shipped));
+}
+
+#[test]
+fn every_bundled_town_is_what_its_sources_give() {
+    let dir = tempfile::tempdir().unwrap();
+    for town in bundled::towns() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets").join(&town);
+        let shipped = Network::load(&folder.join(format!("{town}.net.xml"))).unwrap();
+        let made = nets::build(&folder.join(format!("{town}.netccfg")), &dir.path().join(&town)).unwrap();
+        let moved = nets::compare(&shipped, &Network::load(&made.net).unwrap());
+        let lanes = shipped.drivable_lanes(wad_cosim::network::VehicleClass::Passenger).len();
+        assert_eq!((moved.compared, moved.missing, moved.lanes), (lanes, 0, 0), "{town}: {moved:?}");
+    }
 }
 
 #[test]
@@ -122,13 +132,17 @@ fn enriched_nets_keep_their_lanes_on_their_lines() {
 
 #[test]
 fn facts_name_what_is_missing_and_which_command_adds_it() {
-    let town = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/town5");
-    let network = Network::load(&town.join("town5.net.xml")).unwrap();
-    let shapes = Shapes::load(&town.join("town5.poly.xml"), &network).unwrap();
-    let facts = nets::facts(&network, &shapes, "town5");
-    assert!(facts.problems.is_empty(), "{:?}", facts.problems);
-    assert_eq!((facts.signals, facts.roundabouts, facts.crossings), (17, 1, 63), "{facts:?}");
-    assert!(facts.tasks.iter().all(|task| task.placed) && facts.connected > 0.99, "{facts:?}");
+    // Signals, roundabouts, crossings.
+    for (town, counts) in [("town3", (14, 1, 66)), ("town5", (17, 1, 63)), ("town7", (8, 2, 90))] {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets").join(town);
+        let network = Network::load(&folder.join(format!("{town}.net.xml"))).unwrap();
+        let shapes = Shapes::load(&folder.join(format!("{town}.poly.xml")), &network).unwrap();
+        let facts = nets::facts(&network, &shapes, town);
+        assert!(facts.problems.is_empty(), "{town}: {:?}", facts.problems);
+        assert_eq!((facts.signals, facts.roundabouts, facts.crossings), counts, "{facts:?}");
+        assert!(facts.tasks.iter().all(|task| task.placed) && facts.connected > 0.99, "{facts:?}");
+        assert_eq!(facts.climb_m > 5.0, town == "town7", "{facts:?}");
+    }
 
     let bare = Network::load(&game("grid6/grid6.net.xml")).unwrap();
     let facts = nets::facts(&bare, &Shapes::default(), "grid6");

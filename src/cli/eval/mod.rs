@@ -20,7 +20,7 @@ pub struct Args {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// The paper's five tasks in both conditions: success rates (table 1).
+    /// The paper's five tasks in every condition: success rates (table 1).
     Tasks(Box<suites::Args>),
     /// The composite task: 70 vehicles, 100 pedestrians, random routes (figure 8).
     Composite(Box<suites::Args>),

@@ -24,8 +24,8 @@ use wad_cosim::traffic::TrafficSpec;
 
 const EXAMPLES: &str = "\
 Examples:
-  wad-cosim eval nocrash --agent wad-t --jobs 2 --out runs/nocrash     450 episodes in both towns
-  wad-cosim eval nocrash --condition new --traffic dense --episodes 5  a part of it, under the autopilot
+  wad-cosim eval nocrash --agent wad-t --jobs 2 --out runs/nocrash     750 episodes in three towns
+  wad-cosim eval nocrash --condition development --traffic dense --episodes 5  a part of it, under the autopilot
   wad-cosim eval nocrash --out runs/nocrash --agent wad-t --resume     goes on where it stopped
   wad-cosim eval nocrash --agent 'exec:python3 scripts/example_agent.py'  your own model
   wad-cosim eval nocrash --shard 1/2 --out a  (elsewhere: --shard 2/2 --out b), then eval merge a b --out all
@@ -41,8 +41,8 @@ pub struct Args {
     /// exec:COMMAND. May be given several times.
     #[arg(long = "agent", value_name = "NAME", default_value = "autopilot")]
     agents: Vec<DriverSpec>,
-    /// Only this condition of the suite, e.g. training or new; may be given several times.
-    #[arg(long = "condition", value_name = "NAME")]
+    /// Only this condition of the suite: training, development or test; may be given several times.
+    #[arg(long = "condition", value_name = "NAME", value_parser = condition)]
     conditions: Vec<String>,
     /// Only this task of the suite; may be given several times.
     #[arg(long = "task", value_name = "NAME")]
@@ -103,6 +103,10 @@ impl Args {
         once("--seed", &mut self.seeds, u64::to_string);
         self
     }
+}
+
+fn condition(text: &str) -> Result<String, std::convert::Infallible> {
+    Ok(eval::condition_name(text))
 }
 
 /// Removes repeated values of `flag`, because their episodes would be the same ones again.

@@ -48,6 +48,11 @@ fn kind_of(polygon: &Polygon) -> Option<House> {
     })
 }
 
+/// The lowest ground under a building (m): on a slope it stands in the ground, not over it.
+fn foot(outline: &[Point], terrain: &Terrain) -> f64 {
+    outline.iter().map(|&p| terrain.at(p)).fold(f64::INFINITY, f64::min)
+}
+
 /// Builds every building polygon that keeps off the ways; returns how many stand.
 pub(super) fn from_polygons(
     polygons: &[Polygon],
@@ -74,7 +79,7 @@ pub(super) fn from_polygons(
         };
         let height = polygon.height.unwrap_or(usual).clamp(2.2, 300.0);
         ground.fill(&outline, uses::BUILDING);
-        builder.building(&outline, terrain.at(outline[0]), height, kind, key);
+        builder.building(&outline, foot(&outline, terrain), height, kind, key);
         built += 1;
     }
     built
@@ -132,7 +137,7 @@ pub(super) fn grow(
             let lot = cleaned(&[a, b, b + away * depth, a + away * depth]);
             if lot.len() == 4 && ground.convex_free(&lot, taken) {
                 ground.fill(&lot, uses::BUILDING);
-                builder.building(&lot, terrain.at(lot[0]), height, kind, key);
+                builder.building(&lot, foot(&lot, terrain), height, kind, key);
                 s += width + gap;
             } else {
                 s += 5.0;

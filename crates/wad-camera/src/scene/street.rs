@@ -4,7 +4,7 @@ use super::furniture::{BENCH, Furniture, LAMP_HEIGHT, LAMP_REACH};
 use super::ground::{Ground, Terrain, uses};
 use super::markings::opposite;
 use super::materials::Materials;
-use super::roads::{Surface, stations, surface};
+use super::roads::{Station, Surface, stations, surface};
 use super::tiles::{Levels, Tiles};
 use super::trees::{Plants, leaf_colour};
 use crate::actors::Cast;
@@ -272,8 +272,9 @@ fn furnish(site: &mut Site<'_>, side: &Side<'_>, fast: bool, lanes: usize, key: 
     let character = seeds::derive(key, "street");
     let (leafy, hedged, parked) = (character % 10 < 6, character >> 8 & 3 == 0, character >> 12 & 3 != 0);
     if fast && !side.sidewalk {
-        guard_rail(site, side);
+        rail(site, side, &GUARD);
     }
+    rail(site, side, &PARAPET);
     lamps(site, side, lanes);
     if side.sidewalk && !fast && length > 70.0 {
         bus_stop(site, side);
@@ -405,23 +406,55 @@ fn hedge(site: &mut Site<'_>, side: &Side<'_>, s: f64) {
     }
 }
 
-/// A rail along a fast road.
-fn guard_rail(site: &mut Site<'_>, side: &Side<'_>) {
-    let line = stations(&side.lane.shape, 4.0);
-    let d = side.side * (0.5 * side.lane.width + 0.75);
+/// A rail along a road.
+struct Rail {
+    /// On a bridge only; else only where the ground is free.
+    bridge: bool,
+    /// From the road's border to it (m).
+    out: f64,
+    /// Greatest distance between posts (m).
+    posts: f64,
+    /// Its bars, from and to (m above the road); posts end in the highest one.
+    bars: &'static [[f32; 2]],
+}
+
+/// Beside fast roads.
+const GUARD: Rail = Rail { bridge: false, out: 0.75, posts: 4.0, bars: &[[0.48, 0.78]] };
+/// Along bridges: a metre above the sidewalk.
+const PARAPET: Rail =
+    Rail { bridge: true, out: 0.12, posts: 2.0, bars: &[[0.28, 0.34], [0.68, 0.74], [1.08, 1.18]] };
+/// A bridge reaches this far beyond the water (m).
+const BANK: f64 = 2.5;
+
+/// Puts up a rail wherever it belongs on a side of a road.
+fn rail(site: &mut Site<'_>, side: &Side<'_>, rail: &Rail) {
+    let line = stations(&side.lane.shape, rail.posts);
+    let d = side.side * (0.5 * side.lane.width + rail.out);
     for pair in line.windows(2) {
         let (a, b) = (pair[0].off(d, 0.0), pair[1].off(d, 0.0));
         let middle = a.xy() + (b - a).xy() * 0.5;
-        let clear = |p: Point| site.ground.disc_free(p, 0.15, TAKEN);
-        if !(clear(a.xy()) && clear(middle) && clear(b.xy())) {
+        let free = |p: Point| site.ground.disc_free(p, 0.15, TAKEN);
+        let over_water = |station: &Station| {
+            let beyond = station.off(d + side.side * 0.5, 0.0).xy();
+            !site.ground.disc_free(station.at.xy(), BANK, uses::WATER)
+                && site.ground.at(beyond) & uses::WAY == 0
+        };
+        let placed = match rail.bridge {
+            true => pair.iter().all(over_water),
+            false => free(a.xy()) && free(middle) && free(b.xy()),
+        };
+        if !placed {
             continue;
         }
         let mut s = Shaper::new(20.0);
         let along = (b - a).xy();
         let length = along.norm() as f32;
         s.place(along.y.atan2(along.x) as f32, [0.0; 3]);
-        s.cuboid([-0.03, -0.03, 0.48], [length + 0.03, 0.03, 0.78], true, site.materials.guard_rail);
-        s.cuboid([-0.05, -0.05, -0.1], [0.05, 0.05, 0.74], false, site.materials.guard_rail);
+        for [low, high] in rail.bars {
+            s.cuboid([-0.03, -0.03, *low], [length + 0.03, 0.03, *high], true, site.materials.guard_rail);
+        }
+        let top = rail.bars.iter().map(|bar| bar[1]).fold(0.0, f32::max) - 0.04;
+        s.cuboid([-0.05, -0.05, -0.1], [0.05, 0.05, top], false, site.materials.guard_rail);
         let mesh = s.finish();
         site.tiles.mesh(a, &mesh, Levels::Middle);
         site.ground.fill_strip(a.xy(), b.xy(), 0.2, uses::OBJECT);

@@ -130,6 +130,61 @@ fn nothing_stands_on_a_lane_or_crossing_of_any_bundled_town() {
 }
 
 #[test]
+fn houses_on_a_slope_do_not_float() {
+    let (network, shapes) = town("town7");
+    let terrain = ground::Terrain::of(&network);
+    assert!(!terrain.flat);
+    let (scene, _) = build(&network, &shapes, 1);
+    let mut lowest = std::collections::BTreeMap::new();
+    for chunk in &scene.chunks {
+        let mesh = &chunk.levels[0].1;
+        for t in &mesh.triangles {
+            if scene.library.materials[usize::from(t.material.0)].tag != SemanticTag::Building {
+                continue;
+            }
+            for i in t.corners {
+                let p = mesh.vertices[i as usize].position.map(f64::from);
+                let key = [chunk.origin.x + p[0], chunk.origin.y + p[1]].map(|c| (c * 4.0).round() as i64);
+                let low = lowest.entry(key).or_insert(f64::INFINITY);
+                *low = low.min(chunk.origin.z + p[2]);
+            }
+        }
+    }
+    let mut corners = 0;
+    for polygon in shapes.polygons.iter().filter(|p| p.kind.starts_with("building")) {
+        for p in &polygon.shape {
+            let key = [p.x, p.y].map(|c| (c * 4.0).round() as i64);
+            let Some(low) = lowest.get(&key) else { continue };
+            assert!(*low <= terrain.at(*p), "{}: {:.2} m over the ground", polygon.id, low - terrain.at(*p));
+            corners += 1;
+        }
+    }
+    assert!(corners > 1000, "{corners}");
+}
+
+#[test]
+fn bridges_have_rails_over_the_water_and_nowhere_else() {
+    let (network, shapes) = town("town7");
+    let river = shapes.polygons.iter().find(|p| p.kind == "water").unwrap();
+    let (scene, _) = build(&network, &shapes, 1);
+    let mut posts = [0, 0];
+    for (p, _) in standing_points(&scene, 1.0, 1.25).iter().filter(|(_, what)| *what == "guard rail") {
+        let near = (0..8).any(|k| {
+            let out = direction(f64::from(k) * std::f64::consts::FRAC_PI_4) * 6.0;
+            polygon_contains(&river.shape, p.xy() + out)
+        });
+        assert!(near, "a rail at {p:?}");
+        // Bridge Avenue lies in the west, Stone Bridge in the east.
+        posts[usize::from(p.x > 300.0)] += 1;
+    }
+    assert!(posts.iter().all(|&n| n > 100), "{posts:?}");
+    let (network, shapes) = town("town3");
+    let (scene, _) = build(&network, &shapes, 1);
+    let rails = standing_points(&scene, 1.0, 1.25).iter().filter(|(_, what)| *what == "guard rail").count();
+    assert_eq!(rails, 0, "no road of town3 crosses its river");
+}
+
+#[test]
 fn equal_seeds_give_equal_towns() {
     let (network, shapes) = town("town5");
     let one = hash(&build(&network, &shapes, 7).0);

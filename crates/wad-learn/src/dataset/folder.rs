@@ -24,17 +24,17 @@ const MANIFEST: &str = "dataset.json";
 pub enum Role {
     /// Any other town: for training.
     Training,
-    /// The new town: for measurements only.
+    /// A town for development or testing: for measurements only.
     Test,
 }
 
-/// The town that must not be trained on.
-const TEST_TOWN: &str = "town5";
+/// The towns that must not be trained on.
+const NOT_TRAINED_ON: [&str; 2] = ["town5", "town7"];
 
 impl Role {
-    /// Test data for town5, training data for every other town.
+    /// Test data for town5 and town7, training data for every other town.
     pub fn of(town: &str) -> Self {
-        if town == TEST_TOWN { Self::Test } else { Self::Training }
+        if NOT_TRAINED_ON.contains(&town) { Self::Test } else { Self::Training }
     }
 }
 
@@ -362,6 +362,7 @@ mod tests {
         let path = folder.path();
         let error = |partial| Dataset::open(path, partial).unwrap_err().to_string();
         assert!(error(false).contains("not a dataset"), "{}", error(false));
+        assert_eq!(["town3", "town5", "town7"].map(Role::of), [Role::Training, Role::Test, Role::Test]);
         data(path, "town5");
         let dataset = Dataset::open(path, false).unwrap();
         assert!(matches!(dataset.require_training(), Err(DatasetError::TestData { .. })));

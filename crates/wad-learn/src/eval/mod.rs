@@ -28,5 +28,5 @@ pub use record::{EpisodeRecord, Fault, RecordingFolder};
 pub use rows::{Row, Score, grouped, rows, wilson};
 pub use runner::{EvalError, Evaluation, Keep, MakeAgent, run};
 pub use store::{Results, Store, StoreError, in_order};
-pub use suite::{Condition, Suite, SuiteError, SuiteTask, names};
+pub use suite::{Condition, Suite, SuiteError, SuiteTask, condition_name, names};
 pub use tally::{EventCounts, Histogram};

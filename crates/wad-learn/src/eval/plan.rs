@@ -24,6 +24,7 @@ pub struct Selection {
     /// Tasks by name.
     pub tasks: Vec<String>,
     /// Conditions by name.
+    #[serde(deserialize_with = "super::suite::conditions")]
     pub conditions: Vec<String>,
     /// Towns (CONFIG).
     pub towns: Vec<String>,
@@ -45,6 +46,7 @@ pub struct Case {
     /// The suite's name.
     pub suite: String,
     /// The suite's condition; `other` for a town and weather outside all of them.
+    #[serde(deserialize_with = "super::suite::condition")]
     pub condition: String,
     /// The driver.
     pub agent: DriverSpec,
@@ -318,7 +320,7 @@ mod tests {
             };
             (town.to_string(), (routes, PathBuf::from(town)))
         };
-        ["town3", "town5", "my.net.xml"].map(of).into()
+        ["town3", "town5", "town7", "my.net.xml"].map(of).into()
     }
 
     fn plan(selection: &Selection, suite: &str) -> Vec<Case> {
@@ -327,14 +329,14 @@ mod tests {
 
     #[test]
     fn a_suite_is_all_of_its_conditions_unless_told_otherwise() {
-        assert_eq!(plan(&Selection::default(), "nocrash").len(), 450);
-        assert_eq!(plan(&Selection::default(), "tasks").len(), 5 * 5 * 25);
+        assert_eq!(plan(&Selection::default(), "nocrash").len(), 750);
+        assert_eq!(plan(&Selection::default(), "tasks").len(), 5 * 9 * 25);
         let composite = plan(&Selection::default(), "composite");
-        assert_eq!(composite.len(), 200);
+        assert_eq!(composite.len(), 300);
         assert_ne!(composite[0].spec.weather, composite[1].spec.weather, "weathers in turn");
         let some = Selection {
             tasks: vec!["dense".into()],
-            conditions: vec!["new".into()],
+            conditions: vec!["development".into()],
             weathers: vec![Preset::WetSunset, Preset::ClearNoon],
             seeds: vec![1, 2],
             episodes: Some(3),
@@ -342,7 +344,7 @@ mod tests {
         };
         let plan = plan(&some, "nocrash");
         assert_eq!(plan.len(), 12);
-        assert_eq!((plan[0].condition.as_str(), plan[11].condition.as_str()), ("new", "other"));
+        assert_eq!((plan[0].condition.as_str(), plan[11].condition.as_str()), ("development", "other"));
         let mut names: Vec<String> = plan.iter().map(Case::name).collect();
         names.sort_unstable();
         names.dedup();
@@ -395,14 +397,14 @@ mod tests {
     fn an_own_net_is_driven_in_the_suites_weathers() {
         let own = Selection { towns: vec!["my.net.xml".into()], ..Selection::default() };
         let plan = plan(&own, "nocrash");
-        assert_eq!(plan.len(), 450);
+        assert_eq!(plan.len(), 750);
         assert!(plan.iter().all(|case| case.condition == "other" && case.town == "my.net.xml"));
         let unknown = Selection { towns: vec!["elsewhere".into()], ..Selection::default() };
         let error = unknown.plan(&Suite::find("nocrash").unwrap(), &routes()).unwrap_err().to_string();
         assert!(error.contains("eval routes elsewhere"), "{error}");
         let unknown = Selection { conditions: vec!["newer".into()], ..Selection::default() };
         let error = unknown.plan(&Suite::find("nocrash").unwrap(), &routes()).unwrap_err().to_string();
-        assert!(error.contains("newer") && error.contains("training, new"), "{error}");
+        assert!(error.contains("newer") && error.contains("training, development, test"), "{error}");
     }
 
     #[test]

@@ -91,8 +91,11 @@ fn remedy(set: &str) -> &'static str {
     }
 }
 
-const SHIPPED: [(&str, &str); 2] =
-    [("town3", include_str!("routes/town3.json")), ("town5", include_str!("routes/town5.json"))];
+const SHIPPED: [(&str, &str); 3] = [
+    ("town3", include_str!("routes/town3.json")),
+    ("town5", include_str!("routes/town5.json")),
+    ("town7", include_str!("routes/town7.json")),
+];
 
 impl Routes {
     /// The sets to make: for the five tasks, and for navigation.

@@ -401,7 +401,7 @@ mod tests {
             suite: Suite::find("composite").unwrap(),
             selection: Selection {
                 agents: vec![DriverSpec::Random],
-                conditions: vec!["new".into()],
+                conditions: vec!["development".into()],
                 episodes: Some(3),
                 ..Selection::default()
             },

@@ -3,7 +3,7 @@
 
 use super::routes::RouteError;
 use crate::env::Termination;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 use std::path::{Path, PathBuf};
 use wad_camera::Preset;
 use wad_sim::bridge::DEFAULT_TICK_MS;
@@ -42,11 +42,27 @@ pub struct Suite {
 #[serde(deny_unknown_fields)]
 pub struct Condition {
     /// The condition's name.
+    #[serde(deserialize_with = "condition")]
     pub name: String,
     /// A CONFIG.
     pub town: String,
     /// Its weathers.
     pub weathers: Vec<Preset>,
+}
+
+/// The condition that `name` means: `new`, as older results call `development`, is read as that.
+pub fn condition_name(name: &str) -> String {
+    if name == "new" { "development".to_string() } else { name.to_string() }
+}
+
+/// Reads the name of a condition.
+pub(super) fn condition<'de, D: Deserializer<'de>>(from: D) -> Result<String, D::Error> {
+    Ok(condition_name(&String::deserialize(from)?))
+}
+
+/// Reads names of conditions.
+pub(super) fn conditions<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<String>, D::Error> {
+    Ok(Vec::<String>::deserialize(from)?.iter().map(|name| condition_name(name)).collect())
 }
 
 /// One row of a suite's table.
@@ -227,10 +243,32 @@ mod tests {
         let nocrash = Suite::find("nocrash").unwrap();
         assert!(nocrash.termination.collision && !nocrash.termination.red_light);
         let weathers: usize = nocrash.conditions.iter().map(|c| c.weathers.len()).sum();
-        assert_eq!(nocrash.tasks.len() * weathers * nocrash.episodes as usize, 450);
+        assert_eq!(nocrash.tasks.len() * weathers * nocrash.episodes as usize, 750);
         assert_eq!(Suite::find("corl2017").unwrap().termination, Termination::none());
         assert_eq!(Suite::find("tasks").unwrap().termination, Termination::default());
         assert_eq!(Suite::find("infractions").unwrap().tasks[0].tick_limit, Some(4000));
+    }
+
+    #[test]
+    fn the_test_town_and_its_weathers_are_in_no_other_condition() {
+        let conditions: Vec<Condition> =
+            names().iter().flat_map(|name| Suite::find(name).unwrap().conditions).collect();
+        let (test, others): (Vec<_>, Vec<_>) = conditions.iter().partition(|c| c.name == "test");
+        assert_eq!(test.len(), names().len(), "every suite has it");
+        let weathers = &test[0].weathers;
+        assert!(test.iter().all(|c| c.town == "town7" && c.weathers == *weathers));
+        for condition in others {
+            assert_ne!(condition.town, "town7");
+            assert!(!condition.weathers.iter().any(|w| weathers.contains(w)), "{condition:?}");
+        }
+    }
+
+    #[test]
+    fn the_former_name_of_development_is_read_as_that() {
+        let old = r#"{"name": "new", "town": "town5", "weathers": ["WetSunset"]}"#;
+        let condition: Condition = serde_json::from_str(old).unwrap();
+        assert_eq!(condition.name, "development");
+        assert!(serde_json::to_string(&condition).unwrap().contains("development"));
     }
 
     #[test]

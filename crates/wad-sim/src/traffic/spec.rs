@@ -47,8 +47,8 @@ pub struct TrafficSpecError {
     pub found: String,
 }
 
-/// The town whose populations are NoCrash's "new town" ones.
-const NEW_TOWN: &str = "town5";
+/// The towns whose populations are NoCrash's "new town" ones.
+const NEW_TOWNS: [&str; 2] = ["town5", "town7"];
 
 impl TrafficSpec {
     /// Whether the config's own demand (route files, and what its additional files bring) stays in.
@@ -63,11 +63,11 @@ impl TrafficSpec {
     /// The population for a town; None for [`TrafficSpec::AsIs`].
     ///
     /// `town` is a bundled name or a path; what counts is its file name up to the first dot
-    /// (`town5`, `nets/town5.sumocfg`, `x/town5.net.xml.gz`). Every town but town5 has the
-    /// training town's populations.
+    /// (`town5`, `nets/town5.sumocfg`, `x/town5.net.xml.gz`). Every town but town5 and town7 has
+    /// the training town's populations.
     pub fn counts(self, town: &str) -> Option<Counts> {
         let name = town.rsplit(['/', '\\']).next().unwrap_or(town);
-        let new_town = name.split('.').next() == Some(NEW_TOWN);
+        let new_town = name.split('.').next().is_some_and(|name| NEW_TOWNS.contains(&name));
         match self {
             Self::AsIs => None,
             Self::Empty => Some(Counts::default()),
@@ -156,7 +156,7 @@ mod tests {
             assert_eq!(counts(TrafficSpec::Regular, training), Counts::new(20, 50), "{training}");
             assert_eq!(counts(TrafficSpec::Dense, training), Counts::new(100, 250), "{training}");
         }
-        for new in ["town5", "nets/town5.sumocfg", "/x.y/town5.net.xml.gz", "C:\\n\\town5.net.xml"] {
+        for new in ["town5", "nets/town5.sumocfg", "/x.y/town5.net.xml.gz", "C:\\n\\town5.net.xml", "town7"] {
             assert_eq!(counts(TrafficSpec::Regular, new), Counts::new(15, 50), "{new}");
             assert_eq!(counts(TrafficSpec::Dense, new), Counts::new(70, 150), "{new}");
         }

@@ -99,10 +99,10 @@ fn success(section: &Section) -> Table {
             TRAINED_IN.map(Preset::name).join(", ")
         ));
     }
-    let trained = odd_weathers(section, "new", true);
+    let trained = odd_weathers(section, "development", true);
     if !trained.is_empty() {
         notes.push(format!(
-            "“new” is the benchmark's name: agents, encoder and detector were trained in {}, though in another town.",
+            "“development” has the weathers that the benchmark calls new: agents, encoder and detector were trained in {}, though in another town.",
             trained.join(", ")
         ));
     }
