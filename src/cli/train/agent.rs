@@ -3,7 +3,7 @@
 use super::encoder::Device;
 use crate::cli::progress::Bar;
 use crate::cli::{Exit, agents, answer, dataset};
-use anyhow::anyhow;
+use anyhow::{Context, anyhow};
 use clap::{ValueEnum, ValueHint};
 use std::path::{Path, PathBuf};
 use wad_cosim::agent::batch::Inputs;
