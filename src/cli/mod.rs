@@ -195,7 +195,7 @@ mod tests {
     fn the_options_of_all_commands_come_last_in_a_help() {
         let mut program = Cli::command();
         program.build();
-        for command in program.get_subcommands_mut() {
+        for command in program.get_subcommands_mut().filter(|command| command.get_name() != "help") {
             let help = command.render_long_help().to_string();
             let own = help.rfind("--verbose").expect("a common option");
             let after = help[own..].matches("\n      --").count();

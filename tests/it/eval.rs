@@ -260,7 +260,7 @@ fn results_are_not_continued_with_another_scenario_or_detector() {
     copy.change(
         "add.xml",
         "</additional>",
-        "<poi id=\"a\" type=\"bench\" lane=\"NW2A4_0\" pos=\"60\"/></additional>",
+        "<poi id=\"a\" type=\"bench\" lane=\"NW2A4_0\" pos=\"20\"/></additional>",
     );
     refused("towns.");
 }

@@ -483,11 +483,11 @@ fn a_destination_moved_in_netedit_wins_over_the_parameter() {
     let edge = drawn.lane.rsplit_once('_').unwrap().0.to_string();
     let param =
         |value: &str| format!("<param key=\"wad.destination\" value=\"{value}\"/><param key=\"wad.task");
-    copy.change("rou.xml", "<param key=\"wad.task", &param("NW2A4_0@60"));
+    copy.change("rou.xml", "<param key=\"wad.task", &param("NW2A4_0@20"));
     assert_eq!(Scenario::load(&copy.config()).unwrap().placement.to, drawn);
     // On the drawn edge it says the lane, and what is drawn of lane and position wins again.
     let lane = format!("{edge}_1");
-    copy.change("rou.xml", "NW2A4_0@60", &format!("{lane}@12"));
+    copy.change("rou.xml", "NW2A4_0@20", &format!("{lane}@12"));
     assert_eq!(Scenario::load(&copy.config()).unwrap().placement.to, drawn);
 }
 

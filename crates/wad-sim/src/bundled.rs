@@ -4,7 +4,7 @@
 //! nothing was registered (a test or an example of the workspace), the files beside the crates are read.
 
 use crate::suggest;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, OnceLock, PoisonError};
 pub use sumo_traci::cache::{cache_dir, cache_in};
@@ -256,19 +256,24 @@ fn unpack_in(cache: &Path) -> std::io::Result<PathBuf> {
         .map(|(path, bytes)| (path, *bytes))
         .collect();
     let root = cache.join(format!("{:016x}", content_hash(&wanted)));
-    for folder in [cache.parent().unwrap_or(cache), cache, &root] {
+    let paths: Vec<PathBuf> = wanted.iter().map(|(path, _)| root.join(path)).collect();
+    let inside = |folder: &&Path| folder.starts_with(&root);
+    // Parents first.
+    let mut folders: BTreeSet<&Path> =
+        paths.iter().flat_map(|path| path.ancestors().skip(1).take_while(inside)).collect();
+    folders.extend([cache.parent().unwrap_or(cache), cache, &root]);
+    for folder in folders {
         make_private(folder)?;
     }
-    for (path, bytes) in wanted {
-        let path = root.join(path);
-        if std::fs::read(&path).is_ok_and(|found| found == bytes) {
+    for ((_, bytes), path) in wanted.iter().zip(&paths) {
+        let own = std::fs::symlink_metadata(path).is_ok_and(|found| found.is_file());
+        if own && std::fs::read(path).is_ok_and(|found| found == *bytes) {
             continue;
         }
-        path.parent().map_or(Ok(()), std::fs::create_dir_all)?;
         // Written beside its place and moved there, so that another process never reads half a file.
         let mut draft = path.clone().into_os_string();
         draft.push(format!(".{}.tmp", std::process::id()));
-        std::fs::write(&draft, bytes).and_then(|()| std::fs::rename(&draft, &path))?;
+        std::fs::write(&draft, bytes).and_then(|()| std::fs::rename(&draft, path))?;
     }
     Ok(root)
 }
@@ -365,8 +370,11 @@ mod tests {
         let open = dir.path().join("open");
         std::fs::create_dir(&open).unwrap();
         std::fs::set_permissions(&open, std::fs::Permissions::from_mode(0o777)).unwrap();
-        let root = unpack_in(&open.join("towns")).unwrap();
-        for folder in root.ancestors().take(3) {
+        let cache = open.join("towns");
+        let town = unpack_in(&cache).unwrap().join("sumo_nets/town5");
+        std::fs::set_permissions(&town, std::fs::Permissions::from_mode(0o777)).unwrap();
+        unpack_in(&cache).unwrap();
+        for folder in town.ancestors().take(5) {
             assert_eq!(std::fs::metadata(folder).unwrap().mode() & 0o022, 0, "{}", folder.display());
         }
         // A link among temporary files may be anybody's.

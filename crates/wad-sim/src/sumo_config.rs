@@ -317,7 +317,6 @@ impl SumoConfig {
         // SUMO counts relative paths from the configuration's own folder, not from ours.
         let dir =
             &std::path::absolute(&overrides.output_dir).unwrap_or_else(|_| overrides.output_dir.clone());
-        usable(dir)?;
         std::fs::create_dir_all(dir).map_err(|source| ConfigError::Write { path: dir.clone(), source })?;
         let mut options = self.options.clone();
         for dropped in DROPPED {
@@ -336,9 +335,9 @@ impl SumoConfig {
             let files = self.additional_files();
             let mut kept = Vec::with_capacity(files.len());
             for file in files {
-                kept.push(redirect_outputs(&file, dir)?.to_string_lossy().to_string());
+                kept.push(redirect_outputs(&file, dir)?);
             }
-            *value = kept.join(",");
+            *value = list(&kept)?;
         }
         if let Some(value) = options.get_mut("route-files") {
             let mut kept = Vec::new();
@@ -347,9 +346,9 @@ impl SumoConfig {
                 if let Some(dropped) = overrides.drop_type {
                     file = without_type(&file, dropped, dir)?;
                 }
-                kept.push(file.to_string_lossy().to_string());
+                kept.push(file);
             }
-            *value = kept.join(",");
+            *value = list(&kept)?;
         }
         for (option, value) in &overrides.default {
             options.entry(option.clone()).or_insert_with(|| value.clone());
@@ -383,6 +382,13 @@ fn usable(path: &Path) -> Result<(), ConfigError> {
         return Ok(());
     };
     Err(ConfigError::Path { path: path.to_path_buf(), found })
+}
+
+/// The value of an option that takes several files.
+fn list(files: &[PathBuf]) -> Result<String, ConfigError> {
+    files.iter().try_for_each(|file| usable(file))?;
+    let names: Vec<_> = files.iter().map(|file| file.to_string_lossy()).collect();
+    Ok(names.join(","))
 }
 
 /// Options that a run decides itself or that would act on the user's files.
@@ -734,6 +740,10 @@ mod tests {
         let routes = std::fs::read_to_string(routes).unwrap();
         assert!(routes.contains(&out.join("ssm.xml").display().to_string()), "{routes}");
         assert!(!routes.contains("elsewhere"), "{routes}");
+        // Its copy would be in a list of files there.
+        let overrides = Overrides { output_dir: dir.path().join("a,b"), ..Overrides::default() };
+        let error = config.write_effective(&schema, &overrides).unwrap_err().to_string();
+        assert!(error.contains("a comma"), "{error}");
     }
 
     #[test]

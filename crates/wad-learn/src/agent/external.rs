@@ -430,7 +430,10 @@ mod tests {
     fn is_gone(pid: &str) -> bool {
         let stat = || std::fs::read_to_string(format!("/proc/{}/stat", pid.trim())).unwrap_or_default();
         let dead = |stat: String| stat.rsplit(')').next().is_none_or(|s| s.is_empty() || s.starts_with(" Z"));
-        (0..500).any(|_| dead(stat()) || std::thread::sleep(Duration::from_millis(10)) != ())
+        (0..500).any(|_| {
+            std::thread::sleep(Duration::from_millis(10));
+            dead(stat())
+        })
     }
 
     #[test]
