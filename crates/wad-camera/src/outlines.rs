@@ -115,7 +115,7 @@ fn seen(shot: &Shot<'_>, outline: &Outline, nearer: &[Outline]) -> Option<Object
     let visible_pixels = (outline.object.class.fills() * area * share).round() as u32;
     // Pixels count where their middle is covered.
     let [l, t, r, b] = visible.map(|v| v.round().max(0.0) as u32);
-    (visible_pixels > 0 && r > l && b > t).then(|| ObjectTruth {
+    (visible_pixels > 0 && r > l && b > t).then_some(ObjectTruth {
         class: outline.object.class,
         id: outline.object.id,
         visible_pixels,

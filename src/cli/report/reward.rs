@@ -45,7 +45,7 @@ fn charts(p: &RewardParams) -> Vec<(&'static str, Chart)> {
     let stood = "seconds stood without a reason (training ends after 4 s)";
     let timeout = one("timeout", (0.0, 10.0), 201, &|t| reward::timeout(p, (t - 4.0).abs() < 0.03));
     let collision = one("collision", (0.0, 15_000.0), 301, &|i| reward::collision(p, Some(i)));
-    let at = |name: &str, way: f64| Line::of(name, (0.0, 2.5), 251, &|d| reward::lane(p, d, false, way));
+    let at = |name: &str, way: f64| Line::of(name, (0.0, 2.5), 251, |d| reward::lane(p, d, false, way));
     let lane = vec![at("at the wanted speed", 1.0), at("at half of it", 0.5), at("standing", 0.0)];
     let lane_title = "r_lane (-10 once beyond 1.75 m, where that ends the episode)";
     let ran_red = |v: f64| reward::light(p, &Facts { ran_red: true, ..before_red(0.0, v) });
