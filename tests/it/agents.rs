@@ -23,6 +23,8 @@ const SMALL: [&str; 14] = [
     "300",
     "--seed",
     "5",
+    "--update-ratio",
+    "1",
 ];
 
 fn train(out: &Path, args: &[&str]) -> Command {
@@ -167,6 +169,86 @@ fn a_sumo_that_dies_costs_an_episode_and_a_killed_training_goes_on() {
     assert!(output.status.success(), "{}", stderr(&output));
     assert!(stderr(&output).contains("recorded steps"), "{}", stderr(&output));
     assert!(json(&output)["demonstrated"].as_u64().unwrap() > 0);
+}
+
+/// What `train agent --inputs raw` makes drives without a picture, and `report learning` draws its course.
+#[test]
+fn raw_agents_train_without_a_picture_and_their_course_is_drawn() {
+    let dir = tempfile::tempdir().unwrap();
+    let curriculum = dir.path().join("curriculum.json");
+    let text = r#"{ "town": "town3", "weathers": ["ClearNoon"], "replay": 0.0, "stages": [
+        { "task": "straight", "threshold": 0.0, "window": 2 }, { "task": "one_turn", "threshold": 1.0, "window": 20 }] }"#;
+    std::fs::write(&curriculum, text).unwrap();
+    let raw = |seed: &str, out: &Path| {
+        let mut command = train(out, &["--algo", "td3", "--inputs", "raw", "--steps", "500", "--seed", seed]);
+        command.args([
+            "--learning-starts",
+            "200",
+            "--batch",
+            "32",
+            "--buffer",
+            "5000",
+            "--validate-every",
+            "0",
+        ]);
+        command.arg("--curriculum").arg(&curriculum).args([
+            "--set",
+            "env.reward.lane=0.1",
+            "--collectors",
+            "1",
+        ]);
+        command
+    };
+    let runs = ["1", "2"].map(|seed| dir.path().join(seed));
+    for (seed, out) in ["1", "2"].iter().zip(&runs) {
+        let output = raw(seed, out).output().unwrap();
+        assert!(output.status.success(), "{}", stderr(&output));
+        assert!(stderr(&output).contains("stage 1 (straight) is passed"), "{}", stderr(&output));
+        let stages = &json(&output)["stages"];
+        assert!(stages["camera"].as_f64().unwrap() < 1.0, "nothing is drawn: {stages}");
+    }
+    let config: Value = serde_json::from_slice(&std::fs::read(runs[0].join("config.json")).unwrap()).unwrap();
+    assert_eq!(
+        (&config["env"]["detector"], &config["env"]["reward"]["lane"]),
+        (&"outlines".into(), &0.1.into())
+    );
+
+    let report = dir.path().join("report");
+    let output = wad(&["report", "learning"]).args(&runs).arg("--out").arg(&report).output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    let svg = std::fs::read_to_string(report.join("learning-stage.svg")).unwrap();
+    assert!(svg.contains("wad-t, raw, reward only, seeds 1, 2") && svg.contains("<polygon"), "{svg}");
+    let table = std::fs::read_to_string(report.join("learning.md")).unwrap();
+    assert!(table.lines().filter(|line| line.contains(" steps, ")).count() == 2, "{table}");
+
+    let policy = runs[0].join("last.safetensors").display().to_string();
+    let out = dir.path().join("run").display().to_string();
+    let args = [
+        "run",
+        "town3",
+        "--agent",
+        &policy,
+        "--detector",
+        "outlines",
+        "--ticks",
+        "20",
+        "--out",
+        &out,
+        "--json",
+    ];
+    let output = wad(&args).output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert_eq!(json(&output)["ticks"], 20);
+
+    for (setting, expected) in
+        [("env.reward.lain=0", "lane_threshold"), ("update_ratio=fast", "expected"), ("seed", "PATH=VALUE")]
+    {
+        let fresh = dir.path().join("fresh");
+        let output = raw("1", &fresh).args(["--set", setting]).output().unwrap();
+        assert_eq!(output.status.code(), Some(2), "{setting}: {}", stderr(&output));
+        assert!(stderr(&output).contains(expected), "{setting}: {}", stderr(&output));
+        assert!(!fresh.exists(), "{setting}: nothing is written");
+    }
 }
 
 #[test]

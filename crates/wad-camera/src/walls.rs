@@ -1,8 +1,9 @@
 //! What hides road users from each other at the height of eyes: the upright faces of the town, as a grid of
 //! the ground seen from above.
 
-use super::model::Chunk;
+use super::mesh::Mesh;
 use super::view::{cross, dot, sub};
+use nalgebra::Point3;
 use std::collections::HashMap;
 
 /// Width of a cell (m).
@@ -21,11 +22,10 @@ pub struct Walls {
 }
 
 impl Walls {
-    /// The upright faces of a town's chunks, in their finest level. Instances (trees, lamps) are too thin.
-    pub fn of(chunks: &[Chunk]) -> Self {
+    /// The upright faces of a town's meshes, each with the origin of its frame (m, world).
+    pub fn of<'a>(meshes: impl IntoIterator<Item = (Point3<f64>, &'a Mesh)>) -> Self {
         let mut walls = Self::default();
-        for chunk in chunks {
-            let Some((_, mesh)) = chunk.levels.first() else { continue };
+        for (origin, mesh) in meshes {
             for triangle in &mesh.triangles {
                 let corners = triangle.corners.map(|c| mesh.vertices[c as usize].position);
                 let normal = cross(sub(corners[1], corners[0]), sub(corners[2], corners[0]));
@@ -33,8 +33,7 @@ impl Walls {
                     continue;
                 }
                 if let Some([a, b]) = cut(&corners) {
-                    let place =
-                        |p: [f32; 2]| [chunk.origin.x + f64::from(p[0]), chunk.origin.y + f64::from(p[1])];
+                    let place = |p: [f32; 2]| [origin.x + f64::from(p[0]), origin.y + f64::from(p[1])];
                     walls.line(place(a), place(b));
                 }
             }
@@ -91,32 +90,27 @@ fn cut(corners: &[[f32; 3]; 3]) -> Option<[[f32; 2]; 2]> {
 mod tests {
     use super::*;
     use crate::material::MaterialId;
-    use crate::mesh::{Mesh, Triangle, Vertex};
-    use nalgebra::Point3;
+    use crate::mesh::{Triangle, Vertex};
 
-    fn chunk(corners: [[f32; 3]; 4]) -> Chunk {
+    fn walls(corners: [[f32; 3]; 4]) -> Walls {
         let vertices = corners.map(|position| Vertex { position, ..Vertex::default() }).to_vec();
         let triangles =
             [[0, 1, 2], [0, 2, 3]].map(|corners| Triangle { corners, material: MaterialId(0) }).to_vec();
         let mesh = Mesh { vertices, triangles, ..Mesh::default() };
-        Chunk {
-            origin: Point3::new(-100.0, 40.0, 0.0),
-            levels: vec![(f32::INFINITY, mesh)],
-            ..Chunk::default()
-        }
+        Walls::of([(Point3::new(-100.0, 40.0, 0.0), &mesh)])
     }
 
     #[test]
     fn a_wall_hides_and_a_kerb_or_a_road_does_not() {
         let quad =
             |low: f32, high: f32| [[0.0, 0.0, low], [10.0, 0.0, low], [10.0, 0.0, high], [0.0, 0.0, high]];
-        let wall = Walls::of(&[chunk(quad(0.0, 6.0))]);
+        let wall = walls(quad(0.0, 6.0));
         assert!(wall.between([-95.0, 35.0], [-95.0, 45.0]));
         assert!(wall.between([-99.5, 45.0], [-93.0, 35.0]), "aslant");
         assert!(!wall.between([-105.0, 35.0], [-105.0, 45.0]), "beside it");
         assert!(!wall.between([-95.0, 35.0], [-95.0, 39.0]), "in front of it");
-        assert!(!Walls::of(&[chunk(quad(0.0, 0.2))]).between([-95.0, 35.0], [-95.0, 45.0]));
+        assert!(!walls(quad(0.0, 0.2)).between([-95.0, 35.0], [-95.0, 45.0]));
         let road = [[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [10.0, 90.0, 3.0], [0.0, 90.0, 3.0]];
-        assert!(!Walls::of(&[chunk(road)]).between([-95.0, 35.0], [-95.0, 90.0]));
+        assert!(!walls(road).between([-95.0, 35.0], [-95.0, 90.0]));
     }
 }
