@@ -8,7 +8,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 /// A small training behind the encoder that needs no weights.
-const SMALL: [&str; 14] = [
+const SMALL: [&str; 16] = [
     "--encoder",
     "pooled",
     "--buffer",
