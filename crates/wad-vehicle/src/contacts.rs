@@ -84,7 +84,11 @@ impl PedestrianStrikes {
             let turn = body.pose.heading - ego.pose.heading;
             let walking = Vector::new(turn.cos(), turn.sin()) * body.speed;
             let ego_here = ego.velocity + Vector::new(-point.y, point.x) * ego.yaw_rate;
-            let closing = (ego_here - walking).dot(&outward).max(0.0);
+            let closing = (ego_here - walking).dot(&outward);
+            if closing <= 0.0 {
+                // They part: nobody touched anybody.
+                continue;
+            }
             self.struck.push(body.key);
             let reduced = params.mass * params.pedestrian_mass / (params.mass + params.pedestrian_mass);
             let impulse = reduced * closing;
