@@ -91,14 +91,11 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
     config.checkpoint_every = u64::MAX;
     args.inputs.choose(&mut config);
     let collectors = args.collectors.unwrap_or_else(default_collectors).max(1);
-    let alone = measure(args, TrainConfig { update_ratio: 0.0, ..config.clone() }, collectors, device)?;
-    let both = match &alone {
-        Some(_) => {
-            measure(args, TrainConfig { update_ratio: args.update_ratio, ..config }, collectors, device)?
-        }
-        None => None,
+    let with = |update_ratio: f64| TrainConfig { update_ratio, ..config.clone() };
+    let Some(alone) = measure(args, with(0.0), collectors, device)? else { return Ok(Exit::Interrupted) };
+    let Some(both) = measure(args, with(args.update_ratio), collectors, device)? else {
+        return Ok(Exit::Interrupted);
     };
-    let (Some(alone), Some(both)) = (alone, both) else { return Ok(Exit::Interrupted) };
     report(args, collectors, &alone, &both)?;
     Ok(Exit::Done)
 }

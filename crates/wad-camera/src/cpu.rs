@@ -23,7 +23,7 @@ use super::simd::{multiversion, pack, tone};
 use super::sky::{Look, Sky};
 use super::stages::{Stages, Watch};
 use super::surface::{FacadeNumbers, GroundNumbers, Kind, Lighting, Surface, facade_numbers, ground_numbers};
-use super::view::{NEAR, View};
+use super::view::View;
 use super::{Renderer, Shot};
 
 /// The buffers of a camera, kept from frame to frame.
@@ -451,26 +451,14 @@ impl CpuRenderer {
             let item = &geometry.items[number];
             let Some(object) = item.instance.and_then(|i| i.object) else { continue };
             let end = geometry.items.get(number + 1).map_or(self.vertices.len(), |next| next.first as usize);
-            let mut full = [f32::MAX, f32::MAX, f32::MIN, f32::MIN];
-            for vertex in self.vertices[item.first as usize..end].iter().filter(|v| v.p[2] >= NEAR) {
-                for axis in 0..2 {
-                    full[axis] = full[axis].min(vertex.s[axis]);
-                    full[axis + 2] = full[axis + 2].max(vertex.s[axis]);
-                }
-            }
-            let (w, h) = (view.width as f32, view.height as f32);
-            let full_box =
-                [full[0].clamp(0.0, w), full[1].clamp(0.0, h), full[2].clamp(0.0, w), full[3].clamp(0.0, h)];
-            let middle =
-                object.bounds.pose.position + nalgebra::Vector3::new(0.0, 0.0, 0.5 * object.bounds.size[2]);
             frame.objects.push(ObjectTruth {
                 class: object.class,
                 id: object.id,
                 visible_pixels: extent.pixels,
                 visible_box: [extent.low[0], extent.low[1], extent.high[0], extent.high[1]],
-                full_box,
+                full_box: outlines::full_box(view, &self.vertices[item.first as usize..end]),
                 bounds: object.bounds,
-                depth: view.point(&middle)[2],
+                depth: outlines::depth(view, &object),
             });
         }
         frame.objects.sort_by_key(|object| object.id);

@@ -8,6 +8,7 @@ use super::stages::Watch;
 use super::view::{NEAR, View};
 use super::weather::Weather;
 use nalgebra::Point3;
+use std::borrow::Cow;
 use sumo_network::network::SignalIndex;
 use sumo_network::world::SignalState;
 
@@ -160,7 +161,8 @@ impl<'a> Gather<'a, '_> {
         }
         // What casts a shadow into the map itself is not darkened by it.
         let sun = if moving { (self.sun_at)(&instance.pose.position) } else { 1.0 };
-        self.mesh(&level.mesh, &bone_places(model, place, instance.phase), Some(instance), turn, sun, out);
+        let places = bone_places(model, &place, instance.phase);
+        self.mesh(&level.mesh, &places, Some(instance), turn, sun, out);
     }
 
     /// Whether a box is behind what was drawn before.
@@ -283,20 +285,20 @@ fn level<'a>(
     Some(model.levels.iter().find(|level| pixels >= level.min_pixels))
 }
 
-/// Appends the vertices of an instance as it is drawn, in the camera's frame; their smallest depth (m), None
-/// where it is not drawn or farther than `reach` (m).
+/// Appends the vertices of an instance as it is drawn, in the camera's frame; false where it is not drawn or is
+/// farther than `reach` (m).
 pub fn placed(
     view: &View,
     library: &Library,
     instance: &Instance,
     reach: f32,
     out: &mut Vec<CamVertex>,
-) -> Option<f32> {
+) -> bool {
     let model = &library.models[instance.model.0 as usize];
     let turn = turn(instance);
-    let level = level(view, model, instance, turn, reach)??;
-    let places = bone_places(model, Place::of(view, instance, turn), instance.phase);
-    Some(transform(&level.mesh, &places, view, out))
+    let Some(level) = level(view, model, instance, turn, reach).flatten() else { return false };
+    transform(&level.mesh, &bone_places(model, &Place::of(view, instance, turn), instance.phase), view, out);
+    true
 }
 
 /// Model frame to camera frame: images of the axes and of the origin.
@@ -328,13 +330,15 @@ impl Place {
 }
 
 /// A place for each bone at a phase; that of the whole where there are none.
-fn bone_places(model: &Model, root: Place, phase: f32) -> Vec<Place> {
+fn bone_places<'a>(model: &Model, root: &'a Place, phase: f32) -> Cow<'a, [Place]> {
+    // Nearly all of a town's things: nothing is allocated for them.
     if model.bones.is_empty() {
-        return vec![root];
+        return Cow::Borrowed(std::slice::from_ref(root));
     }
     let mut places: Vec<Place> = Vec::with_capacity(model.bones.len());
     for (index, bone) in model.bones.iter().enumerate() {
-        let parent = bone.parent.filter(|&p| usize::from(p) < index).map_or(root, |p| places[usize::from(p)]);
+        let parent =
+            bone.parent.filter(|&p| usize::from(p) < index).map_or(*root, |p| places[usize::from(p)]);
         let angle = if bone.spins { phase } else { bone.amplitude * (phase + bone.offset).sin() };
         if angle == 0.0 {
             places.push(parent);
@@ -353,7 +357,7 @@ fn bone_places(model: &Model, root: Place, phase: f32) -> Vec<Place> {
         let shift: [f32; 3] = std::array::from_fn(|i| bone.pivot[i] - turned[i]);
         places.push(Place { axes: columns.map(|c| parent.direction(c)), origin: parent.point(shift) });
     }
-    places
+    Cow::Owned(places)
 }
 
 multiversion! {

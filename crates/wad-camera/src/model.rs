@@ -307,7 +307,6 @@ impl Scene {
     /// What hides at the height of eyes.
     pub(super) fn walls(&self) -> &Walls {
         // Instances (trees, lamps) are too thin; the finest level of a chunk is its first.
-
         self.walls.get_or_init(|| {
             Walls::of(self.chunks.iter().filter_map(|c| Some((c.origin, &c.levels.first()?.1))))
         })

@@ -32,7 +32,7 @@ pub fn find(shot: &Shot<'_>, vertices: &mut Vec<CamVertex>, objects: &mut Vec<Ob
     for instance in &shot.actors.instances {
         let Some(object) = instance.object else { continue };
         vertices.clear();
-        if placed(shot.view, &shot.scene.library, instance, REACH, vertices).is_some()
+        if placed(shot.view, &shot.scene.library, instance, REACH, vertices)
             && let Some(outline) = outline(shot.view, object, vertices)
         {
             found.push(outline);
@@ -48,6 +48,23 @@ pub fn find(shot: &Shot<'_>, vertices: &mut Vec<CamVertex>, objects: &mut Vec<Ob
 
 /// The outline of vertices in the picture; None where it is outside.
 fn outline(view: &View, object: Object, vertices: &[CamVertex]) -> Option<Outline> {
+    let full = full_box(view, vertices);
+    let [left, top, right, bottom] = full;
+    if right - left < 1.0 || bottom - top < 1.0 {
+        return None;
+    }
+    // Upright and thin ones hide the middle of their box only.
+    let slim = match object.class {
+        ObjectClass::Person | ObjectClass::Motorcycle | ObjectClass::Bicycle => 0.25,
+        _ => 0.04,
+    };
+    let aside = slim * (right - left);
+    let hides = [left + aside, top, right - aside, bottom];
+    Some(Outline { object, full, hides, depth: depth(view, &object) })
+}
+
+/// The box of vertices in the picture, cut at its borders: left, top, right, bottom (pixels).
+pub fn full_box(view: &View, vertices: &[CamVertex]) -> [f32; 4] {
     let mut full = [f32::MAX, f32::MAX, f32::MIN, f32::MIN];
     for vertex in vertices.iter().filter(|v| v.p[2] >= NEAR) {
         for axis in 0..2 {
@@ -56,24 +73,13 @@ fn outline(view: &View, object: Object, vertices: &[CamVertex]) -> Option<Outlin
         }
     }
     let (w, h) = (view.width as f32, view.height as f32);
-    let full = [full[0].clamp(0.0, w), full[1].clamp(0.0, h), full[2].clamp(0.0, w), full[3].clamp(0.0, h)];
-    let [left, top, right, bottom] = full;
-    if right - left < 1.0 || bottom - top < 1.0 {
-        return None;
-    }
+    [full[0].clamp(0.0, w), full[1].clamp(0.0, h), full[2].clamp(0.0, w), full[3].clamp(0.0, h)]
+}
+
+/// Depth of an object's middle (m).
+pub fn depth(view: &View, object: &Object) -> f32 {
     let middle = object.bounds.pose.position + nalgebra::Vector3::new(0.0, 0.0, 0.5 * object.bounds.size[2]);
-    // Upright and thin ones hide the middle of their box only.
-    let slim = match object.class {
-        ObjectClass::Person | ObjectClass::Motorcycle | ObjectClass::Bicycle => 0.25,
-        _ => 0.04,
-    };
-    let aside = slim * (right - left);
-    Some(Outline {
-        object,
-        full,
-        hides: [left + aside, top, right - aside, bottom],
-        depth: view.point(&middle)[2],
-    })
+    view.point(&middle)[2]
 }
 
 /// The visible part of an outline behind `nearer` ones.
