@@ -266,7 +266,7 @@ fn a_fleet_trains_on_the_surroundings_is_validated_and_goes_on() {
     let mut command = train(&out, &args);
     command.args(["--learning-starts", "200", "--batch", "32", "--buffer", "5000", "--update-ratio", "0.2"]);
     command
-        .args(["--validate-every", "500", "--validate-episodes", "1"])
+        .args(["--validate-every", "500", "--validation-episodes", "1"])
         .arg("--curriculum")
         .arg(&curriculum);
     let output = command.output().unwrap();

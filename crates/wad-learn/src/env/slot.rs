@@ -75,6 +75,11 @@ impl Slot {
         self.episode.as_ref().is_some_and(|episode| !episode.over)
     }
 
+    /// Its SUMO is gone.
+    pub fn moved_out(&mut self) {
+        (self.obstacle, self.held) = Default::default();
+    }
+
     /// Ends the episode without an outcome.
     pub fn forget(&mut self) {
         self.episode = None;

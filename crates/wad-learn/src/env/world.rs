@@ -273,8 +273,9 @@ impl World {
                 })
             })?);
         }
-        // The old one goes before the new one comes.
+        // The old one goes before the new one comes, and with it what its egos' tasks changed.
         self.park();
+        self.slots.iter_mut().for_each(Slot::moved_out);
         let seed = starts.first().map_or(0, |(_, seed)| *seed);
         let options = BridgeOptions {
             seed: seeds::derive(seed, "world"),
