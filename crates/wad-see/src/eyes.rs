@@ -9,8 +9,8 @@
 use crate::latent::{Decoder, Encoder, LatentError};
 use crate::observation::{LATENT_SIZE, Observation, ObservationMode, RAW_SIZE, RawState};
 use crate::perception::{
-    self, Detector, EgoFacts, LightAhead, Percept, Perception, PerceptionError, StopLight, TransformedImage,
-    stages,
+    self, Detector, EgoFacts, LaneDetector, LightAhead, Percept, Perception, PerceptionError, StopLight,
+    TransformedImage, stages,
 };
 use std::time::Instant;
 use sumo_network::geometry::Pose;
@@ -131,9 +131,14 @@ impl Eyes {
     /// # Errors
     /// As [`Eyes::camera`]; a build without OpenCV finds no lanes.
     pub fn new(town: Town, config: CameraConfig, detector: Box<dyn Detector>) -> Result<Self, EyesError> {
+        LaneDetector::check()?;
+        Self::perceiving(town, config, detector)
+    }
+
+    fn perceiving(town: Town, config: CameraConfig, detector: Box<dyn Detector>) -> Result<Self, EyesError> {
         let mut eyes = Self::camera(town, config)?;
         if let Some(sight) = &mut eyes.sight {
-            sight.perception = Some(Perception::new(detector, config)?);
+            sight.perception = Some(Perception::new(detector, config));
         }
         Ok(eyes)
     }
@@ -150,8 +155,12 @@ impl Eyes {
         encoder: Box<dyn Encoder>,
     ) -> Result<Self, EyesError> {
         let eyes = if mode.looks() {
+            // The raw states need no lanes, so a build without OpenCV has them.
+            if mode.encodes() {
+                LaneDetector::check()?;
+            }
             let detector = perception::detector(detector, perception::MIN_SCORE)?;
-            Self::new(assets.town(), camera, detector)?
+            Self::perceiving(assets.town(), camera, detector)?
         } else {
             Self::blind()
         };
