@@ -28,7 +28,7 @@ pub fn open(
 ) -> Result<Made, DriverError> {
     match spec {
         DriverSpec::Exec(command) => {
-            let encoder = encoder_of_external(encoder)?;
+            let encoder = default_encoder(encoder)?;
             let id = format!("exec:{command}, encoder {}", encoder.hash());
             Ok(Made { agent: Box::new(ExternalAgent::new(command, limits)), encoder, id })
         }
@@ -90,14 +90,14 @@ fn trained(name: &str, _: Option<&str>, _: &CameraConfig) -> Result<Made, Driver
     Err(DriverError::Unknown { found: name.to_string() })
 }
 
-/// The encoder for an external agent's latent.
+/// The encoder called `name`, by default the bundled one.
 #[cfg(feature = "learn")]
-fn encoder_of_external(name: Option<&str>) -> Result<Box<dyn Encoder>, DriverError> {
+pub fn default_encoder(name: Option<&str>) -> Result<Box<dyn Encoder>, DriverError> {
     Ok(wad_cosim::agent::policy::find_encoder(name.unwrap_or("default"))?)
 }
 
 #[cfg(not(feature = "learn"))]
-fn encoder_of_external(_: Option<&str>) -> Result<Box<dyn Encoder>, DriverError> {
+pub fn default_encoder(_: Option<&str>) -> Result<Box<dyn Encoder>, DriverError> {
     Ok(Box::new(wad_cosim::latent::PooledEncoder))
 }
 

@@ -2,7 +2,7 @@
 
 #[cfg(feature = "learn")]
 use super::bench_train;
-use super::{Exit, bench_camera, bench_tick, bench_view, print, run};
+use super::{Exit, bench_camera, bench_fleet, bench_tick, bench_view, print, run};
 use anyhow::Context;
 use wad_cosim::bench::{BenchError, BridgeBench, BridgeRow};
 use wad_cosim::bridge::BridgeOptions;
@@ -24,6 +24,8 @@ enum What {
     Camera(bench_camera::Args),
     /// Measure a tick of the whole loop, by stage.
     Tick(bench_tick::Args),
+    /// Measure many egos in one SUMO.
+    Fleet(bench_fleet::Args),
     /// Measure how much viewers of the live view slow down the simulation.
     View(bench_view::Args),
     /// Measure driving and learning together, as in `train agent`.
@@ -74,6 +76,7 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
         What::Bridge(args) => runtime.block_on(bridge(args)),
         What::Camera(args) => runtime.block_on(bench_camera::run(args)),
         What::Tick(args) => runtime.block_on(bench_tick::run(args)),
+        What::Fleet(args) => bench_fleet::run(&args),
         What::View(args) => runtime.block_on(bench_view::run(args)),
         #[cfg(feature = "learn")]
         What::Train(args) => bench_train::run(&args),
@@ -140,4 +143,11 @@ fn line(r: &BridgeRow) -> String {
         r.autopilot_ms,
         r.actors_in_sight
     )
+}
+
+/// This process's peak memory (MB); None if the system does not report it.
+pub(super) fn peak_memory_mb() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
+    Some(line.split_whitespace().nth(1)?.parse::<f64>().ok()? / 1000.0)
 }

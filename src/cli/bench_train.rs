@@ -1,5 +1,6 @@
 //! `wad-cosim bench train`: driving and learning together.
 
+use super::bench::peak_memory_mb;
 use super::train::agent::{InputChoice, default_collectors, maker, with_exit};
 use super::{Exit, print};
 use anyhow::Context;
@@ -178,11 +179,4 @@ fn report(args: &Args, collectors: usize, alone: &Trained, both: &Trained) -> an
 /// What the command line calls a choice.
 fn name(choice: impl ValueEnum) -> String {
     choice.to_possible_value().map_or(String::new(), |value| value.get_name().to_string())
-}
-
-/// This process's peak memory (MB); None if the system does not report it.
-fn peak_memory_mb() -> Option<f64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
-    Some(line.split_whitespace().nth(1)?.parse::<f64>().ok()? / 1000.0)
 }

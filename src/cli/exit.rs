@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::process::ExitCode;
+use wad_cosim::env::EnvError;
 
 /// The process's exit codes. The numbers are part of the interface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,6 +24,16 @@ impl Exit {
     /// The code that `error` carries, or [`Exit::Other`].
     pub fn of(error: &anyhow::Error) -> Self {
         error.chain().find_map(|cause| cause.downcast_ref::<Failure>()).map_or(Self::Other, |f| f.exit)
+    }
+
+    /// An environment's error with its code.
+    pub fn of_env(error: EnvError) -> anyhow::Error {
+        let exit = match &error {
+            error if error.is_input() => Self::Input,
+            error if error.is_sumo() => Self::Sumo,
+            _ => Self::Other,
+        };
+        exit.because(error)
     }
 
     /// Make `error` end the process with this code. Its message does not change.

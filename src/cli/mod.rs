@@ -4,6 +4,7 @@
 mod agents;
 mod bench;
 mod bench_camera;
+mod bench_fleet;
 mod bench_tick;
 #[cfg(feature = "learn")]
 mod bench_train;

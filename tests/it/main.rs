@@ -14,6 +14,7 @@ mod doctor;
 #[cfg(feature = "vision")]
 mod env;
 mod eval;
+mod fleet;
 mod licences;
 mod netedit;
 mod nets;

@@ -72,7 +72,7 @@ impl Run {
         let mut batch = Batch::new();
         Population::subscribe(&mut batch);
         population.define_types(&mut batch);
-        let placed = population.populate(&mut batch, ego);
+        let placed = population.populate(&mut batch, ego.as_slice());
         Self {
             process,
             client,
@@ -95,7 +95,7 @@ impl Run {
         self.batch.clear();
         let events = StepEvents::read(&replies).unwrap();
         let started = Instant::now();
-        self.population.update(&events, &replies, ego, &[], &mut self.batch);
+        self.population.update(&events, &replies, ego.as_slice(), &[], &mut self.batch);
         self.update = started.elapsed();
         events.departed.iter().chain(&events.departed_persons).map(|id| id.to_string()).collect()
     }
@@ -365,7 +365,7 @@ async fn quiet_ticks_ask_next_to_nothing() {
         let mut other = Run::new(&town5(), wanted, 9, Options::default(), None).await;
         let started = Instant::now();
         let mut again = Population::new(Arc::clone(&run.network), wanted, 9, Options::default());
-        again.populate(&mut Batch::new(), None);
+        again.populate(&mut Batch::new(), &[]);
         let populate = started.elapsed();
         let started = Instant::now();
         run.tick(None).await;

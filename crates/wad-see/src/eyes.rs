@@ -12,6 +12,7 @@ use crate::perception::{
     self, Detector, EgoFacts, LaneDetector, LightAhead, Percept, Perception, PerceptionError, StopLight,
     TransformedImage, stages,
 };
+use crate::surroundings::Surroundings;
 use std::time::Instant;
 use sumo_network::geometry::Pose;
 use sumo_network::seeds;
@@ -75,6 +76,8 @@ pub struct Eyes {
     decoder: Option<Box<dyn Decoder>>,
     weather: Preset,
     light: Option<LightAhead>,
+    /// With [`ObservationMode::Vector`].
+    surroundings: Option<Surroundings>,
     /// Without a camera.
     stop_light: StopLight,
     raw: RawState,
@@ -102,6 +105,7 @@ impl Eyes {
             decoder: None,
             weather: Preset::default(),
             light: None,
+            surroundings: None,
             stop_light: StopLight::default(),
             raw: RawState::STANDING,
             latent: vec![0.0; LATENT_SIZE],
@@ -164,7 +168,9 @@ impl Eyes {
         } else {
             Self::blind()
         };
-        Ok(Self { mode, ..eyes }.with_encoder(encoder))
+        let surroundings = (mode == ObservationMode::Vector).then(Surroundings::default);
+        let latent = vec![0.0; mode.latent_size()];
+        Ok(Self { mode, surroundings, latent, ..eyes }.with_encoder(encoder))
     }
 
     /// Also makes the latent.
@@ -192,6 +198,9 @@ impl Eyes {
     /// detector's faults derive from it.
     pub fn reset(&mut self, weather: Preset, seed: u64) {
         self.stop_light.reset();
+        if let Some(surroundings) = &mut self.surroundings {
+            surroundings.reset();
+        }
         if let Some(sight) = &mut self.sight {
             sight.town = sight.town.share();
             if let Some(perception) = &mut sight.perception {
@@ -220,6 +229,9 @@ impl Eyes {
         if let Some(sight) = &mut self.sight {
             sight.town.follow(world, None);
         }
+        if let Some(surroundings) = &mut self.surroundings {
+            surroundings.follow(world);
+        }
     }
 
     /// Looks at the town as it was last followed. `facts.tick` is the time since the last look (s).
@@ -228,6 +240,11 @@ impl Eyes {
     /// A stage fails.
     pub fn look(&mut self, facts: &EgoFacts<'_>) -> Result<(), EyesError> {
         self.times = LookTimes::default();
+        if let Some(surroundings) = &mut self.surroundings {
+            self.raw = surroundings.look(facts, &mut self.latent);
+            self.light = surroundings.light();
+            return Ok(());
+        }
         let Some(sight) = &mut self.sight else {
             self.light = LightAhead::find(facts);
             let stop = self.stop_light.update(self.light.as_ref(), facts.on_route.state.speed);
@@ -282,6 +299,19 @@ impl Eyes {
             _ => self.raw.vector(),
         };
         Observation { latent: self.latent.clone(), raw }
+    }
+
+    /// The same into `row`: [`ObservationMode::latent_size`] numbers, then [`RAW_SIZE`].
+    ///
+    /// # Panics
+    /// `row` has another length.
+    pub fn write_observation(&self, row: &mut [f32]) {
+        let (latent, raw) = row.split_at_mut(self.latent.len());
+        latent.copy_from_slice(&self.latent);
+        match self.mode {
+            ObservationMode::LatentOnly => raw.fill(0.0),
+            _ => raw.copy_from_slice(&self.raw.vector()),
+        }
     }
 
     /// The raw states by name, in units.

@@ -7,6 +7,7 @@
 //! | [`perception`] | detections, lanes, light, vehicle in front, the transformed image |
 //! | [`latent`] | the encoder-decoder: the transformed image as 200 numbers |
 //! | [`observation`] | an agent's inputs of each tick |
+//! | [`surroundings`] | the same from the world itself, without a camera |
 //! | [`record`] | a drive as a film |
 //! | `weights` | files of weights |
 
@@ -15,6 +16,7 @@ pub mod latent;
 pub mod observation;
 pub mod perception;
 pub mod record;
+pub mod surroundings;
 #[cfg(feature = "learn")]
 pub mod torch;
 #[cfg(feature = "learn")]

@@ -1,5 +1,6 @@
 //! An agent's input of each tick: the latent and the six raw states (spec.md "Observation").
 
+use crate::surroundings::SURROUNDINGS_SIZE;
 use serde::{Deserialize, Serialize};
 use sumo_network::geometry::{Pose, wrap_angle};
 use sumo_network::network::{RoadOption, Route};
@@ -64,7 +65,7 @@ pub struct LeadState {
 }
 
 /// Speeds (m/s), distances (m) and angles (rad) that become 1.
-const SPEED: f64 = 15.0;
+pub(crate) const SPEED: f64 = 15.0;
 const LATERAL: f64 = 1.75;
 const ANGLE: f64 = std::f64::consts::FRAC_PI_4;
 const SIGHT: f64 = 50.0;
@@ -191,6 +192,9 @@ pub enum ObservationMode {
     RawOnly,
     /// The latent alone (ablation).
     LatentOnly,
+    /// The surroundings as numbers from the world itself in place of the latent, and the raw states of the same
+    /// source: no camera, no detector ([`crate::surroundings`]).
+    Vector,
     /// Nothing is seen: latent zero, raw states without a vehicle in front. For drivers that do not look
     /// (autopilot, random): several times faster.
     Blind,
@@ -199,7 +203,12 @@ pub enum ObservationMode {
 impl ObservationMode {
     /// Whether the camera runs at all.
     pub fn looks(self) -> bool {
-        self != Self::Blind
+        !matches!(self, Self::Blind | Self::Vector)
+    }
+
+    /// Size of [`Observation::latent`].
+    pub fn latent_size(self) -> usize {
+        if self == Self::Vector { SURROUNDINGS_SIZE } else { LATENT_SIZE }
     }
 
     /// Whether images are encoded.
@@ -211,14 +220,14 @@ impl ObservationMode {
 /// An agent's input.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Observation {
-    /// [`LATENT_SIZE`] numbers.
+    /// [`LATENT_SIZE`] numbers; with [`ObservationMode::Vector`] the [`SURROUNDINGS_SIZE`] of the surroundings.
     pub latent: Vec<f32>,
     /// The raw states, scaled: [`RawState::vector`].
     pub raw: [f32; RAW_SIZE],
 }
 
 impl Observation {
-    /// Latent and raw vector in one: [`LATENT_SIZE`] + [`RAW_SIZE`] numbers.
+    /// Latent and raw vector in one: [`ObservationMode::latent_size`] + [`RAW_SIZE`] numbers.
     pub fn concat(&self) -> Vec<f32> {
         [self.latent.as_slice(), &self.raw].concat()
     }

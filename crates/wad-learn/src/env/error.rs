@@ -49,6 +49,19 @@ pub enum EnvError {
         /// Number of places tried.
         tries: usize,
     },
+    /// The town has no room for so many egos.
+    #[error(
+        "{town} has room for {fit} egos at their starts, not for {egos}: they begin 25 m apart, and each task has \
+         starts of its own; ask for {fit} egos or fewer, or for tasks with more starts (composite has the most)"
+    )]
+    Full {
+        /// The number of egos asked for.
+        egos: usize,
+        /// How many found a start.
+        fit: usize,
+        /// The town.
+        town: String,
+    },
     /// The folder for SUMO's files cannot be made.
     #[error("cannot make a folder for SUMO's files: {source}; check that the temporary folder is writable")]
     Folder {
@@ -67,7 +80,7 @@ impl EnvError {
     /// Whether the user's input is wrong, not SUMO.
     pub fn is_input(&self) -> bool {
         match self {
-            Self::Task(_) | Self::Crowded { .. } => true,
+            Self::Task(_) | Self::Crowded { .. } | Self::Full { .. } => true,
             Self::Assets(assets) => assets.is_input(),
             Self::Bridge(bridge) => bridge.is_input(),
             Self::Start { source, .. } => source.is_input(),

@@ -9,11 +9,20 @@ use wad_sim::bridge::{Bridge, BridgeError};
 #[derive(Debug, Default)]
 pub struct Held(Vec<(TrafficLightId, String)>);
 
-/// Holds every light on `route` at green for the route and at red for all others, from the next step on.
-pub async fn hold(bridge: &mut Bridge, route: &Route) -> Result<Held, BridgeError> {
+impl Held {
+    /// The held lights.
+    pub fn lights(&self) -> impl Iterator<Item = TrafficLightId> {
+        self.0.iter().map(|(light, _)| *light)
+    }
+}
+
+/// Holds every light on `route` at green for the route and at red for all others, from the next step on. Lights
+/// that are `taken`, held for another ego, stay as they are.
+pub async fn hold(bridge: &mut Bridge, route: &Route, taken: &[TrafficLightId]) -> Result<Held, BridgeError> {
     let network = bridge.network().clone();
     let mut states: BTreeMap<u32, Vec<u8>> = BTreeMap::new();
-    for signal in route.links.iter().filter_map(|link| network.link(link.link).signal) {
+    let signals = route.links.iter().filter_map(|link| network.link(link.link).signal);
+    for signal in signals.filter(|signal| !taken.contains(&signal.traffic_light)) {
         let light = network.traffic_light(signal.traffic_light);
         let state = states.entry(signal.traffic_light.0).or_insert_with(|| vec![b'r'; light.signals]);
         if let Some(head) = state.get_mut(signal.index) {

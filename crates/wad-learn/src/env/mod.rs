@@ -37,13 +37,16 @@
 
 mod episode;
 mod error;
+mod fleet;
 mod green;
 mod obstacle;
 mod options;
 mod scratch;
+mod slot;
 mod world;
 
 pub use error::EnvError;
+pub use fleet::{Fleet, FleetStep, is_ego};
 pub use options::{EnvOptions, StartOffset, WorldMode};
 pub use wad_see::observation::ObservationMode;
 pub use wad_sim::assets::Assets;
@@ -51,9 +54,10 @@ pub use wad_sim::end::{End, Ending, Termination};
 
 use crate::reward::RewardTerms;
 use serde::{Deserialize, Serialize};
+use slot::Outcome;
 use std::sync::Arc;
 use std::time::Duration;
-use wad_see::eyes::Eyes;
+use wad_see::eyes::{Eyes, LookTimes};
 use wad_see::latent::Encoder;
 use wad_see::observation::{Observation, RawState};
 use wad_sim::criteria::Event;
@@ -131,6 +135,17 @@ pub struct Env {
     world: World,
 }
 
+impl Stages {
+    fn looked(&mut self, times: &LookTimes) {
+        self.camera += times.camera;
+        self.perception += times.perception();
+        self.encoder += times.encode;
+    }
+}
+
+/// The environment's only ego.
+const EGO: usize = 0;
+
 impl Env {
     /// An environment in the town of `assets`. SUMO starts with the first reset.
     ///
@@ -145,7 +160,7 @@ impl Env {
             .enable_all()
             .build()
             .map_err(|source| EnvError::Runtime { source })?;
-        Ok(Self { runtime, world: World::new(assets, options, encoder)? })
+        Ok(Self { runtime, world: World::new(assets, options, vec![encoder])? })
     }
 
     /// Begins an episode of `task`; everything random (place, traffic, weather if several are
@@ -155,7 +170,8 @@ impl Env {
     /// # Errors
     /// The task cannot be placed on this net, or SUMO cannot be started.
     pub fn reset(&mut self, task: &TaskSpec, seed: u64) -> Result<Observation, EnvError> {
-        self.runtime.block_on(self.world.reset(task, seed))
+        self.runtime.block_on(self.world.reset(&[(task, seed)]))?;
+        Ok(self.eyes().observation())
     }
 
     /// Drives one tick.
@@ -164,7 +180,9 @@ impl Env {
     /// No episode is running, or perception or encoder fail. SUMO's death is not an error here: see the
     /// module.
     pub fn step(&mut self, control: Control) -> Result<Step, EnvError> {
-        self.runtime.block_on(self.world.step(control))
+        // Where the expert was asked the ego shows the expert's lamps.
+        let planned = self.world.is_planned(EGO);
+        self.act(if planned { Act::Disturbed(control) } else { Act::Control(control) })
     }
 
     /// Drives one tick by the expert or with a control.
@@ -172,7 +190,13 @@ impl Env {
     /// # Errors
     /// As [`Env::step`].
     pub fn act(&mut self, act: Act) -> Result<Step, EnvError> {
-        self.runtime.block_on(self.world.act(act))
+        if !self.world.is_running(EGO) {
+            return Err(EnvError::NoEpisode);
+        }
+        let outcome = self.runtime.block_on(self.world.step(&[act]))?.remove(EGO);
+        let Outcome { control, reward, terminated, truncated, info } = outcome;
+        let observation = self.eyes().observation();
+        Ok(Step { observation, control, reward, terminated, truncated, info })
     }
 
     /// The rule-based expert's control for this tick (it sees the whole world). Call it at every tick of
@@ -181,22 +205,22 @@ impl Env {
     /// # Errors
     /// No episode is running.
     pub fn expert(&mut self) -> Result<Control, EnvError> {
-        self.world.expert()
+        self.world.expert(EGO)
     }
 
     /// Where the episode takes place: enough to drive it again.
     pub fn placement(&self) -> Option<&Placement> {
-        self.world.placement()
+        self.world.slots()[EGO].placement()
     }
 
     /// The ego as an actor, for cameras outside it.
     pub fn ego(&self) -> Option<&wad_sim::bridge::Ego> {
-        self.world.ego()
+        self.world.ego(EGO)
     }
 
     /// The ego's speed (m/s), 0 before the first reset.
     pub fn speed(&self) -> f64 {
-        self.world.ego().map_or(0.0, |ego| ego.state().speed)
+        self.ego().map_or(0.0, |ego| ego.state().speed)
     }
 
     /// Id of SUMO's process, None before the first reset.
@@ -206,22 +230,22 @@ impl Env {
 
     /// The ego's eyes, with the last frame.
     pub fn eyes(&self) -> &Eyes {
-        self.world.eyes()
+        self.world.slots()[EGO].eyes()
     }
 
     /// The six raw states of the last observation by name, in units.
     pub fn raw(&self) -> &RawState {
-        self.world.eyes().raw()
+        self.eyes().raw()
     }
 
     /// The camera's last frame, the observation's source, for people and datasets.
     pub fn frame(&self) -> Option<&wad_camera::Frame> {
-        self.world.eyes().frame()
+        self.eyes().frame()
     }
 
     /// The last transformed image.
     pub fn image(&self) -> Option<&wad_see::perception::TransformedImage> {
-        self.world.eyes().image()
+        self.eyes().image()
     }
 
     /// Length of a tick.

@@ -1,6 +1,7 @@
 //! The obstacle of the obstacle task.
 
 use super::EnvError;
+use super::world::FIRST;
 use std::sync::Arc;
 use sumo_network::geometry::Pose;
 use sumo_network::world::{Actor, ActorKind, ActorType, VehicleSignals};
@@ -21,6 +22,11 @@ fn actor(obstacle: ObstacleKind) -> ActorKind {
     }
 }
 
+/// SUMO's id of an ego's obstacle.
+fn id(ego: &Ego) -> String {
+    if ego.id == FIRST { OBSTACLE.to_string() } else { format!("{OBSTACLE}_{}", ego.id) }
+}
+
 /// Places it with the next step: vehicles into SUMO, whose traffic then queues behind them; a person only
 /// into the ego's world, since SUMO's persons do not stand in lanes.
 pub fn put(bridge: &mut Bridge, ego: &mut Ego, wanted: &ObstaclePlacement) -> Result<(), EnvError> {
@@ -37,6 +43,8 @@ pub fn put(bridge: &mut Bridge, ego: &mut Ego, wanted: &ObstaclePlacement) -> Re
     // A car, where buses are not allowed.
     let Some(model) = FLEET.iter().find(fits).or(FLEET.first()) else { return Ok(()) };
     let edge = network.edge(lane.edge).id.as_str();
+    let id = id(ego);
+    bridge.keep(&id);
     let route_id = format!("{OBSTACLE}_{edge}");
     let batch = bridge.next_batch();
     // SUMO refuses a route that it has already; the vehicle then gets that one.
@@ -49,10 +57,10 @@ pub fn put(bridge: &mut Bridge, ego: &mut Ego, wanted: &ObstaclePlacement) -> Re
         depart_speed: "0",
         ..vehicle::Add::default()
     };
-    vehicle::add(batch, OBSTACLE, &add);
-    batch.set(vehicle::SET_SPEED_MODE, OBSTACLE, 0);
-    batch.set(vehicle::SET_LANE_CHANGE_MODE, OBSTACLE, 0);
-    batch.set(vehicle::SET_SPEED, OBSTACLE, 0.0);
+    vehicle::add(batch, &id, &add);
+    batch.set(vehicle::SET_SPEED_MODE, &id, 0);
+    batch.set(vehicle::SET_LANE_CHANGE_MODE, &id, 0);
+    batch.set(vehicle::SET_SPEED, &id, 0.0);
     Ok(())
 }
 
@@ -60,7 +68,7 @@ pub fn put(bridge: &mut Bridge, ego: &mut Ego, wanted: &ObstaclePlacement) -> Re
 pub fn take_away(bridge: &mut Bridge, ego: &mut Ego) {
     ego.set_extras(Vec::new());
     // A person was never in SUMO: it refuses, and nothing is lost.
-    vehicle::remove(bridge.next_batch(), OBSTACLE, RemoveReason::Vaporized);
+    vehicle::remove(bridge.next_batch(), &id(ego), RemoveReason::Vaporized);
 }
 
 /// A person who stands at `place` and faces the traffic.

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use sumo_network::seeds;
 use wad_camera::CameraConfig;
 use wad_see::observation::ObservationMode;
+use wad_sim::bridge::Fetch;
 use wad_sim::criteria::CriteriaParams;
 use wad_sim::end::Termination;
 use wad_vehicle::EgoParams;
@@ -63,6 +64,9 @@ pub struct EnvOptions {
     pub tick_ms: f64,
     /// Radius of the ego's world (m). Default 100.
     pub sight: f64,
+    /// How the road users in sight are fetched.
+    #[serde(skip_serializing_if = "is_auto")]
+    pub fetch: Fetch,
     /// The ego's physics.
     pub ego: EgoParams,
     /// Random displacement of the ego at the start.
@@ -83,6 +87,10 @@ pub struct EnvOptions {
     pub gui: bool,
 }
 
+fn is_auto(fetch: &Fetch) -> bool {
+    *fetch == Fetch::Auto
+}
+
 impl Default for EnvOptions {
     fn default() -> Self {
         Self {
@@ -92,6 +100,7 @@ impl Default for EnvOptions {
             camera: CameraConfig::default(),
             tick_ms: wad_sim::bridge::DEFAULT_TICK_MS,
             sight: 100.0,
+            fetch: Fetch::Auto,
             ego: EgoParams::default(),
             start: StartOffset::default(),
             criteria: CriteriaParams::default(),

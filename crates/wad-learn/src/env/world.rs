@@ -1,182 +1,227 @@
-//! One SUMO with the ego in it, from episode to episode.
+//! One SUMO with its egos, from episode to episode.
 
-use super::episode::{Episode, nowhere};
-use super::green::{self, Held};
+use super::episode::Episode;
+use super::green;
 use super::obstacle;
 use super::scratch::Scratch;
-use super::{EnvError, EnvOptions, Info, Stages, Step, WorldMode};
-use crate::reward::{self, RewardTerms};
+use super::slot::{Judge, Outcome, Slot};
+use super::{EnvError, EnvOptions, Stages, WorldMode};
+use rayon::prelude::*;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-use sumo_network::network::{EdgeKind, LaneId, Network, Route};
+use sumo_network::geometry::Point;
+use sumo_network::network::{EdgeKind, LaneId, Route, TrafficLightId};
 use sumo_network::seeds;
-use wad_see::eyes::Eyes;
+use wad_see::eyes::{Eyes, LookTimes};
 use wad_see::latent::Encoder;
-use wad_see::observation::Observation;
-use wad_see::perception::EgoFacts;
 use wad_sim::assets::Assets;
 use wad_sim::autopilot::AutopilotParams;
 use wad_sim::bridge::{BridgeError, BridgeOptions, Ego};
 use wad_sim::destination::Destinations;
-use wad_sim::end::{End, judge_limit};
 use wad_sim::session::{Act, Seat, Session};
 use wad_sim::tasks::{Placement, TaskError, TaskSpec};
 use wad_sim::traffic::TrafficSpec;
-use wad_vehicle::Control;
 
 /// Failed starts of SUMO for one episode after which `reset` fails.
 const ATTEMPTS: usize = 3;
-/// In running traffic: places drawn for one start, and the radius cleared round it (m).
+/// Places drawn for one start, and the radius that is cleared round it in running traffic (m).
 const PLACES: usize = 12;
 const ROOM: f64 = 30.0;
+/// An ego begins at least this far from all others (m).
+const APART: f64 = 25.0;
+/// With this many egos or more, they look on all cores.
+const PARALLEL_FROM: usize = 4;
 
-/// The environment's only ego.
-const EGO: usize = 0;
+/// SUMO's id of the first ego; the others have their number behind it.
+pub const FIRST: &str = "ego";
 
-/// A running SUMO with the ego in it.
+/// A task and the seed of an episode.
+pub type Start<'a> = (&'a TaskSpec, u64);
+
+/// A running SUMO with the egos in it.
 struct Sumo {
     session: Session,
     /// The settings of its population.
     traffic: TrafficSpec,
     episodes: u64,
-    /// The last episode's obstacle is still there.
-    obstacle: bool,
-    /// Lights held at green by the last task.
-    held: Held,
 }
 
 pub struct World {
     assets: Arc<Assets>,
     options: EnvOptions,
-    eyes: Eyes,
+    slots: Vec<Slot>,
     sumo: Option<Sumo>,
-    /// The ego, while no SUMO runs.
-    parked: Option<Seat>,
-    episode: Option<Episode>,
-    /// Draws the further destinations of a route that never ends.
-    onward: Option<Destinations>,
+    /// The egos, while no SUMO runs.
+    parked: Vec<Seat>,
     folder: Scratch,
     pub stages: Stages,
 }
 
 impl World {
+    /// A world with one ego for each of `encoders`.
     pub fn new(
         assets: Arc<Assets>,
         options: EnvOptions,
-        encoder: Box<dyn Encoder>,
+        encoders: Vec<Box<dyn Encoder>>,
     ) -> Result<Self, EnvError> {
         options.ego.check().map_err(BridgeError::from)?;
         let folder = Scratch::new().map_err(|source| EnvError::Folder { source })?;
-        Ok(Self {
-            eyes: Eyes::of_agent(&assets, options.observation, &options.detector, options.camera, encoder)?,
-            assets,
-            options,
-            sumo: None,
-            parked: None,
-            episode: None,
-            onward: None,
-            folder,
-            stages: Stages::default(),
-        })
+        let eyes = encoders.into_iter().map(|encoder| {
+            let (mode, detector) = (options.observation, &options.detector);
+            Ok(Slot::new(Eyes::of_agent(&assets, mode, detector, options.camera, encoder)?))
+        });
+        let slots = eyes.collect::<Result<_, EnvError>>()?;
+        Ok(Self { slots, assets, options, sumo: None, parked: Vec::new(), folder, stages: Stages::default() })
     }
 
-    pub async fn reset(&mut self, task: &TaskSpec, seed: u64) -> Result<Observation, EnvError> {
+    /// Begins an episode of each ego.
+    pub async fn reset(&mut self, starts: &[Start<'_>]) -> Result<(), EnvError> {
         let clock = Instant::now();
-        self.episode = None;
+        self.slots.iter_mut().for_each(Slot::forget);
         let mut attempt = 0;
-        let placement = loop {
+        let placements = loop {
             attempt += 1;
-            match self.begin(task, seed).await {
-                Ok(placement) => break placement,
+            match self.begin(starts).await {
+                Ok(placements) => break placements,
                 Err(EnvError::Bridge(error)) if !error.is_input() => {
                     self.park();
+                    let (task, seed) = starts
+                        .first()
+                        .map_or_else(Default::default, |(task, seed)| (task.kind.to_string(), *seed));
                     if attempt == ATTEMPTS {
-                        let (task, source) = (task.kind.to_string(), error);
-                        return Err(EnvError::Start {
-                            attempts: ATTEMPTS,
-                            task,
-                            seed,
-                            source: Box::new(source),
-                        });
+                        let source = Box::new(error);
+                        return Err(EnvError::Start { attempts: ATTEMPTS, task, seed, source });
                     }
-                    tracing::warn!("SUMO is started again for `{}`, seed {seed}: {error}", task.kind);
+                    tracing::warn!("SUMO is started again for `{task}`, seed {seed}: {error}");
                 }
                 Err(error) => return Err(error),
             }
         };
-        let Some(ego) = self.ego() else { return Err(EnvError::NoEpisode) };
+        for (index, ((task, seed), placement)) in starts.iter().zip(placements).enumerate() {
+            self.started(index, task, *seed, placement)?;
+        }
+        self.look()?;
+        self.stages.resets += starts.len() as u64;
+        self.stages.reset += clock.elapsed().as_secs_f64();
+        Ok(())
+    }
+
+    /// The ego stands at its start: its episode begins.
+    fn started(
+        &mut self,
+        index: usize,
+        task: &TaskSpec,
+        seed: u64,
+        placement: Placement,
+    ) -> Result<(), EnvError> {
+        let Some(sumo) = &self.sumo else { return Err(EnvError::NoEpisode) };
         let tick = self.options.tick_ms / 1000.0;
-        let limit = task.tick_limit.unwrap_or_else(|| task.kind.tick_limit(ego.route().length(), tick));
-        self.episode = Some(Episode::new(task.clone(), placement, limit));
-        self.onward = None;
-        if task.endless {
+        let length = sumo.session.ego(index).route().length();
+        let limit = task.tick_limit.unwrap_or_else(|| task.kind.tick_limit(length, tick));
+        let onward = if task.endless {
             let rng = seeds::rng(seed, "onward");
             let destinations = Destinations::new(self.assets.network(), rng);
-            self.onward = Some(
+            Some(
                 destinations
                     .map_err(|error| TaskError::NoPlace { task: task.kind, condition: error.to_string() })?,
-            );
-        }
-        self.eyes.reset(task.weather, seed);
-        let observation = self.look()?;
-        self.stages.resets += 1;
-        self.stages.reset += clock.elapsed().as_secs_f64();
-        Ok(observation)
+            )
+        } else {
+            None
+        };
+        self.slots[index].begin(Episode::new(task.clone(), placement, limit), onward, seed);
+        Ok(())
     }
 
-    /// Runs camera and perception after a tick.
-    fn look(&mut self) -> Result<Observation, EnvError> {
+    /// Runs the egos' cameras and perception after a tick.
+    fn look(&mut self) -> Result<(), EnvError> {
         let Some(sumo) = &self.sumo else { return Err(EnvError::NoEpisode) };
-        let ego = sumo.session.ego(EGO);
-        let clock = Instant::now();
-        self.eyes.follow(ego.world());
-        let followed = clock.elapsed().as_secs_f64();
-        self.eyes.look(&EgoFacts::of(self.assets.network(), ego, sumo.session.bridge().tick()))?;
-        let times = self.eyes.times();
-        self.stages.camera += followed + times.camera;
-        self.stages.perception += times.perception();
-        self.stages.encoder += times.encode;
-        Ok(self.eyes.observation())
+        let (network, tick) = (self.assets.network(), sumo.session.bridge().tick());
+        let each_one = sumo.session.seats().iter().map(|_| ()).collect();
+        let looked = each(&mut self.slots, sumo.session.seats(), each_one, |slot, seat, ()| {
+            slot.look(network, seat.ego(), tick)
+        });
+        looked.into_iter().try_for_each(|times| {
+            self.stages.looked(&times?);
+            Ok(())
+        })
     }
 
-    /// Ends SUMO, and keeps the ego for the next one.
+    /// Ends SUMO, and keeps the egos for the next one.
     fn park(&mut self) {
         if let Some(sumo) = self.sumo.take() {
-            self.parked = sumo.session.into_seats().pop();
+            self.parked = sumo.session.into_seats();
         }
     }
 
-    /// Moves the ego to its start, and prepares traffic, lights and obstacle for the task.
-    async fn begin(&mut self, task: &TaskSpec, seed: u64) -> Result<Placement, EnvError> {
-        let (placement, route) = self.place(task, seed)?;
-        let traffic = task.traffic();
+    /// Moves the egos to their starts, and prepares traffic, lights and obstacles for the tasks.
+    async fn begin(&mut self, starts: &[Start<'_>]) -> Result<Vec<Placement>, EnvError> {
+        let traffic = starts.first().map_or(TrafficSpec::Empty, |(task, _)| task.traffic());
         let runs_on = self.options.world == WorldMode::Running
             && self.assets.scenario().is_none()
             && self.sumo.as_ref().is_some_and(|sumo| {
                 let own = |t: TrafficSpec| t == TrafficSpec::AsIs;
                 sumo.episodes < self.options.episodes_per_sumo && own(sumo.traffic) == own(traffic)
             });
-        let placement = if runs_on {
-            self.go_on(task, seed, placement, route).await?
+        let placements = if runs_on {
+            let mut placements = Vec::with_capacity(starts.len());
+            for (index, (task, _)) in starts.iter().enumerate() {
+                self.leave(index, task);
+            }
+            for (index, (task, seed)) in starts.iter().enumerate() {
+                placements.push(self.go_on(index, task, *seed).await?);
+            }
+            let Some(sumo) = &mut self.sumo else { return Err(EnvError::NoEpisode) };
+            sumo.session.settle().await?;
+            placements
         } else {
-            self.start(traffic, seed, route).await?;
-            placement
+            self.start(traffic, starts).await?
         };
+        for (index, ((task, _), placement)) in starts.iter().zip(&placements).enumerate() {
+            self.prepare(index, task, placement).await?;
+        }
+        let Some(sumo) = &mut self.sumo else { return Err(EnvError::NoEpisode) };
+        // One tick at standstill: SUMO gets the new route, and actors in sight get a speed.
+        sumo.session.settle().await?;
+        Ok(placements)
+    }
+
+    /// Lights and obstacle of an ego's task, with the next step.
+    async fn prepare(
+        &mut self,
+        index: usize,
+        task: &TaskSpec,
+        placement: &Placement,
+    ) -> Result<(), EnvError> {
         let Some(sumo) = &mut self.sumo else { return Err(EnvError::NoEpisode) };
         sumo.episodes += 1;
-        sumo.obstacle = placement.obstacle.is_some();
-        let (bridge, seat) = sumo.session.bridge_and_seat(EGO);
+        let others: Vec<TrafficLightId> = self.slots.iter().flat_map(|slot| slot.held.lights()).collect();
+        let slot = &mut self.slots[index];
+        slot.obstacle = placement.obstacle.is_some();
+        let (bridge, seat) = sumo.session.bridge_and_seat(index);
         if task.kind.lights_are_green() {
-            sumo.held = green::hold(bridge, seat.ego().route()).await?;
+            slot.held = green::hold(bridge, seat.ego().route(), &others).await?;
         }
         // A scenario's director puts its own.
         if let (Some(wanted), None) = (&placement.obstacle, self.assets.scenario()) {
             obstacle::put(bridge, seat.ego_mut(), wanted)?;
         }
-        // One tick at standstill: SUMO gets the new route, and actors in sight get a speed.
-        sumo.session.settle().await?;
-        Ok(placement)
+        Ok(())
+    }
+
+    /// Takes away what an ego's last episode left, and brings the traffic to the size of the next task, with the
+    /// next step.
+    fn leave(&mut self, index: usize, task: &TaskSpec) {
+        let Some(sumo) = &mut self.sumo else { return };
+        let slot = &mut self.slots[index];
+        let (bridge, seat) = sumo.session.bridge_and_seat(index);
+        if let Some(counts) = task.traffic().counts(self.assets.town_name()) {
+            bridge.resize_traffic(counts);
+        }
+        if std::mem::take(&mut slot.obstacle) {
+            obstacle::take_away(bridge, seat.ego_mut());
+        }
+        green::release(bridge, &mut slot.held);
     }
 
     fn place(&self, task: &TaskSpec, seed: u64) -> Result<(Placement, Route), EnvError> {
@@ -188,62 +233,98 @@ impl World {
         Ok((placement, route))
     }
 
-    /// A new SUMO with the ego at the route's begin.
-    async fn start(&mut self, traffic: TrafficSpec, seed: u64, route: Route) -> Result<(), EnvError> {
+    /// Draws number `again` of a place for an episode, the first being its own.
+    fn draw(&self, task: &TaskSpec, seed: u64, again: usize) -> Result<(Placement, Route), EnvError> {
+        if again == 0 {
+            self.place(task, seed)
+        } else {
+            self.place(task, seeds::derive(seed, &format!("place {again}")))
+        }
+    }
+
+    /// How many draws a task is worth: its own placement is the only one.
+    fn draws(task: &TaskSpec) -> usize {
+        if task.placement.is_some() { 1 } else { PLACES }
+    }
+
+    /// A new SUMO with each ego at its route's begin.
+    async fn start(
+        &mut self,
+        traffic: TrafficSpec,
+        starts: &[Start<'_>],
+    ) -> Result<Vec<Placement>, EnvError> {
+        let mut places: Vec<(Placement, Route)> = Vec::with_capacity(starts.len());
+        for (task, seed) in starts {
+            let free =
+                (0..Self::draws(task) * starts.len()).find_map(|again| match self.draw(task, *seed, again) {
+                    Ok(place) if places.iter().all(|(_, other)| is_apart(&place.1, begin_of(other))) => {
+                        Some(Ok(place))
+                    }
+                    Ok(_) => None,
+                    Err(error) => Some(Err(error)),
+                });
+            places.push(free.unwrap_or_else(|| {
+                Err(EnvError::Full {
+                    egos: starts.len(),
+                    fit: places.len(),
+                    town: self.assets.name().to_string(),
+                })
+            })?);
+        }
         // The old one goes before the new one comes.
         self.park();
+        let seed = starts.first().map_or(0, |(_, seed)| *seed);
         let options = BridgeOptions {
             seed: seeds::derive(seed, "world"),
             tick_ms: Some(self.options.tick_ms),
             traffic,
             sight: self.options.sight,
+            fetch: self.options.fetch,
             tick_timeout: self.options.tick_timeout,
             scenario: self.assets.scenario().is_some(),
             closed_lanes: self.assets.scenario().map_or(Vec::new(), |scenario| scenario.closed_lanes.clone()),
             gui: self.options.gui,
             ..BridgeOptions::new(self.assets.config(), self.sumo_folder())
         };
-        let mut seat = match self.parked.take() {
-            Some(mut seat) => {
-                seat.ego_mut().forget();
-                seat
-            }
-            None => {
-                let (ego, criteria) = (self.options.ego.clone(), self.options.criteria);
-                Seat::new(&self.assets, "ego", ego, AutopilotParams::default(), criteria, route.clone())
-            }
-        };
-        seat.place(route, 0.0, self.options.start.draw(seed));
-        let session = Session::start(&self.assets, &options, vec![seat]).await?;
-        self.sumo = Some(Sumo { session, traffic, episodes: 0, obstacle: false, held: Held::default() });
-        Ok(())
+        let mut parked = std::mem::take(&mut self.parked).into_iter();
+        let mut seats = Vec::with_capacity(starts.len());
+        for (index, ((_, seed), (_, route))) in starts.iter().zip(&places).enumerate() {
+            let mut seat = match parked.next() {
+                Some(mut seat) => {
+                    seat.ego_mut().forget();
+                    seat
+                }
+                None => {
+                    let (ego, criteria) = (self.options.ego.clone(), self.options.criteria);
+                    let id = if index == 0 { FIRST.to_string() } else { format!("{FIRST}{}", index + 1) };
+                    Seat::new(&self.assets, &id, ego, AutopilotParams::default(), criteria, route.clone())
+                }
+            };
+            seat.place(route.clone(), 0.0, self.options.start.draw(*seed));
+            seats.push(seat);
+        }
+        let session = Session::start(&self.assets, &options, seats).await?;
+        self.sumo = Some(Sumo { session, traffic, episodes: 0 });
+        Ok(places.into_iter().map(|(placement, _)| placement).collect())
     }
 
     fn sumo_folder(&self) -> PathBuf {
         self.folder.path().join("sumo")
     }
 
-    /// Moves the ego to the route's begin, or, if a road user stands there that cannot be removed, to
-    /// another place for the same task.
-    async fn go_on(
-        &mut self,
-        task: &TaskSpec,
-        seed: u64,
-        mut placement: Placement,
-        mut route: Route,
-    ) -> Result<Placement, EnvError> {
+    /// Moves the ego to the begin of a route for the task where no other ego stands, and no road user that
+    /// cannot be removed. The next step brings it there.
+    async fn go_on(&mut self, index: usize, task: &TaskSpec, seed: u64) -> Result<Placement, EnvError> {
         let network = Arc::clone(self.assets.network());
-        for again in 1..=PLACES {
+        for again in 0..Self::draws(task) {
+            let (placement, route) = self.draw(task, seed, again)?;
             let Some(sumo) = &mut self.sumo else { return Err(EnvError::NoEpisode) };
-            let (bridge, seat) = sumo.session.bridge_and_seat(EGO);
-            if let Some(counts) = task.traffic().counts(self.assets.town_name()) {
-                bridge.resize_traffic(counts);
+            let others = sumo.session.seats().iter().enumerate().filter(|(other, _)| *other != index);
+            if others.into_iter().any(|(_, other)| !is_apart(&route, other.ego().state().pose.xy())) {
+                continue;
             }
-            if std::mem::take(&mut sumo.obstacle) {
-                obstacle::take_away(bridge, seat.ego_mut());
-            }
-            green::release(bridge, &mut sumo.held);
-            let start = route.at(0.0).pose.xy();
+            let (bridge, seat) = sumo.session.bridge_and_seat(index);
+            let start = begin_of(&route);
             let roads = |lane: &LaneId| {
                 matches!(network.edge(network.lane(*lane).edge).kind, EdgeKind::Normal | EdgeKind::Internal)
             };
@@ -251,125 +332,103 @@ impl World {
                 network.lanes_near(start, None, ROOM).iter().map(|near| near.lane).filter(roads).collect();
             if bridge.clear(start, ROOM, &lanes).await? {
                 seat.place(route, 0.0, self.options.start.draw(seed));
-                sumo.session.settle().await?;
                 return Ok(placement);
             }
-            if task.placement.is_some() {
-                break;
-            }
-            (placement, route) = self.place(task, seeds::derive(seed, &format!("place {again}")))?;
         }
         Err(EnvError::Crowded {
             task: task.kind.to_string(),
             town: self.assets.name().to_string(),
-            tries: PLACES,
+            tries: Self::draws(task),
         })
     }
 
-    /// The ego is driven with `control`; where the expert was asked it shows the expert's lamps.
-    pub async fn step(&mut self, control: Control) -> Result<Step, EnvError> {
-        let planned = self.sumo.as_ref().is_some_and(|sumo| sumo.session.seats()[EGO].is_planned());
-        self.act(if planned { Act::Disturbed(control) } else { Act::Control(control) }).await
-    }
-
-    pub async fn act(&mut self, act: Act) -> Result<Step, EnvError> {
-        let running = self.episode.as_ref().is_some_and(|episode| !episode.over);
-        let (true, Some(sumo)) = (running, &mut self.sumo) else { return Err(EnvError::NoEpisode) };
-        if act == Act::Expert {
-            sumo.session.plan(EGO);
-        }
-        if let Some(onward) = &mut self.onward {
-            go_onward(self.assets.network(), sumo.session.seat_mut(EGO).ego_mut(), onward);
+    /// One tick in which each ego does its act; the outcome of each. Where SUMO dies, every episode that ran ends
+    /// with an error.
+    pub async fn step(&mut self, acts: &[Act]) -> Result<Vec<Outcome>, EnvError> {
+        let Some(sumo) = &mut self.sumo else { return Err(EnvError::NoEpisode) };
+        for (index, (slot, act)) in self.slots.iter_mut().zip(acts).enumerate() {
+            if *act == Act::Expert {
+                sumo.session.plan(index);
+            }
+            slot.go_onward(self.assets.network(), sumo.session.seat_mut(index).ego_mut());
         }
         let before = sumo.session.timings();
-        let stepped = sumo.session.step_one(act).await;
+        let stepped = sumo.session.step(acts).await;
         let after = sumo.session.timings();
         self.stages.physics += after.physics - before.physics;
         self.stages.sumo += after.bridge - before.bridge;
         self.stages.steps += 1;
         let (time, traffic) = (sumo.session.bridge().time(), sumo.session.bridge().counts());
-        if let Some(episode) = &mut self.episode {
-            episode.tick += 1;
-        }
-        let tick = match stepped {
-            Ok(tick) => tick,
+        let ticks = match stepped {
+            Ok(ticks) => ticks,
             Err(error) => return Ok(self.lost(&error)),
         };
-        let observation = self.look()?;
-        let (Some(episode), Some(sumo)) = (&mut self.episode, &self.sumo) else {
-            return Err(EnvError::NoEpisode);
-        };
-        let ego = sumo.session.ego(EGO);
-        let ending = match self.options.termination.decide(&tick.events) {
-            Some((end, cause)) => Some(episode.ending(end, cause)),
-            None if episode.tick >= episode.limit => {
-                let (kind, network) = (episode.task.kind, self.assets.network());
-                Some(judge_limit(kind, &episode.placement, episode.tick, network, ego))
+        let network = self.assets.network();
+        let judge = Judge { options: &self.options, network, time, traffic };
+        let duration = sumo.session.bridge().tick();
+        let ticks = acts.iter().zip(ticks).collect();
+        let outcomes = each(&mut self.slots, sumo.session.seats(), ticks, |slot, seat, (act, tick)| {
+            if *act != Act::Stay {
+                slot.count();
             }
-            None => None,
-        };
-        let reward = &self.options.reward;
-        let facts = episode.facts(reward, ego, &self.eyes, &tick.control, &tick.events, ending.as_ref());
-        let terms = reward::compute(reward, &facts);
-        let terminated = ending.as_ref().is_some_and(|ending| ending.end.is_terminal());
-        let truncated = ending.is_some() && !terminated;
-        episode.over = ending.is_some();
-        Ok(Step {
-            observation,
-            control: tick.control,
-            reward: terms.total(),
-            terminated,
-            truncated,
-            info: Info {
-                tick: episode.tick,
-                time,
-                reward: terms,
-                events: tick.events,
-                ending,
-                raw: *self.eyes.raw(),
-                ego: tick.after.state,
-                driven: tick.after.s,
-                route_length: ego.route().length(),
-                traffic,
-            },
-        })
+            let times = slot.look(network, seat.ego(), duration)?;
+            Ok((times, slot.outcome(&judge, seat.ego(), tick)))
+        });
+        let outcomes: Result<Vec<(LookTimes, Outcome)>, EnvError> = outcomes.into_iter().collect();
+        Ok(outcomes?
+            .into_iter()
+            .map(|(times, outcome)| {
+                self.stages.looked(&times);
+                outcome
+            })
+            .collect())
     }
 
-    /// SUMO died: the episode is lost, the next reset starts a new SUMO.
-    fn lost(&mut self, error: &BridgeError) -> Step {
+    /// SUMO died: the episodes are lost, the next reset starts a new SUMO.
+    fn lost(&mut self, error: &BridgeError) -> Vec<Outcome> {
         tracing::warn!("an episode is lost, its SUMO is replaced: {error}");
         let time = self.sumo.as_ref().map_or(0.0, |sumo| sumo.session.bridge().time());
         self.park();
-        let (tick, ending) = self.episode.as_mut().map_or((0, None), |episode| {
-            episode.over = true;
-            (episode.tick, Some(episode.ending(End::Error, error.to_string())))
-        });
-        let ego = self.ego();
-        Step {
-            observation: self.eyes.observation(),
-            control: Control::default(),
-            reward: 0.0,
-            terminated: false,
-            truncated: true,
-            info: Info {
-                tick,
-                time,
-                reward: RewardTerms::default(),
-                events: Vec::new(),
-                ending,
-                raw: *self.eyes.raw(),
-                ego: ego.map_or_else(nowhere, Ego::state),
-                driven: ego.map_or(0.0, |ego| ego.on_route().s),
-                route_length: ego.map_or(0.0, |ego| ego.route().length()),
-                traffic: (0, 0),
-            },
-        }
+        let why = error.to_string();
+        let egos = self.parked.iter().map(|seat| Some(seat.ego())).chain(std::iter::repeat(None));
+        self.slots.iter_mut().zip(egos).map(|(slot, ego)| slot.lost(ego, time, &why)).collect()
     }
 
-    pub fn expert(&mut self) -> Result<Control, EnvError> {
-        let running = self.episode.as_ref().is_some_and(|episode| !episode.over);
+    /// The expert's control for ego `index`.
+    pub fn expert(&mut self, index: usize) -> Result<wad_vehicle::Control, EnvError> {
+        let running = self.slots[index].is_running();
         let (true, Some(sumo)) = (running, &mut self.sumo) else { return Err(EnvError::NoEpisode) };
-        Ok(sumo.session.plan(EGO).control)
+        Ok(sumo.session.plan(index).control)
+    }
+
+    /// Whether the expert of ego `index` has been asked since the last tick.
+    pub fn is_planned(&self, index: usize) -> bool {
+        self.sumo.as_ref().is_some_and(|sumo| sumo.session.seats()[index].is_planned())
+    }
+
+    /// Whether an episode of ego `index` runs.
+    pub fn is_running(&self, index: usize) -> bool {
+        self.sumo.is_some() && self.slots[index].is_running()
+    }
+
+    /// Whether SUMO runs.
+    pub fn has_sumo(&self) -> bool {
+        self.sumo.is_some()
+    }
+
+    /// Begins ego `index`'s next episode in running traffic: the next step, in which it stays, brings it to its
+    /// start. False where no place is free now.
+    pub async fn begin_again(&mut self, index: usize, start: Start<'_>) -> Result<bool, EnvError> {
+        let (task, seed) = start;
+        self.leave(index, task);
+        let placement = match self.go_on(index, task, seed).await {
+            Err(EnvError::Crowded { .. }) => return Ok(false),
+            placed => placed?,
+        };
+        self.prepare(index, task, &placement).await?;
+        self.started(index, task, seed, placement)?;
+        self.stages.resets += 1;
+        Ok(true)
     }
 
     pub async fn close(&mut self) {
@@ -380,22 +439,18 @@ impl World {
         }
     }
 
-    pub fn placement(&self) -> Option<&Placement> {
-        self.episode.as_ref().map(|episode| &episode.placement)
+    pub fn slots(&self) -> &[Slot] {
+        &self.slots
     }
 
-    pub fn ego(&self) -> Option<&Ego> {
-        let seat = self.sumo.as_ref().and_then(|sumo| sumo.session.seats().get(EGO)).or(self.parked.as_ref());
-        seat.map(Seat::ego)
+    pub fn ego(&self, index: usize) -> Option<&Ego> {
+        let seats = self.sumo.as_ref().map_or(self.parked.as_slice(), |sumo| sumo.session.seats());
+        seats.get(index).map(Seat::ego)
     }
 
     /// SUMO's process, for tests that kill it.
     pub fn sumo_pid(&self) -> Option<u32> {
         self.sumo.as_ref().and_then(|sumo| sumo.session.bridge().sumo_pid())
-    }
-
-    pub fn eyes(&self) -> &Eyes {
-        &self.eyes
     }
 
     pub fn tick(&self) -> Duration {
@@ -411,24 +466,25 @@ impl World {
     }
 }
 
-/// A route that never ends is lengthened when less than this is left of it (m).
-const ONWARD: f64 = 250.0;
-/// Places drawn per attempt.
-const ONWARD_DRAWS: usize = 20;
+/// `what` for each ego with its own one of `given`, on all cores where there are many.
+fn each<G: Send, T: Send>(
+    slots: &mut [Slot],
+    seats: &[Seat],
+    given: Vec<G>,
+    what: impl Fn(&mut Slot, &Seat, G) -> T + Sync,
+) -> Vec<T> {
+    if slots.len() < PARALLEL_FROM {
+        let all = slots.iter_mut().zip(seats).zip(given);
+        return all.map(|((slot, seat), given)| what(slot, seat, given)).collect();
+    }
+    let all = slots.par_iter_mut().zip(seats).zip(given);
+    all.map(|((slot, seat), given)| what(slot, seat, given)).collect()
+}
 
-/// Lengthens the route before its end comes into view. Where no place can be reached from its end it
-/// ends there.
-fn go_onward(network: &Network, ego: &mut Ego, places: &mut Destinations) {
-    let s = ego.on_route().s;
-    if ego.route().length() - s > ONWARD {
-        return;
-    }
-    let mut route = ego.route().clone();
-    for _ in 0..ONWARD_DRAWS {
-        let place = places.place(network);
-        if network.extend_route(&mut route, place).is_ok() && route.length() - s > 2.0 * ONWARD {
-            ego.set_route(route, s);
-            return;
-        }
-    }
+fn begin_of(route: &Route) -> Point {
+    route.at(0.0).pose.xy()
+}
+
+fn is_apart(route: &Route, other: Point) -> bool {
+    (begin_of(route) - other).norm() >= APART
 }

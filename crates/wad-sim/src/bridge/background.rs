@@ -27,6 +27,13 @@ impl Bridge {
         Ok(true)
     }
 
+    /// Never removes the vehicle `id`, which is not one of the population.
+    pub fn keep(&mut self, id: &str) {
+        if let Some(population) = &mut self.population {
+            population.keep(id);
+        }
+    }
+
     /// Keeps `counts` of background traffic alive from now on; see [`Population::resize`]. False if
     /// the traffic is the config's own.
     pub fn resize_traffic(&mut self, counts: Counts) -> bool {

@@ -18,6 +18,7 @@ mod signals;
 pub use director::{Director, Scene};
 pub use ego::{Ego, Lamps};
 pub use error::BridgeError;
+pub use observe::Fetch;
 
 use crate::cores::SharedCore;
 use crate::destination::EGO_CLASS;
@@ -30,7 +31,7 @@ use signals::SignalWatch;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-use sumo_network::geometry::Point;
+use sumo_network::geometry::{Point, Pose};
 use sumo_network::network::Network;
 use sumo_network::seeds;
 use sumo_traci::process::{LaunchOptions, SumoInstall, SumoProcess};
@@ -49,6 +50,9 @@ pub struct BridgeOptions {
     pub traffic: TrafficSpec,
     /// How far an ego sees (m).
     pub sight: f64,
+    /// How the road users in sight are fetched.
+    #[serde(default)]
+    pub fetch: Fetch,
     /// sumo-gui instead of sumo, the ego followed.
     pub gui: bool,
     /// `host:port` of a running SUMO to use instead of an own one.
@@ -74,6 +78,7 @@ impl BridgeOptions {
             tick_ms: None,
             traffic: TrafficSpec::AsIs,
             sight: 100.0,
+            fetch: Fetch::Auto,
             gui: false,
             attach: None,
             tick_timeout: 60.0,
@@ -116,6 +121,7 @@ pub struct Bridge {
     director: Option<Box<dyn Director>>,
     batch: Batch,
     sight: f64,
+    fetch: Fetch,
     gui: bool,
     subscribed: bool,
     /// SUMO's clock when the bridge began (ms), tick length (ms), ticks since.
@@ -229,6 +235,7 @@ impl Bridge {
             director: None,
             batch: Batch::new(),
             sight: options.sight,
+            fetch: options.fetch,
             gui: options.gui,
             subscribed: false,
             begin_ms,
@@ -295,11 +302,20 @@ impl Bridge {
         self.spawn_all(&mut [ego]).await
     }
 
-    /// Brings several egos into SUMO with one step; the population appears round the first.
+    /// Brings several egos into SUMO with one step; the population appears round them.
     ///
     /// # Errors
     /// SUMO refuses one of them, or fails.
     pub async fn spawn_all(&mut self, egos: &mut [&mut Ego]) -> Result<(), BridgeError> {
+        if !self.subscribed {
+            // Asked once: from then on departures and arrivals say it. SUMO's count costs it a copy of
+            // every vehicle's id.
+            let found = self.client.get(vehicle::ID_COUNT, "").await?;
+            self.in_network = usize::try_from(found).unwrap_or(0);
+            let wanted = self.population.as_ref().map(Population::wanted);
+            let users = wanted.map_or(self.in_network, |counts| counts.vehicles + counts.pedestrians);
+            self.fetch = self.fetch.resolve(egos.len(), users);
+        }
         for ego in egos.iter_mut() {
             ego.params().check()?;
             ego.insert(&self.network, &mut self.batch);
@@ -307,14 +323,13 @@ impl Bridge {
             if let Some(population) = &mut self.population {
                 population.keep(&ego.id);
             }
-            observe::subscribe(&mut self.batch, &ego.id, self.sight);
+            // What all that moves comes with is one ego's subscription.
+            if self.fetch != Fetch::Once || self.egos.len() == 1 {
+                observe::subscribe(&mut self.batch, &ego.id, self.sight, self.fetch);
+            }
         }
         if !self.subscribed {
             self.subscribed = true;
-            // Asked once: from then on departures and arrivals say it. SUMO's count costs it a copy of
-            // every vehicle's id.
-            let found = self.client.get(vehicle::ID_COUNT, "").await?;
-            self.in_network = usize::try_from(found).unwrap_or(0);
             StepEvents::subscribe(&mut self.batch);
             if let Some(population) = &mut self.population {
                 population.define_types(&mut self.batch);
@@ -325,7 +340,7 @@ impl Bridge {
                 director.begin(&Scene { network: &self.network, time, tick, ego }, &mut self.batch);
             }
             if let Some(population) = &mut self.population {
-                population.populate(&mut self.batch, egos.first().map(|ego| ego.state().pose));
+                population.populate(&mut self.batch, &poses(egos));
             }
         }
         if let (true, Some(ego)) = (self.gui, egos.first()) {
@@ -398,17 +413,29 @@ impl Bridge {
         // SUMO's own number of persons also counts persons who have not departed yet.
         self.counts.1 =
             (self.counts.1 + events.departed_persons.len()).saturating_sub(events.arrived_persons.len());
+        let once = self.fetch == Fetch::Once;
+        if let Some(first) = self.egos.first().filter(|_| once) {
+            let (client, network) = (&mut self.client, &self.network);
+            if let Err(error) = self.catalog.observe_all(client, network, &replies, first, tick).await {
+                return Err(self.explain(error).await);
+            }
+        }
         for ego in egos.iter_mut() {
             let Ego { id, world, previous, extras, vehicle, .. } = &mut **ego;
             std::mem::swap(world, previous);
-            let actors = (&mut world.vehicles, &mut world.pedestrians);
-            let observed =
-                self.catalog.observe(&mut self.client, &self.network, &replies, id, tick, actors).await;
-            if let Err(error) = observed {
-                return Err(self.explain(error).await);
-            }
             let reach = self.sight;
-            let position = vehicle.state().pose.xy();
+            let pose = vehicle.state().pose;
+            if once {
+                let front = pose.advanced(0.5 * vehicle.params().length);
+                self.catalog.observe(id, front.xy(), reach, world);
+            } else {
+                let (client, network) = (&mut self.client, &self.network);
+                let observed = self.catalog.observe_around(client, network, &replies, id, tick, world).await;
+                if let Err(error) = observed {
+                    return Err(self.explain(error).await);
+                }
+            }
+            let position = pose.xy();
             for extra in extras.iter().filter(|e| (e.pose.xy() - position).norm() < reach) {
                 let person = extra.actor_type.kind == sumo_network::world::ActorKind::Pedestrian;
                 if person { &mut world.pedestrians } else { &mut world.vehicles }.push(extra.clone());
@@ -419,14 +446,12 @@ impl Bridge {
             world.traffic_lights.extend_from_slice(self.signals.states());
         }
         if let Some(population) = &mut self.population {
-            let ego = egos.first();
-            let near: Vec<Point> = ego
+            let near: Vec<Point> = egos
                 .iter()
                 .flat_map(|ego| ego.world.vehicles.iter().chain(&ego.world.pedestrians))
                 .map(|actor| actor.pose.xy())
                 .collect();
-            let pose = ego.map(|ego| ego.state().pose);
-            population.update(&events, &replies, pose, &near, &mut self.batch);
+            population.update(&events, &replies, &poses(egos), &near, &mut self.batch);
             // Road users that the population removed do not arrive.
             self.counts.1 = population.alive().pedestrians;
         }
@@ -473,6 +498,10 @@ impl Bridge {
         }
         Ok(closed?)
     }
+}
+
+fn poses(egos: &[&mut Ego]) -> Vec<Pose> {
+    egos.iter().map(|ego| ego.state().pose).collect()
 }
 
 fn overrides(options: &BridgeOptions, config: &SumoConfig, tick_ms: f64) -> Overrides {

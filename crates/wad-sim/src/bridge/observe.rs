@@ -1,11 +1,14 @@
-//! From the subscriptions that come with a step to a [`WorldState`].
+//! From the subscriptions that come with a step to each ego's [`WorldState`].
+//!
+//! What an ego sees is fetched in one of two ways ([`Fetch`]); both bring the same road users.
 
 use nalgebra::Point3;
+use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
-use sumo_network::geometry::Pose;
+use sumo_network::geometry::{Point, Pose};
 use sumo_network::network::Network;
-use sumo_network::world::{Actor, ActorKind, ActorType, VehicleSignals};
+use sumo_network::world::{Actor, ActorKind, ActorType, VehicleSignals, WorldState};
 use sumo_traci::{Batch, TcpClient, person, vehicle, vehicle_type};
 
 /// Ticks after which an actor that is out of sight is forgotten.
@@ -13,6 +16,36 @@ const FORGET_AFTER: u64 = 2000;
 
 /// Prefix of the types of objects that are vehicles in SUMO.
 const OBJECTS: &str = "wad_object";
+
+/// How the road users in sight are fetched with each step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Fetch {
+    /// The cheaper one for the number of egos and the size of the population at the egos' arrival.
+    #[default]
+    Auto,
+    /// SUMO searches round each ego: the cost grows with the egos and what is near them.
+    Around,
+    /// SUMO sends all that moves, once; each ego's sight is searched here: the cost grows with the population.
+    Once,
+}
+
+/// With this many road users per ego or fewer, [`Fetch::Once`] is cheaper (docs/bench.md, `bench fleet`).
+const ONCE_UP_TO: usize = 40;
+
+impl Fetch {
+    /// The way to fetch for `egos` egos in a population of `users`.
+    pub fn resolve(self, egos: usize, users: usize) -> Self {
+        match self {
+            Self::Auto if egos > 1 && users <= ONCE_UP_TO * egos => Self::Once,
+            Self::Auto => Self::Around,
+            chosen => chosen,
+        }
+    }
+}
+
+/// A radius that reaches across every net (m).
+const EVERYWHERE: f64 = 1e7;
 
 /// Remembers ids and types of the actors seen, so that a tick copies numbers only.
 ///
@@ -26,6 +59,26 @@ pub struct ActorCatalog {
     seen: HashMap<Arc<str>, Seen>,
     next_key: u64,
     tick: u64,
+    everyone: Everyone,
+}
+
+/// All that moves after a step, ordered by the front bumper's x.
+#[derive(Debug, Default)]
+struct Everyone {
+    users: Vec<(Point, Domain, Actor)>,
+}
+
+impl Everyone {
+    /// Vehicles and pedestrians within `sight` (m) of `place`, without the ego `id`, each ordered by id.
+    fn in_sight(&self, id: &str, place: Point, sight: f64, world: &mut WorldState) {
+        let first = self.users.partition_point(|(front, ..)| front.x < place.x - sight);
+        let near = self.users[first..].iter().take_while(|(front, ..)| front.x <= place.x + sight);
+        for (_, domain, actor) in
+            near.filter(|(front, _, actor)| (front - place).norm() <= sight && &*actor.id != id)
+        {
+            list(world, *domain).push(actor.clone());
+        }
+    }
 }
 
 #[derive(Debug)]
@@ -56,8 +109,9 @@ struct Observed<'a> {
     lane: &'a str,
 }
 
-/// Subscribes the ego `id` to everything within `sight` (m).
-pub fn subscribe(batch: &mut Batch, id: &str, sight: f64) {
+/// Subscribes to what the ego `id` needs with each step: what is within `sight` (m) of it, or all that moves.
+pub fn subscribe(batch: &mut Batch, id: &str, sight: f64, fetch: Fetch) {
+    let sight = if fetch == Fetch::Once { EVERYWHERE } else { sight };
     batch.subscribe_context(
         vehicle::Vehicle,
         id,
@@ -84,31 +138,72 @@ impl ActorCatalog {
         }
     }
 
-    /// Vehicles (without the ego `id` itself) and pedestrians round the ego after a tick of `tick` s,
-    /// each ordered by id. New ones in sight are queried, which costs a message.
-    pub async fn observe(
+    /// Reads all that moves after a tick of `tick` s, for [`ActorCatalog::observe`]; `id` is the ego that is
+    /// subscribed to it.
+    pub async fn observe_all(
         &mut self,
         client: &mut TcpClient,
         network: &Network,
         replies: &sumo_traci::Replies,
         id: &str,
         tick: f64,
-        world: (&mut Vec<Actor>, &mut Vec<Actor>),
     ) -> Result<(), sumo_traci::Error> {
-        let (vehicles, pedestrians) = world;
-        vehicles.clear();
-        pedestrians.clear();
-        let observed = read(replies, id)?;
+        let mut users = std::mem::take(&mut self.everyone.users);
+        users.clear();
+        let observed = read(replies, id, None)?;
+        self.read(client, network, &observed, tick, |front, domain, actor| {
+            users.push((front, domain, actor))
+        })
+        .await?;
+        users.sort_unstable_by(|a, b| a.0.x.total_cmp(&b.0.x).then_with(|| a.2.id.cmp(&b.2.id)));
+        self.everyone.users = users;
+        Ok(())
+    }
+
+    /// Vehicles (without the ego itself) and pedestrians within `sight` (m) of the ego `id`, whose front bumper is
+    /// at `place`, each ordered by id: from the last [`ActorCatalog::observe_all`].
+    pub fn observe(&self, id: &str, place: Point, sight: f64, world: &mut WorldState) {
+        forget(world);
+        self.everyone.in_sight(id, place, sight, world);
+        order(world);
+    }
+
+    /// The same from the ego's own subscription, after a tick of `tick` s.
+    pub async fn observe_around(
+        &mut self,
+        client: &mut TcpClient,
+        network: &Network,
+        replies: &sumo_traci::Replies,
+        id: &str,
+        tick: f64,
+        world: &mut WorldState,
+    ) -> Result<(), sumo_traci::Error> {
+        forget(world);
+        let observed = read(replies, id, Some(id))?;
+        self.read(client, network, &observed, tick, |_, domain, actor| list(world, domain).push(actor))
+            .await?;
+        order(world);
+        Ok(())
+    }
+
+    /// Completes what a subscription brought. New ones are queried, which costs a message.
+    async fn read(
+        &mut self,
+        client: &mut TcpClient,
+        network: &Network,
+        observed: &[Observed<'_>],
+        tick: f64,
+        mut found: impl FnMut(Point, Domain, Actor),
+    ) -> Result<(), sumo_traci::Error> {
         let new: Vec<&Observed<'_>> = observed.iter().filter(|actor| !self.knows(actor.id)).collect();
         if !new.is_empty() {
             self.ask(client, &new).await?;
         }
-        for actor in &observed {
-            let list = if actor.domain == Domain::Vehicle { &mut *vehicles } else { &mut *pedestrians };
-            self.push(actor, network, tick, list);
+        for observed in observed {
+            if let Some(actor) = self.actor(observed, network, tick) {
+                found(observed.position.xy(), observed.domain, actor);
+            }
         }
-        vehicles.sort_unstable_by(|a, b| a.id.cmp(&b.id));
-        pedestrians.sort_unstable_by(|a, b| a.id.cmp(&b.id));
         Ok(())
     }
 
@@ -117,11 +212,10 @@ impl ActorCatalog {
         self.seen.get(id).is_some_and(|seen| seen.last_tick + 1 >= self.tick)
     }
 
-    fn push(&mut self, observed: &Observed<'_>, network: &Network, tick: f64, actors: &mut Vec<Actor>) {
-        // One that left in this very step could not be asked about.
-        let Some((id, _)) = self.seen.get_key_value(observed.id) else { return };
-        let id = Arc::clone(id);
-        let Some(seen) = self.seen.get_mut(observed.id) else { return };
+    /// None for one that left in this very step: it could not be asked about.
+    fn actor(&mut self, observed: &Observed<'_>, network: &Network, tick: f64) -> Option<Actor> {
+        let id = Arc::clone(self.seen.get_key_value(observed.id)?.0);
+        let seen = self.seen.get_mut(observed.id)?;
         if seen.last_tick + 1 == self.tick {
             seen.speed = (observed.position - seen.position).norm() / tick;
         }
@@ -134,7 +228,7 @@ impl ActorCatalog {
             }
             _ => 0.0,
         };
-        actors.push(Actor {
+        Some(Actor {
             id,
             key: seen.key,
             pose: Pose::from_sumo(observed.position, observed.degrees, seen.actor_type.length),
@@ -143,7 +237,7 @@ impl ActorCatalog {
             signals: VehicleSignals(observed.signals),
             lane,
             lane_position,
-        });
+        })
     }
 
     /// Learns types and speeds of actors that come into sight, and the measures of new types.
@@ -225,11 +319,33 @@ impl ActorCatalog {
     }
 }
 
-/// The actors that the subscriptions of ego `id` brought with a step.
-fn read<'a>(replies: &'a sumo_traci::Replies, id: &str) -> Result<Vec<Observed<'a>>, sumo_traci::Error> {
+/// The road users of one kind in `world`.
+fn list(world: &mut WorldState, domain: Domain) -> &mut Vec<Actor> {
+    match domain {
+        Domain::Vehicle => &mut world.vehicles,
+        Domain::Person => &mut world.pedestrians,
+    }
+}
+
+fn forget(world: &mut WorldState) {
+    world.vehicles.clear();
+    world.pedestrians.clear();
+}
+
+fn order(world: &mut WorldState) {
+    world.vehicles.sort_unstable_by(|a, b| a.id.cmp(&b.id));
+    world.pedestrians.sort_unstable_by(|a, b| a.id.cmp(&b.id));
+}
+
+/// The actors that the subscriptions of ego `id` brought with a step, without the vehicle `but`.
+fn read<'a>(
+    replies: &'a sumo_traci::Replies,
+    id: &str,
+    but: Option<&str>,
+) -> Result<Vec<Observed<'a>>, sumo_traci::Error> {
     let mut actors = Vec::new();
     let results = replies.subscriptions();
-    for object in results.context(vehicle::Vehicle, id, vehicle::Vehicle).filter(|o| o.id() != id) {
+    for object in results.context(vehicle::Vehicle, id, vehicle::Vehicle).filter(|o| but != Some(o.id())) {
         let position = object.value(vehicle::POSITION_3D)?;
         actors.push(Observed {
             domain: Domain::Vehicle,

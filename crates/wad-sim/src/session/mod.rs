@@ -23,10 +23,15 @@ use crate::bridge::{Bridge, BridgeError, BridgeOptions, Ego};
 use crate::cpu_time;
 use crate::criteria::{EgoOnRoute, Event};
 use crate::scenario::Director;
+use rayon::prelude::*;
 use std::sync::Arc;
 use std::time::Instant;
 use sumo_network::network::{Network, Route};
-use wad_vehicle::{Contact, Control};
+use sumo_network::world::{Actor, WorldState};
+use wad_vehicle::{Contact, Control, PartnerKind};
+
+/// With this many egos or more, physics runs on all cores.
+const PARALLEL_FROM: usize = 4;
 
 /// What an ego does in a tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,6 +42,8 @@ pub enum Act {
     Disturbed(Control),
     /// Another driver's control. The lamps follow the route and the brake pedal.
     Control(Control),
+    /// It was just placed and does not move: SUMO learns its new place, and it gets a world. Nothing is judged.
+    Stay,
 }
 
 /// What happened to an ego in a tick.
@@ -181,13 +188,20 @@ impl Session {
         }
         let tick = self.bridge.tick();
         let clock = Instant::now();
-        let mut ticks: Vec<Tick> =
-            self.seats.iter_mut().zip(acts).map(|(seat, act)| seat.drive(*act, tick)).collect();
+        // Each ego has a physics world of its own: the order does not matter.
+        let mut ticks: Vec<Tick> = if self.seats.len() < PARALLEL_FROM {
+            self.seats.iter_mut().zip(acts).map(|(seat, act)| seat.drive(*act, tick)).collect()
+        } else {
+            self.seats.par_iter_mut().zip(acts).map(|(seat, act)| seat.drive(*act, tick)).collect()
+        };
+        tell_both(&self.seats, &mut ticks);
         self.timings.physics += clock.elapsed().as_secs_f64();
         self.settle().await?;
         let network = self.bridge.network();
-        for (seat, tick_of) in self.seats.iter_mut().zip(&mut ticks) {
-            seat.judge(network, tick, tick_of);
+        for ((seat, act), tick_of) in self.seats.iter_mut().zip(acts).zip(&mut ticks) {
+            if *act != Act::Stay {
+                seat.judge(network, tick, tick_of);
+            }
         }
         Ok(ticks)
     }
@@ -238,6 +252,33 @@ impl Session {
     /// SUMO did not close the connection properly. It has ended even so.
     pub async fn close(self) -> Result<(), BridgeError> {
         self.bridge.close().await
+    }
+}
+
+/// An ego that another one touches is told too: in its own physics the other may just have missed it.
+fn tell_both(seats: &[Seat], ticks: &mut [Tick]) {
+    if seats.len() < 2 {
+        return;
+    }
+    let named =
+        |world: &WorldState, of: &dyn Fn(&Actor) -> bool| world.vehicles.iter().find(|a| of(a)).cloned();
+    for index in 0..seats.len() {
+        let me = seats[index].ego();
+        for contact in ticks[index].contacts.clone() {
+            if contact.kind != PartnerKind::Vehicle {
+                continue;
+            }
+            let Some(actor) = named(me.world(), &|actor| actor.key == contact.key) else { continue };
+            let Some(other) = seats.iter().position(|seat| *seat.ego().id == *actor.id) else { continue };
+            let partner = seats[other].ego();
+            let Some(mine) = named(partner.world(), &|actor| *actor.id == *me.id) else { continue };
+            let told = &mut ticks[other].contacts;
+            if told.iter().all(|known| (known.kind, known.key) != (PartnerKind::Vehicle, mine.key)) {
+                let place = me.state().pose.to_world(contact.point);
+                let point = partner.state().pose.to_local(place);
+                told.push(Contact { key: mine.key, point, ..contact });
+            }
+        }
     }
 }
 

@@ -90,10 +90,22 @@ impl Seat {
     /// Lamps and physics of one tick of `tick` s.
     pub(super) fn drive(&mut self, act: Act, tick: f64) -> Tick {
         let decision = self.decision.take();
+        if act == Act::Stay {
+            let at = self.ego.on_route();
+            let (contacts, events) = Default::default();
+            return Tick {
+                control: Control::default(),
+                decision: None,
+                before: at,
+                after: at,
+                contacts,
+                events,
+            };
+        }
         let control = match (act, decision) {
             (Act::Control(control) | Act::Disturbed(control), _) => control,
             (Act::Expert, Some(decision)) => decision.control,
-            (Act::Expert, None) => Control::default(),
+            (Act::Expert, None) | (Act::Stay, _) => Control::default(),
         }
         .clamped();
         let before = self.ego.on_route();

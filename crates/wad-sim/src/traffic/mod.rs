@@ -17,13 +17,13 @@
 //! let mut batch = Batch::new();
 //! Population::subscribe(&mut batch);
 //! population.define_types(&mut batch);
-//! population.populate(&mut batch, None);
+//! population.populate(&mut batch, &[]);
 //! for _ in 0..600 {
 //!     batch.step();
 //!     let replies = client.send(&batch).await?;
 //!     batch.clear();
 //!     let events = StepEvents::read(&replies)?;
-//!     population.update(&events, &replies, None, &[], &mut batch);
+//!     population.update(&events, &replies, &[], &[], &mut batch);
 //! }
 //! # Ok(())
 //! # }
@@ -136,8 +136,8 @@ impl Population {
     /// Adds the whole population to the town, to depart with the next step: the caller sends the batch with
     /// a step. Returns how many found a place: fewer than asked for where the town is full, or has
     /// no sidewalks; a warning says so, and the population is kept at that number.
-    pub fn populate(&mut self, batch: &mut Batch, ego: Option<Pose>) -> Counts {
-        let vehicles = self.vehicles.populate(self.wanted.vehicles, ego, batch);
+    pub fn populate(&mut self, batch: &mut Batch, egos: &[Pose]) -> Counts {
+        let vehicles = self.vehicles.populate(self.wanted.vehicles, egos, batch);
         if vehicles < self.wanted.vehicles {
             tracing::warn!(
                 "the net has room for {vehicles} background vehicles, not for {}: going on with {vehicles}",
@@ -152,7 +152,7 @@ impl Population {
                 self.wanted.pedestrians
             );
         } else {
-            pedestrians = self.pedestrians.populate(self.wanted.pedestrians, ego, batch);
+            pedestrians = self.pedestrians.populate(self.wanted.pedestrians, egos, batch);
             if pedestrians < self.wanted.pedestrians {
                 tracing::warn!(
                     "the net has room for {pedestrians} pedestrians, not for {}: going on with {pedestrians}",
@@ -165,7 +165,7 @@ impl Population {
 
     /// Reads one step, and appends to the next tick's batch what is needed: replacements, longer trips,
     /// queries. `events` and `replies` belong to the message that carried the step, whose batch this
-    /// population appended to; `near` are the positions of road users near the ego (m).
+    /// population appended to; `near` are the positions of road users near the egos (m).
     ///
     /// A vehicle or pedestrian that arrived in the step is back, elsewhere and out of sight, with the
     /// next one.
@@ -173,14 +173,14 @@ impl Population {
         &mut self,
         events: &StepEvents<'_>,
         replies: &Replies,
-        ego: Option<Pose>,
+        egos: &[Pose],
         near: &[Point],
         batch: &mut Batch,
     ) {
         if self.options.alone {
             self.remove_others(events, batch);
         }
-        let scene = Scene { time: events.time, ego, near };
+        let scene = Scene { time: events.time, egos, near };
         self.vehicles.update(events, replies, scene, batch);
         self.pedestrians.update(events, replies, scene, batch);
     }
@@ -194,9 +194,11 @@ impl Population {
         self.pedestrians.resize(pedestrians, batch);
     }
 
-    /// Never removes the vehicle `id`: an ego.
+    /// Never removes the vehicle `id`: an ego, or its obstacle.
     pub fn keep(&mut self, id: &str) {
-        self.options.keep.push(id.to_string());
+        if self.options.keep.iter().all(|kept| kept != id) {
+            self.options.keep.push(id.to_string());
+        }
     }
 
     /// The wanted size of the population.

@@ -4,7 +4,7 @@ use super::Options;
 use super::draw::between;
 use super::events::StepEvents;
 use super::fleet::draw_walker;
-use super::places::point_on;
+use super::places::{distance, point_on};
 use super::slots::{Member, Slots};
 use super::vehicles::Scene;
 use super::walks::{Walk, Walks, sidewalk};
@@ -73,10 +73,10 @@ impl Pedestrians {
     }
 
     /// Puts `count` pedestrians on the sidewalks; returns how many found a place.
-    pub fn populate(&mut self, count: usize, ego: Option<Pose>, batch: &mut Batch) -> usize {
+    pub fn populate(&mut self, count: usize, egos: &[Pose], batch: &mut Batch) -> usize {
         let avoid = self.options.avoid;
         for placed in 0..count {
-            let Some((edge, at)) = self.draw_place(|point| avoid.allows_at_start(ego, point)) else {
+            let Some((edge, at)) = self.draw_place(|point| avoid.allows_at_start(egos, point)) else {
                 return placed;
             };
             let slot = self.slots.add();
@@ -132,16 +132,14 @@ impl Pedestrians {
     /// Fills a slot out of the ego's sight, or as far from it as a few dozen draws come.
     fn replace(&mut self, slot: usize, scene: Scene<'_>, batch: &mut Batch) -> bool {
         let avoid = self.options.avoid;
-        let hidden = |p| !avoid.in_sight(scene.ego, p) && avoid.clear_of(scene.near, p);
+        let hidden = |p| !avoid.in_sight(scene.egos, p) && avoid.clear_of(scene.near, p);
         let mut place = self.draw_place(hidden);
-        if place.is_none()
-            && let Some(ego) = scene.ego
-        {
+        if place.is_none() && !scene.egos.is_empty() {
             let mut furthest = avoid.start;
             for _ in 0..DRAWS {
                 let Some((edge, at)) = self.walks.draw_start(&mut self.rng, &self.network) else { break };
                 let Some(lane) = sidewalk(&self.network, edge) else { continue };
-                let distance = (ego.xy() - point_on(&self.network, lane, at)).norm();
+                let distance = distance(scene.egos, point_on(&self.network, lane, at));
                 if distance > furthest {
                     furthest = distance;
                     place = Some((edge, at));
@@ -221,7 +219,7 @@ impl Pedestrians {
                 continue;
             }
             let here = Point::new(position.x, position.y);
-            let seen = scene.ego.is_some_and(|ego| (ego.xy() - here).norm() < avoid.sight + SIGHT_MARGIN);
+            let seen = distance(scene.egos, here) < avoid.sight + SIGHT_MARGIN;
             if !seen {
                 self.slots.evict(slot, |id| remove(id, batch));
                 continue;

@@ -7,9 +7,9 @@ use serde::{Deserialize, Serialize};
 use sumo_network::geometry::{Point, Pose};
 use sumo_network::network::{LaneId, Network};
 
-/// Areas round the ego where no road user is added.
+/// Areas round the egos where no road user is added.
 ///
-/// The sight rule: everything within [`Avoid::sight`] of the ego's centre, in any direction, counts
+/// The sight rule: everything within [`Avoid::sight`] of an ego's centre, in any direction, counts
 /// as seen, even behind a building (views from behind and above exist too). Replacements are added out
 /// of sight; where the town is too small for that, as far off as it allows.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -36,22 +36,28 @@ const OWN_LANE: f64 = 3.0;
 
 impl Avoid {
     /// Whether a road user may be at `point` at the start.
-    pub fn allows_at_start(&self, ego: Option<Pose>, point: Point) -> bool {
-        let Some(ego) = ego else { return true };
-        let local = ego.to_local(point);
-        let ahead = local.x > 0.0 && local.x < self.start_ahead && local.y.abs() < OWN_LANE;
-        local.norm() >= self.start && !ahead
+    pub fn allows_at_start(&self, egos: &[Pose], point: Point) -> bool {
+        egos.iter().all(|ego| {
+            let local = ego.to_local(point);
+            let ahead = local.x > 0.0 && local.x < self.start_ahead && local.y.abs() < OWN_LANE;
+            local.norm() >= self.start && !ahead
+        })
     }
 
-    /// Whether the ego sees `point`.
-    pub fn in_sight(&self, ego: Option<Pose>, point: Point) -> bool {
-        ego.is_some_and(|ego| (ego.xy() - point).norm() < self.sight)
+    /// Whether an ego sees `point`.
+    pub fn in_sight(&self, egos: &[Pose], point: Point) -> bool {
+        distance(egos, point) < self.sight
     }
 
     /// Whether `point` keeps its distance from road users near the ego.
     pub fn clear_of(&self, near: &[Point], point: Point) -> bool {
         near.iter().all(|other| (other - point).norm() >= self.actors)
     }
+}
+
+/// From the nearest ego to `point` (m); infinite without egos.
+pub(super) fn distance(egos: &[Pose], point: Point) -> f64 {
+    egos.iter().map(|ego| (ego.xy() - point).norm()).fold(f64::INFINITY, f64::min)
 }
 
 /// The world point of a SUMO lane_position (m) on a lane.
@@ -186,7 +192,7 @@ mod tests {
     #[test]
     fn the_ego_keeps_its_room() {
         let avoid = Avoid::default();
-        let ego = Some(Pose::new(100.0, 50.0, 0.0, 0.0));
+        let ego = &[Pose::new(100.0, 50.0, 0.0, 0.0)];
         assert!(!avoid.allows_at_start(ego, Point::new(120.0, 50.0)));
         assert!(!avoid.allows_at_start(ego, Point::new(139.0, 51.0)), "in its lane ahead");
         assert!(avoid.allows_at_start(ego, Point::new(141.0, 50.0)));
@@ -194,6 +200,6 @@ mod tests {
         assert!(!avoid.allows_at_start(ego, Point::new(100.0, 70.0)));
         assert!(avoid.in_sight(ego, Point::new(1.0, 50.0)));
         assert!(!avoid.in_sight(ego, Point::new(-1.0, 50.0)));
-        assert!(!avoid.in_sight(None, Point::new(100.0, 50.0)));
+        assert!(!avoid.in_sight(&[], Point::new(100.0, 50.0)));
     }
 }

@@ -4,7 +4,7 @@ use super::Options;
 use super::draw::between;
 use super::events::StepEvents;
 use super::fleet::{FLEET, Model, draw_colour, draw_model};
-use super::places::{Occupancy, Place, point_on, start_speed};
+use super::places::{Occupancy, Place, distance, point_on, start_speed};
 use super::reserve::Reserve;
 use super::roads::Roads;
 use super::slots::{Member, Slots};
@@ -56,12 +56,12 @@ struct Extension {
     ticket: Ticket<()>,
 }
 
-/// The ego and the road users near it in this tick.
+/// The egos and the road users near them in this tick.
 #[derive(Clone, Copy)]
 pub(super) struct Scene<'a> {
     /// s of simulation time.
     pub time: f64,
-    pub ego: Option<Pose>,
+    pub egos: &'a [Pose],
     pub near: &'a [Point],
 }
 
@@ -125,11 +125,11 @@ impl Vehicles {
     }
 
     /// Puts `count` vehicles on the roads; returns how many found a place.
-    pub fn populate(&mut self, count: usize, ego: Option<Pose>, batch: &mut Batch) -> usize {
+    pub fn populate(&mut self, count: usize, egos: &[Pose], batch: &mut Batch) -> usize {
         let network = Arc::clone(&self.network);
         let mut occupancy = Occupancy::new(&network);
         let avoid = self.options.avoid;
-        let allowed = |point| avoid.allows_at_start(ego, point);
+        let allowed = |point| avoid.allows_at_start(egos, point);
         let mut placed: Vec<(usize, LaneId, f64)> = Vec::new();
         for _ in 0..count {
             let Some(model) = self.draw_model() else { break };
@@ -282,7 +282,7 @@ impl Vehicles {
             let front = between(&mut self.rng, from, (start.last - 35.0).max(from));
             let point = point_on(network, start.lane, front);
             let rear = point_on(network, start.lane, front - spec.length);
-            let hidden = [point, rear].iter().all(|&p| !avoid.in_sight(scene.ego, p));
+            let hidden = [point, rear].iter().all(|&p| !avoid.in_sight(scene.egos, p));
             if hidden && avoid.clear_of(scene.near, point) {
                 return Some(Place {
                     lane: start.lane,
@@ -312,8 +312,7 @@ impl Vehicles {
             if !avoid.clear_of(scene.near, point) {
                 continue;
             }
-            let Some(ego) = scene.ego else { return Some(place) };
-            let distance = (ego.xy() - point).norm();
+            let distance = distance(scene.egos, point);
             if distance >= avoid.sight + length {
                 return Some(place);
             }
@@ -376,7 +375,7 @@ impl Vehicles {
         };
         let here = Point::new(position.x, position.y);
         let avoid = self.options.avoid;
-        let near_ego = scene.ego.is_some_and(|ego| (ego.xy() - here).norm() < avoid.sight + SIGHT_MARGIN);
+        let near_ego = distance(scene.egos, here) < avoid.sight + SIGHT_MARGIN;
         if waiting > self.options.stuck_after && !near_ego {
             tracing::info!(id = member.id, waiting, "stuck background vehicle is replaced");
             return Verdict::Replace;
@@ -393,7 +392,7 @@ impl Vehicles {
         }
         let ends_in_sight = edges.last().is_some_and(|&edge| {
             let end = network_end(&self.network, edge);
-            scene.ego.is_some_and(|ego| (ego.xy() - end).norm() < avoid.sight + SIGHT_MARGIN)
+            distance(scene.egos, end) < avoid.sight + SIGHT_MARGIN
         });
         if !near_ego && !ends_in_sight {
             return Verdict::Replace;
@@ -446,7 +445,7 @@ impl Vehicles {
             // Weighted by length: on a short edge there is no room ahead of vehicles that enter it.
             let Some((start, _)) = roads.draw_start(&mut self.rng, 0.0) else { return };
             let middle = point_on(&self.network, start.lane, 0.5 * start.last);
-            if !self.options.avoid.in_sight(scene.ego, middle)
+            if !self.options.avoid.in_sight(scene.egos, middle)
                 && !self.reserve.is_used(start.edge, scene.time)
             {
                 self.reserve.ask(&self.network, start.edge, scene.time, batch);

@@ -1,0 +1,289 @@
+//! Many egos in one SUMO: a vectorised environment.
+
+use super::slot::Outcome;
+use super::world::World;
+use super::{Assets, EnvError, EnvOptions, Info, Stages};
+use std::sync::Arc;
+use sumo_network::seeds;
+use wad_see::eyes::Eyes;
+use wad_see::latent::Encoder;
+use wad_see::observation::RAW_SIZE;
+use wad_sim::bridge::Ego;
+use wad_sim::criteria::Event;
+use wad_sim::session::Act;
+use wad_sim::tasks::TaskSpec;
+use wad_vehicle::{Control, PartnerKind};
+
+/// N egos in one SUMO, each with its own task, route, seed, eyes, criteria and reward. They see each other and
+/// collide with each other. An ego whose episode ended begins its next one elsewhere in the following step, while
+/// the others drive on (Gymnasium's autoreset mode NEXT_STEP): that step ignores its act.
+///
+/// A fleet is blocking and belongs to one thread; physics and eyes use the cores that are free. Equal seeds and
+/// acts give equal bytes, whatever the number of threads.
+///
+/// ```no_run
+/// # fn example() -> Result<(), Box<dyn std::error::Error>> {
+/// use wad_learn::env::{Assets, EnvOptions, Fleet, ObservationMode};
+/// use wad_see::latent::PooledEncoder;
+/// use wad_sim::session::Act;
+/// use wad_sim::tasks::{TaskKind, TaskSpec};
+///
+/// let options = EnvOptions { observation: ObservationMode::Vector, ..EnvOptions::training() };
+/// let encoders = (0..16).map(|_| Box::new(PooledEncoder) as _).collect();
+/// let mut fleet = Fleet::new(Assets::load("town5")?, options, encoders)?;
+/// fleet.reset(&[TaskSpec::new(TaskKind::Composite)], 7)?;
+/// for _ in 0..100 {
+///     let acts = [Act::Expert; 16];
+///     let step = fleet.step(&acts)?;
+///     println!("{:?} {}", step.rewards, fleet.observations().len());
+/// }
+/// # Ok(())
+/// # }
+/// ```
+pub struct Fleet {
+    runtime: tokio::runtime::Runtime,
+    world: World,
+    /// By ego, in turns.
+    tasks: Vec<TaskSpec>,
+    seed: u64,
+    /// Episodes that each ego has begun.
+    episodes: Vec<u64>,
+    /// [N, D], row by row.
+    observations: Vec<f32>,
+    acts: Vec<Act>,
+    step: FleetStep,
+}
+
+/// The result of one step of all egos, each by the ego's number.
+#[derive(Clone, Debug, Default)]
+pub struct FleetStep {
+    /// Reward of the tick; 0 where an episode just began.
+    pub rewards: Vec<f64>,
+    /// The ego ended its episode: the value of the next state is 0.
+    pub terminated: Vec<bool>,
+    /// The episode ended otherwise: the next state still has a value.
+    pub truncated: Vec<bool>,
+    /// The episode has just begun: observation is its first, the act was ignored.
+    pub began: Vec<bool>,
+    /// The control that was driven.
+    pub controls: Vec<Control>,
+    /// Details of the tick.
+    pub infos: Vec<Info>,
+}
+
+impl FleetStep {
+    /// Whether the episode of ego `index` ended in this step.
+    pub fn is_over(&self, index: usize) -> bool {
+        self.terminated[index] || self.truncated[index]
+    }
+
+    /// Collisions of egos with other egos in this step; both of a pair are told, so a crash counts once for each.
+    pub fn ego_collisions(&self) -> usize {
+        let among = |event: &&Event| matches!(event, Event::Collision { kind: PartnerKind::Vehicle, partner, .. } if is_ego(partner));
+        self.infos.iter().flat_map(|info| &info.events).filter(among).count()
+    }
+}
+
+/// Whether SUMO's vehicle `id` is an ego of a fleet.
+pub fn is_ego(id: &str) -> bool {
+    id.strip_prefix(super::world::FIRST).is_some_and(|number| number.bytes().all(|b| b.is_ascii_digit()))
+}
+
+impl Fleet {
+    /// A fleet in the town of `assets` with one ego for each of `encoders`. SUMO starts with the first reset.
+    ///
+    /// # Errors
+    /// The detector or the camera cannot be made.
+    ///
+    /// # Panics
+    /// `encoders` is empty.
+    pub fn new(
+        assets: Arc<Assets>,
+        options: EnvOptions,
+        encoders: Vec<Box<dyn Encoder>>,
+    ) -> Result<Self, EnvError> {
+        assert!(!encoders.is_empty(), "a fleet has one ego or more");
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()
+            .map_err(|source| EnvError::Runtime { source })?;
+        let egos = encoders.len();
+        let size = options.observation.latent_size() + RAW_SIZE;
+        Ok(Self {
+            runtime,
+            world: World::new(assets, options, encoders)?,
+            tasks: Vec::new(),
+            seed: 0,
+            episodes: vec![0; egos],
+            observations: vec![0.0; egos * size],
+            acts: vec![Act::Stay; egos],
+            step: FleetStep::default(),
+        })
+    }
+
+    /// The number of egos.
+    pub fn egos(&self) -> usize {
+        self.episodes.len()
+    }
+
+    /// Numbers of an observation: latent (or surroundings) and raw states.
+    pub fn observation_size(&self) -> usize {
+        self.observations.len() / self.egos()
+    }
+
+    /// The seed of episode number `episode` (from 0) of an ego in a fleet with `seed`.
+    pub fn episode_seed(seed: u64, ego: usize, episode: u64) -> u64 {
+        seeds::derive(seed, &format!("ego {ego} episode {episode}"))
+    }
+
+    /// Begins an episode of every ego; ego `i` drives `tasks[i % tasks.len()]`, the traffic is the first task's.
+    /// Returns the first observations, as [`Fleet::observations`].
+    ///
+    /// # Errors
+    /// The town has no room for so many egos, a task cannot be placed, or SUMO cannot be started.
+    ///
+    /// # Panics
+    /// `tasks` is empty.
+    pub fn reset(&mut self, tasks: &[TaskSpec], seed: u64) -> Result<&[f32], EnvError> {
+        assert!(!tasks.is_empty(), "a fleet has one task or more");
+        self.tasks = tasks.to_vec();
+        self.seed = seed;
+        self.episodes.fill(0);
+        self.begin()?;
+        Ok(&self.observations)
+    }
+
+    fn begin(&mut self) -> Result<(), EnvError> {
+        let seeds: Vec<u64> = (0..self.egos()).map(|ego| self.next_seed(ego)).collect();
+        let tasks = self.tasks.iter().cycle();
+        let starts: Vec<_> = tasks.zip(&seeds).map(|(task, seed)| (task, *seed)).collect();
+        self.runtime.block_on(self.world.reset(&starts))?;
+        self.episodes.iter_mut().for_each(|episodes| *episodes += 1);
+        self.observe();
+        Ok(())
+    }
+
+    fn next_seed(&self, ego: usize) -> u64 {
+        Self::episode_seed(self.seed, ego, self.episodes[ego])
+    }
+
+    /// The task of ego `index`.
+    ///
+    /// # Panics
+    /// Before the first reset.
+    pub fn task(&self, index: usize) -> &TaskSpec {
+        &self.tasks[index % self.tasks.len()]
+    }
+
+    /// One tick of all egos, `acts` by their numbers. After SUMO's death, which ends every episode with
+    /// [`super::End::Error`], the next step begins new ones in a new SUMO.
+    ///
+    /// # Errors
+    /// There was no reset, or perception or encoder fail.
+    ///
+    /// # Panics
+    /// There is not one act for each ego.
+    pub fn step(&mut self, acts: &[Act]) -> Result<&FleetStep, EnvError> {
+        assert_eq!(acts.len(), self.egos(), "one act for each ego");
+        if self.tasks.is_empty() {
+            return Err(EnvError::NoEpisode);
+        }
+        self.step.began.clear();
+        self.step.began.resize(self.egos(), false);
+        if !self.world.has_sumo() {
+            self.begin()?;
+            self.step.began.fill(true);
+            self.step.rewards.fill(0.0);
+            self.step.terminated.fill(false);
+            self.step.truncated.fill(false);
+            self.step.infos.iter_mut().for_each(|info| (info.ending, info.events) = Default::default());
+            return Ok(&self.step);
+        }
+        self.acts.copy_from_slice(acts);
+        for ego in 0..self.egos() {
+            if self.world.is_running(ego) {
+                continue;
+            }
+            self.acts[ego] = Act::Stay;
+            let start = (&self.tasks[ego % self.tasks.len()], self.next_seed(ego));
+            // Where no place is free it waits: traffic moves on.
+            if self.runtime.block_on(self.world.begin_again(ego, start))? {
+                self.episodes[ego] += 1;
+                self.step.began[ego] = true;
+            }
+        }
+        let outcomes = self.runtime.block_on(self.world.step(&self.acts))?;
+        let FleetStep { rewards, terminated, truncated, controls, infos, .. } = &mut self.step;
+        rewards.clear();
+        terminated.clear();
+        truncated.clear();
+        controls.clear();
+        infos.clear();
+        for outcome in outcomes {
+            let Outcome { control, reward, terminated: ended, truncated: cut, info } = outcome;
+            rewards.push(reward);
+            terminated.push(ended);
+            truncated.push(cut);
+            controls.push(control);
+            infos.push(info);
+        }
+        self.observe();
+        Ok(&self.step)
+    }
+
+    /// Copies what the eyes saw last.
+    fn observe(&mut self) {
+        let size = self.observation_size();
+        for (row, slot) in self.observations.chunks_exact_mut(size).zip(self.world.slots()) {
+            slot.eyes().write_observation(row);
+        }
+    }
+
+    /// The observations of the last reset or step, [N, D] row by row: latent (or surroundings), then raw states.
+    pub fn observations(&self) -> &[f32] {
+        &self.observations
+    }
+
+    /// The last step.
+    pub fn last(&self) -> &FleetStep {
+        &self.step
+    }
+
+    /// Ego `index` as an actor, for cameras outside it.
+    pub fn ego(&self, index: usize) -> Option<&Ego> {
+        self.world.ego(index)
+    }
+
+    /// The eyes of ego `index`.
+    ///
+    /// # Panics
+    /// `index` is out of range.
+    pub fn eyes(&self, index: usize) -> &Eyes {
+        self.world.slots()[index].eyes()
+    }
+
+    /// Id of SUMO's process, None before the first reset.
+    pub fn sumo_pid(&self) -> Option<u32> {
+        self.world.sumo_pid()
+    }
+
+    /// Wall time by stage; camera, perception and encoder summed over the egos, which look in parallel.
+    pub fn stages(&self) -> Stages {
+        self.world.stages
+    }
+
+    /// The options.
+    pub fn options(&self) -> &EnvOptions {
+        self.world.options()
+    }
+
+    /// The town.
+    pub fn assets(&self) -> &Arc<Assets> {
+        self.world.assets()
+    }
+
+    /// Ends SUMO in an orderly way; dropping a fleet kills it.
+    pub fn close(mut self) {
+        self.runtime.block_on(self.world.close());
+    }
+}

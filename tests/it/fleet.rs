@@ -1,0 +1,213 @@
+//! Many egos in one SUMO, on a real one.
+
+use std::sync::Arc;
+use wad_cosim::assets::Assets;
+use wad_cosim::bridge::Fetch;
+use wad_cosim::env::{End, Env, EnvError, EnvOptions, Fleet, ObservationMode, WorldMode};
+use wad_cosim::latent::{Encoder, PooledEncoder};
+use wad_cosim::observation::{LIGHT_NEARNESS, RAW_SIZE};
+use wad_cosim::session::Act;
+use wad_cosim::tasks::{TaskKind, TaskSpec};
+use wad_cosim::traffic::{Counts, TrafficSpec};
+use wad_cosim::vehicle::Control;
+
+fn encoders(egos: usize) -> Vec<Box<dyn Encoder>> {
+    (0..egos).map(|_| Box::new(PooledEncoder) as Box<dyn Encoder>).collect()
+}
+
+fn vector() -> EnvOptions {
+    EnvOptions { observation: ObservationMode::Vector, ..EnvOptions::training() }
+}
+
+fn composite(vehicles: usize, pedestrians: usize) -> TaskSpec {
+    let traffic = Some(TrafficSpec::Counts(Counts::new(vehicles, pedestrians)));
+    TaskSpec { traffic, ..TaskSpec::new(TaskKind::Composite) }
+}
+
+fn fleet(town: &str, options: EnvOptions, egos: usize) -> Fleet {
+    Fleet::new(Assets::load(town).unwrap(), options, encoders(egos)).unwrap()
+}
+
+/// Bits of all that a fleet's drive under the expert gave.
+fn drive(mut fleet: Fleet, tasks: &[TaskSpec], ticks: usize) -> Vec<u64> {
+    let mut bits = Vec::new();
+    let first = fleet.reset(tasks, 7).unwrap();
+    bits.extend(first.iter().map(|x| u64::from(x.to_bits())));
+    let acts = vec![Act::Expert; fleet.egos()];
+    for _ in 0..ticks {
+        let step = fleet.step(&acts).unwrap();
+        bits.extend(step.rewards.iter().map(|x| x.to_bits()));
+        bits.extend(step.began.iter().chain(&step.terminated).map(|x| u64::from(*x)));
+        bits.extend(fleet.observations().iter().map(|x| u64::from(x.to_bits())));
+    }
+    fleet.close();
+    bits
+}
+
+/// With one ego a fleet is today's environment: the same bytes, picture and latent included.
+#[test]
+fn a_fleet_of_one_is_an_environment() {
+    let assets = Assets::load("town3").unwrap();
+    let options = EnvOptions { world: WorldMode::Fresh, ..EnvOptions::training() };
+    let task = composite(10, 10);
+    let mut fleet = Fleet::new(Arc::clone(&assets), options.clone(), encoders(1)).unwrap();
+    let mut env = Env::new(assets, options, Box::new(PooledEncoder)).unwrap();
+    let first = env.reset(&task, Fleet::episode_seed(3, 0, 0)).unwrap();
+    assert_eq!(fleet.reset(std::slice::from_ref(&task), 3).unwrap(), first.concat());
+    for tick in 0..60 {
+        let alone = env.act(Act::Expert).unwrap();
+        let step = fleet.step(&[Act::Expert]).unwrap();
+        assert_eq!(step.rewards[0].to_bits(), alone.reward.to_bits(), "tick {tick}");
+        assert_eq!(format!("{:?}", step.infos[0]), format!("{:?}", alone.info), "tick {tick}");
+        assert_eq!(fleet.observations(), alone.observation.concat(), "tick {tick}");
+    }
+}
+
+/// Twelve egos drive on all cores; with one thread they drive the same.
+#[test]
+fn equal_seeds_give_equal_bytes_whatever_the_threads() {
+    let task = [composite(20, 20)];
+    let many = drive(fleet("town3", vector(), 12), &task, 80);
+    let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let again = one.install(|| drive(fleet("town3", vector(), 12), &task, 80));
+    assert!(many == again, "the number of threads changes what a fleet does");
+}
+
+/// What all egos see is the same whether SUMO searches round each or sends all that moves.
+#[test]
+fn both_ways_to_fetch_bring_the_same_road_users() {
+    let seen = |fetch: Fetch| {
+        let mut fleet = fleet("town3", EnvOptions { fetch, ..vector() }, 5);
+        fleet.reset(&[composite(30, 30)], 2).unwrap();
+        let mut seen = Vec::new();
+        for _ in 0..40 {
+            fleet.step(&[Act::Control(Control::default()); 5]).unwrap();
+            for ego in 0..5 {
+                let world = fleet.ego(ego).unwrap().world();
+                let users = world.vehicles.iter().chain(&world.pedestrians);
+                seen.push(users.map(|user| (user.id.to_string(), user.pose.position)).collect::<Vec<_>>());
+            }
+        }
+        fleet.close();
+        seen
+    };
+    let (around, once) = (seen(Fetch::Around), seen(Fetch::Once));
+    assert!(around.iter().map(Vec::len).sum::<usize>() > 400, "they see many");
+    assert!(around.iter().flatten().any(|(id, _)| wad_cosim::env::is_ego(id)), "and each other");
+    for (tick, (around, once)) in around.iter().zip(&once).enumerate() {
+        assert_eq!(around, once, "look {tick}");
+    }
+}
+
+/// Those whose episode ends begin anew elsewhere with the next step, and the others drive on.
+#[test]
+fn an_ego_whose_episode_ends_returns_elsewhere_without_a_pause_for_the_others() {
+    let mut fleet = fleet("town3", vector(), 6);
+    fleet.reset(&[TaskSpec::new(TaskKind::Straight), TaskSpec::new(TaskKind::OneTurn)], 1).unwrap();
+    assert_eq!(fleet.task(3).kind, TaskKind::OneTurn);
+    let (mut ended, mut began) = ([0; 6], [0; 6]);
+    let mut ending = [false; 6];
+    for tick in 1..=240 {
+        let gas = Control { throttle: 0.6, ..Control::default() };
+        // The first three go straight off the road in the end; the others drive well.
+        let acts: Vec<Act> =
+            (0..6).map(|ego| if ego < 3 { Act::Control(gas) } else { Act::Expert }).collect();
+        let before: Vec<_> = (0..6).map(|ego| fleet.ego(ego).unwrap().state().pose.xy()).collect();
+        let step = fleet.step(&acts).unwrap().clone();
+        for ego in 0..6 {
+            assert_eq!(
+                step.began[ego], ending[ego],
+                "ego {ego} at tick {tick}: it begins as soon as it ended"
+            );
+            ending[ego] = step.is_over(ego);
+            ended[ego] += u32::from(step.is_over(ego));
+            began[ego] += u32::from(step.began[ego]);
+            let info = &step.infos[ego];
+            if step.began[ego] {
+                let moved = (fleet.ego(ego).unwrap().state().pose.xy() - before[ego]).norm();
+                assert!(moved > 5.0, "ego {ego} begins elsewhere");
+                assert_eq!((info.tick, step.rewards[ego], info.ego.speed), (0, 0.0, 0.0));
+            }
+            if step.is_over(ego) {
+                assert!(info.ending.is_some());
+            }
+        }
+    }
+    assert!(ended[..3].iter().all(|count| *count > 0) && ended.iter().sum::<u32>() > 6, "{ended:?}");
+    assert!(ended.iter().zip(&began).all(|(ended, began)| ended - began <= 1), "{ended:?} {began:?}");
+    fleet.close();
+}
+
+/// Both of two egos that collide are told, and it counts as a collision between egos.
+#[test]
+fn both_egos_of_a_crash_are_told() {
+    let mut fleet = fleet("town3", vector(), 14);
+    fleet.reset(&[composite(0, 0)], 5).unwrap();
+    let mut crashes = 0;
+    for _ in 0..500 {
+        // They follow their routes, blind for others, on green and on red.
+        let acts: Vec<Act> = fleet
+            .observations()
+            .chunks_exact(fleet.observation_size())
+            .map(|row| {
+                let raw = &row[row.len() - RAW_SIZE..];
+                assert!(raw[LIGHT_NEARNESS] <= 1.0);
+                let steer = f64::from(1.3 * raw[9]).clamp(-1.0, 1.0);
+                let slow = raw[0] < 0.5;
+                Act::Control(Control { throttle: if slow { 0.5 } else { 0.0 }, brake: 0.0, steer })
+            })
+            .collect();
+        let step = fleet.step(&acts).unwrap();
+        let hit: Vec<usize> = (0..14)
+            .filter(|&ego| {
+                step.infos[ego].events.iter().any(|event| {
+                    let text = format!("{event:?}");
+                    text.contains("Collision") && text.contains("partner: \"ego")
+                })
+            })
+            .collect();
+        if !hit.is_empty() {
+            assert!(hit.len() >= 2, "only {hit:?} were told");
+            assert_eq!(step.ego_collisions(), hit.len());
+            crashes += 1;
+        }
+    }
+    assert!(crashes > 0, "fourteen blind egos never met in 500 ticks");
+    fleet.close();
+}
+
+/// A SUMO that is killed costs every ego its episode, with a reason; the fleet comes back with a new one.
+#[test]
+fn a_killed_sumo_truncates_every_episode_and_the_fleet_comes_back() {
+    let mut fleet = fleet("town3", vector(), 3);
+    fleet.reset(&[composite(5, 5)], 4).unwrap();
+    let acts = [Act::Expert; 3];
+    fleet.step(&acts).unwrap();
+    let pid = fleet.sumo_pid().unwrap();
+    // SAFETY: a signal to a child process of this test.
+    unsafe { libc::kill(pid as i32, libc::SIGKILL) };
+    let step = fleet.step(&acts).unwrap();
+    assert_eq!((&step.truncated, &step.terminated), (&vec![true; 3], &vec![false; 3]));
+    for info in &step.infos {
+        let ending = info.ending.as_ref().unwrap();
+        assert!(ending.end == End::Error && ending.cause.contains("SUMO"), "{ending:?}");
+    }
+    let step = fleet.step(&acts).unwrap();
+    assert_eq!((&step.began, &step.truncated), (&vec![true; 3], &vec![false; 3]));
+    assert_ne!(fleet.sumo_pid(), Some(pid));
+    for _ in 0..10 {
+        assert!(fleet.step(&acts).unwrap().infos.iter().all(|info| info.ending.is_none() && info.tick > 0));
+    }
+    fleet.close();
+}
+
+/// More egos than the town has room for: how many fit.
+#[test]
+fn a_town_that_is_too_small_says_how_many_egos_fit() {
+    let mut fleet = fleet("town3", vector(), 400);
+    let error = fleet.reset(&[TaskSpec::new(TaskKind::Roundabout)], 1).unwrap_err();
+    assert!(error.is_input(), "{error}");
+    let EnvError::Full { egos, fit, .. } = &error else { panic!("{error}") };
+    assert!((*egos, (1..400).contains(fit)) == (400, true), "{error}");
+    assert!(error.to_string().contains(&format!("room for {fit} egos")), "{error}");
+}
