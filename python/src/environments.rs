@@ -12,7 +12,7 @@ use std::sync::{Arc, Mutex, TryLockError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 use wad_cosim::agent::action::{ACTION_SIZE, Action};
-use wad_cosim::observation::{LATENT_SIZE, RAW_SIZE};
+use wad_cosim::observation::{LATENT_SIZE, ObservationMode, RAW_SIZE};
 use wad_cosim::perception::TRANSFORMED_SIZE;
 
 /// How often a waiting thread lets Python look for signals.
@@ -24,6 +24,8 @@ pub struct Environments {
     /// None: closed.
     open: Mutex<Option<Open>>,
     count: usize,
+    /// In each SUMO.
+    egos: usize,
     picture: [usize; 3],
     /// The process that has the threads.
     process: u32,
@@ -56,20 +58,31 @@ impl Environments {
         autoreset: &str,
     ) -> PyResult<Self> {
         let setup = Arc::new(Setup::parse(setup)?);
+        if count == 0 || count % setup.egos != 0 {
+            let egos = setup.egos;
+            let text =
+                format!("{count} environments: expected a multiple of egos={egos}, the egos of each SUMO");
+            return Err(InputError::new_err(text));
+        }
         let autoreset = match autoreset {
             "next_step" => Autoreset::NextStep,
             "same_step" => Autoreset::SameStep,
             "disabled" => Autoreset::Disabled,
             other => return Err(InputError::new_err(format!("autoreset `{other}`"))),
         };
+        if setup.egos > 1 && autoreset != Autoreset::NextStep {
+            let text = "several egos in one SUMO begin their next episodes one by one: only NEXT_STEP";
+            return Err(InputError::new_err(text));
+        }
         let mut owners = Vec::new();
         let now = arrays(now, &setup, count, &mut owners)?;
         let last = last.map(|last| arrays(last, &setup, count, &mut owners)).transpose()?;
         let camera = setup.options.camera;
         let tasks = py.detach(|| Tasks::open(&setup)).map(Arc::new)?;
         let shared = Arc::new(Shared::new(now, last, autoreset, count, owners));
+        let egos = setup.egos;
         let mut open = Open { jobs: Vec::new(), threads: Vec::new(), shared };
-        for index in 0..count {
+        for index in (0..count).step_by(egos) {
             let (tasks, setup, shared) = (Arc::clone(&tasks), Arc::clone(&setup), Arc::clone(&open.shared));
             let (sender, thread) = worker::spawn(index, tasks, setup, shared)
                 .map_err(|e| Error::new_err(format!("cannot start a thread for an environment: {e}")))?;
@@ -79,7 +92,7 @@ impl Environments {
         open.wait(py)?;
         open.failed()?;
         let picture = [camera.height, camera.width, 3];
-        Ok(Self { open: Mutex::new(Some(open)), count, picture, process: std::process::id() })
+        Ok(Self { open: Mutex::new(Some(open)), count, egos, picture, process: std::process::id() })
     }
 
     /// Begins episodes: `seeds` has a seed for each environment that is to begin, None for the others.
@@ -87,7 +100,12 @@ impl Environments {
     fn reset(&self, py: Python<'_>, seeds: Vec<Option<u64>>, route: Option<usize>) -> PyResult<()> {
         self.with(|open| {
             self.fits(seeds.len())?;
-            let jobs = seeds.iter().map(|seed| seed.map(|seed| Job::Reset(seed, route)));
+            if self.egos > 1 && seeds.iter().any(Option::is_none) {
+                return Err(InputError::new_err(
+                    "several egos in one SUMO are reset together: no reset_mask",
+                ));
+            }
+            let jobs = seeds.iter().step_by(self.egos).map(|seed| seed.map(|seed| Job::Reset(seed, route)));
             open.run(py, jobs)
         })
     }
@@ -115,8 +133,12 @@ impl Environments {
             }
             let mut rows: Vec<Action> = Vec::with_capacity(self.count);
             rows.extend(actions.rows().into_iter().map(|row| [row[0], row[1], row[2]]));
-            let jobs = rows.iter().zip(&seeds).map(|(action, seed)| Some(Job::Step(*action, *seed)));
-            open.run(py, jobs)?;
+            if self.egos > 1 {
+                open.run(py, rows.chunks(self.egos).map(|rows| Some(Job::StepAll(rows.to_vec()))))?;
+            } else {
+                let jobs = rows.iter().zip(&seeds).map(|(action, seed)| Some(Job::Step(*action, *seed)));
+                open.run(py, jobs)?;
+            }
             open.news(py)
         })
     }
@@ -124,7 +146,7 @@ impl Environments {
     /// The expert's actions for this tick.
     fn expert(&self, py: Python<'_>) -> PyResult<Vec<Action>> {
         self.with(|open| {
-            open.run(py, (0..self.count).map(|_| Some(Job::Expert)))?;
+            open.run(py, (0..self.count / self.egos).map(|_| Some(Job::Expert)))?;
             Ok(open.shared.answers.iter().map(|answer| lock(answer).action).collect())
         })
     }
@@ -132,7 +154,8 @@ impl Environments {
     /// The front camera's picture of an environment: (height, width, 3), RGB.
     fn picture<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Bound<'py, PyAny>> {
         self.with(|open| {
-            open.run(py, (0..self.count).map(|i| (i == index).then_some(Job::Picture)))?;
+            let jobs = (0..self.count / self.egos).map(|i| (i == index).then_some(Job::Picture));
+            open.run(py, jobs)?;
             let Some(answer) = open.shared.answers.get(index) else {
                 return Err(InputError::new_err(format!("environment {index} of {}", self.count)));
             };
@@ -225,10 +248,11 @@ impl Open {
     fn run(&self, py: Python<'_>, jobs: impl Iterator<Item = Option<Job>>) -> PyResult<()> {
         // Of a call that was interrupted.
         self.wait(py)?;
-        for (index, job) in jobs.enumerate() {
-            let mut answer = lock(&self.shared.answers[index]);
+        for answer in &self.shared.answers {
+            let mut answer = lock(answer);
             (answer.failure, answer.began, answer.news) = (None, false, Default::default());
-            drop(answer);
+        }
+        for (index, job) in jobs.enumerate() {
             if let Some(job) = job {
                 self.shared.begin(1);
                 if self.jobs[index].send(job).is_err() {
@@ -271,6 +295,9 @@ fn json<'py>(py: Python<'py>, value: &impl serde::Serialize) -> PyResult<Bound<'
     py.import("json")?.call_method1("loads", (text,))
 }
 
+/// Numbers of [`Part::Vector`]: the surroundings, then the raw states.
+pub const VECTOR_SIZE: usize = ObservationMode::Vector.latent_size() + RAW_SIZE;
+
 /// Python's arrays, checked.
 fn arrays(
     found: &Bound<'_, PyDict>,
@@ -283,12 +310,15 @@ fn arrays(
     for part in &setup.observation {
         let (name, row) = match part {
             Part::Raw => ("raw", RAW_SIZE),
+            Part::Vector => ("vector", VECTOR_SIZE),
             Part::Latent => ("latent", LATENT_SIZE),
             Part::Image => ("image", camera.width * camera.height * 3),
             Part::Transformed => ("transformed", TRANSFORMED_SIZE * TRANSFORMED_SIZE * 3),
         };
         parts.push(match part {
-            Part::Raw | Part::Latent => Array::Numbers(*part, rows(found, name, count, row, owners)?),
+            Part::Raw | Part::Vector | Part::Latent => {
+                Array::Numbers(*part, rows(found, name, count, row, owners)?)
+            }
             Part::Image | Part::Transformed => Array::Bytes(*part, rows(found, name, count, row, owners)?),
         });
     }

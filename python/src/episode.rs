@@ -4,11 +4,12 @@ use crate::errors::Failure;
 use crate::setup::{Part, Setup, Tasks};
 use wad_cosim::agent::action::{self, Action};
 use wad_cosim::criteria::Event;
-use wad_cosim::env::{Ending, Env, EnvError, Info};
+use wad_cosim::env::{Ending, Env, EnvError, Fleet, Info};
 use wad_cosim::eyes::Eyes;
 use wad_cosim::latent::PooledEncoder;
-use wad_cosim::observation::ObservationMode;
 use wad_cosim::reward::RewardTerms;
+use wad_cosim::session::Act;
+use wad_cosim::tasks::TaskSpec;
 
 /// Names of the numbers of a tick, in their order: [`Numbers`].
 pub const NUMBERS: [&str; 16] = [
@@ -56,7 +57,7 @@ impl Episodes {
     pub fn new(tasks: std::sync::Arc<Tasks>, setup: &Setup) -> Result<Self, Failure> {
         let env = Env::new(tasks.assets.clone(), setup.options.clone(), Box::new(PooledEncoder))?;
         let draws = setup.render || setup.observation.contains(&Part::Image);
-        let own = setup.options.observation == ObservationMode::RawOnly;
+        let own = !setup.options.observation.encodes();
         let painter = (draws && own)
             .then(|| Eyes::camera(tasks.assets.town(), setup.options.camera).map_err(EnvError::Eyes))
             .transpose()?;
@@ -71,9 +72,7 @@ impl Episodes {
             painter.reset(task.weather, seed);
         }
         self.look();
-        let mut numbers = [0.0; NUMBERS.len()];
-        numbers[5] = self.env.speed();
-        Ok(numbers)
+        Ok(standing(self.env.speed()))
     }
 
     /// Drives one tick.
@@ -121,19 +120,12 @@ impl Episodes {
     /// Writes a part of the observation.
     pub fn write(&self, part: Part, row: Row<'_>) {
         match (part, row) {
-            (Part::Raw, Row::Numbers(row)) => row.copy_from_slice(&self.env.raw().vector()),
-            (Part::Latent, Row::Numbers(row)) => row.copy_from_slice(self.env.eyes().latent()),
             (Part::Image, Row::Bytes(row)) => {
                 if let Some(rgb) = self.drawn() {
                     row.copy_from_slice(rgb);
                 }
             }
-            (Part::Transformed, Row::Bytes(row)) => {
-                if let Some(image) = self.env.image() {
-                    row.copy_from_slice(image.bytes());
-                }
-            }
-            _ => unreachable!("the arrays are checked when the environment is made"),
+            (part, row) => write(self.env.eyes(), part, row),
         }
     }
 
@@ -146,6 +138,85 @@ impl Episodes {
     pub fn close(self) {
         self.env.close();
     }
+}
+
+/// Writes what `eyes` saw.
+fn write(eyes: &Eyes, part: Part, row: Row<'_>) {
+    match (part, row) {
+        (Part::Raw, Row::Numbers(row)) => row.copy_from_slice(&eyes.raw().vector()),
+        (Part::Vector, Row::Numbers(row)) => eyes.write_observation(row),
+        (Part::Latent, Row::Numbers(row)) => row.copy_from_slice(eyes.latent()),
+        (Part::Transformed, Row::Bytes(row)) => {
+            if let Some(image) = eyes.image() {
+                row.copy_from_slice(image.bytes());
+            }
+        }
+        _ => unreachable!("the arrays are checked when the environment is made"),
+    }
+}
+
+/// Several egos in one SUMO; each begins its next episode by itself, in the step after an end.
+pub struct Egos {
+    tasks: Vec<TaskSpec>,
+    fleet: Fleet,
+}
+
+impl Egos {
+    /// Egos without an episode.
+    pub fn new(tasks: &Tasks, setup: &Setup) -> Result<Self, Failure> {
+        let encoders = (0..setup.egos).map(|_| Box::new(PooledEncoder) as _).collect();
+        let fleet = Fleet::new(tasks.assets.clone(), setup.options.clone(), encoders)?;
+        Ok(Self { tasks: tasks.all(), fleet })
+    }
+
+    /// Begins an episode of each ego.
+    pub fn reset(&mut self, seed: u64) -> Result<Vec<(Numbers, News)>, Failure> {
+        self.fleet.reset(&self.tasks, seed)?;
+        Ok((0..self.fleet.egos()).map(|ego| (self.standing(ego), News::default())).collect())
+    }
+
+    /// Drives one tick; also says whose episode began.
+    pub fn step(&mut self, actions: &[Action]) -> Result<Vec<(Numbers, News, bool)>, Failure> {
+        let acts: Vec<Act> = actions.iter().map(|action| Act::Control(action::to_control(*action))).collect();
+        self.fleet.step(&acts)?;
+        let step = self.fleet.last();
+        Ok((0..self.fleet.egos())
+            .map(|ego| {
+                if step.began[ego] {
+                    return (self.standing(ego), News::default(), true);
+                }
+                let (reward, info) = (step.rewards[ego], &step.infos[ego]);
+                let numbers = numbers(reward, step.terminated[ego], step.truncated[ego], info);
+                (numbers, News { events: info.events.clone(), ending: info.ending.clone() }, false)
+            })
+            .collect())
+    }
+
+    fn standing(&self, ego: usize) -> Numbers {
+        standing(self.fleet.ego(ego).map_or(0.0, |ego| ego.state().speed))
+    }
+
+    /// Writes a part of an ego's observation.
+    pub fn write(&self, ego: usize, part: Part, row: Row<'_>) {
+        write(self.fleet.eyes(ego), part, row);
+    }
+
+    /// Id of SUMO's process, for tests that kill it.
+    pub fn sumo(&self) -> Option<u32> {
+        self.fleet.sumo_pid()
+    }
+
+    /// Ends SUMO.
+    pub fn close(self) {
+        self.fleet.close();
+    }
+}
+
+/// The numbers of an episode that begins.
+fn standing(speed: f64) -> Numbers {
+    let mut numbers = [0.0; NUMBERS.len()];
+    numbers[5] = speed;
+    numbers
 }
 
 /// An environment's row of an array.

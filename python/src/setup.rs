@@ -23,6 +23,8 @@ use wad_cosim::traffic::TrafficSpec;
 pub enum Part {
     /// The raw states, scaled.
     Raw,
+    /// What is round the ego, from the world itself, and the raw states.
+    Vector,
     /// The latent.
     Latent,
     /// The front camera's picture.
@@ -64,6 +66,8 @@ pub struct Setup {
     pub render: bool,
     /// SUMO's own window.
     pub gui: bool,
+    /// Egos in one SUMO.
+    pub egos: usize,
 }
 
 impl Setup {
@@ -71,11 +75,25 @@ impl Setup {
     pub fn parse(text: &str) -> Result<Self, Failure> {
         let mut setup: Self = serde_json::from_str(text).map_err(|e| Failure::Input(e.to_string()))?;
         setup.options.gui = setup.gui;
-        setup.options.observation = if setup.observation.iter().any(|part| part.encodes()) {
-            ObservationMode::LatentAndRaw
-        } else {
-            ObservationMode::RawOnly
+        let encodes = setup.observation.iter().any(|part| part.encodes());
+        setup.options.observation = match (setup.observation.contains(&Part::Vector), encodes) {
+            (true, true) => {
+                let text = "observation: `vector` knows the world and does not look; it goes with raw and image only";
+                return Err(Failure::Input(text.to_string()));
+            }
+            (true, false) => ObservationMode::Vector,
+            (false, true) => ObservationMode::LatentAndRaw,
+            (false, false) => ObservationMode::RawOnly,
         };
+        if setup.egos == 0 {
+            return Err(Failure::Input("egos=0: expected 1 or more".to_string()));
+        }
+        let draws = setup.render || setup.observation.contains(&Part::Image);
+        if setup.egos > 1 && (draws || setup.routes.is_some()) {
+            let text =
+                "egos: several egos in one SUMO have neither pictures nor a benchmark's routes; use egos=1";
+            return Err(Failure::Input(text.to_string()));
+        }
         Ok(setup)
     }
 }
@@ -125,6 +143,11 @@ impl Tasks {
             None => Vec::new(),
         };
         Ok(Self { assets, spec, weathers, routes })
+    }
+
+    /// The tasks of several egos, in turns: one for each weather.
+    pub fn all(&self) -> Vec<TaskSpec> {
+        self.weathers.iter().map(|weather| self.spec.clone().in_weather(*weather)).collect()
     }
 
     /// The episode of `seed`: its weather, and its route, unless that of number `route` is asked for.

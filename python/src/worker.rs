@@ -1,6 +1,6 @@
 //! The thread of one environment, and what it shares with the thread that asks.
 
-use crate::episode::{Episodes, News, Numbers, Row};
+use crate::episode::{Egos, Episodes, News, Numbers, Row};
 use crate::errors::Failure;
 use crate::setup::{Part, Setup, Tasks};
 use pyo3::prelude::*;
@@ -23,12 +23,14 @@ pub enum Autoreset {
 }
 
 /// What an environment is asked to do.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub enum Job {
     /// Begin the episode of this seed, on the route of that number.
     Reset(u64, Option<usize>),
     /// Drive a tick; an episode that begins by itself has this seed.
     Step(Action, u64),
+    /// Drive a tick of each ego in one SUMO.
+    StepAll(Vec<Action>),
     /// The expert's action.
     Expert,
     /// A picture for people.
@@ -99,14 +101,14 @@ pub struct Arrays {
 }
 
 impl Arrays {
-    fn write(&self, index: usize, episodes: &Episodes, numbers: &Numbers) {
+    fn write(&self, index: usize, write: impl Fn(Part, Row<'_>), numbers: &Numbers) {
         for array in &self.parts {
             // SAFETY: the arrays have a row for each environment. Python waits while a job is done, and
             // does not read the arrays after an interrupted one before it has waited for it.
             unsafe {
                 match *array {
-                    Array::Numbers(part, rows) => episodes.write(part, Row::Numbers(rows.row(index))),
-                    Array::Bytes(part, rows) => episodes.write(part, Row::Bytes(rows.row(index))),
+                    Array::Numbers(part, rows) => write(part, Row::Numbers(rows.row(index))),
+                    Array::Bytes(part, rows) => write(part, Row::Bytes(rows.row(index))),
                 }
             }
         }
@@ -171,7 +173,7 @@ impl Shared {
     }
 }
 
-/// Starts the thread of the environment `index`; the first answer says whether it could be made.
+/// Starts the thread of the environment `index`, or of the egos in one SUMO whose first it is; the first answer says whether it could be made.
 pub fn spawn(
     index: usize,
     tasks: Arc<Tasks>,
@@ -183,12 +185,16 @@ pub fn spawn(
     let counted = Arc::clone(&shared);
     let thread = std::thread::Builder::new().name(format!("environment {index}")).spawn(move || {
         // One core per environment and its SUMO, in turn; a single one goes where there is room.
-        if shared.answers.len() > 1
-            && let Some(core) = Cores::nth(index)
+        if shared.answers.len() > setup.egos
+            && let Some(core) = Cores::nth(index / setup.egos)
         {
             core.confine(0);
         }
-        Worker { index, shared, over: true, waits: true }.work(&tasks, &setup, &jobs);
+        if setup.egos > 1 {
+            serve_egos(index, &shared, &tasks, &setup, &jobs);
+        } else {
+            Worker { index, shared, over: true, waits: true }.work(&tasks, &setup, &jobs);
+        }
     });
     if thread.is_err() {
         counted.end();
@@ -238,12 +244,13 @@ impl Worker {
         let mut answer = Answer::default();
         match job {
             Job::Reset(seed, route) => self.reset(episodes, seed, route)?,
-            Job::Step(..) | Job::Expert | Job::Picture if self.waits => {
+            Job::Step(..) | Job::StepAll(_) | Job::Expert | Job::Picture if self.waits => {
                 return Err(Failure::Other("no episode is running: call reset first".to_string()));
             }
             Job::Step(action, seed) => answer = self.step(episodes, action, seed)?,
             Job::Expert => answer.action = episodes.expert()?,
             Job::Picture => answer.picture = episodes.picture()?.to_vec(),
+            Job::StepAll(_) => return Err(Failure::Other("several egos need egos=".to_string())),
         }
         answer.sumo = episodes.sumo();
         Ok(answer)
@@ -252,7 +259,7 @@ impl Worker {
     fn reset(&mut self, episodes: &mut Episodes, seed: u64, route: Option<usize>) -> Result<(), Failure> {
         let numbers = episodes.reset(seed, route)?;
         (self.over, self.waits) = (false, false);
-        self.shared.now.write(self.index, episodes, &numbers);
+        self.shared.now.write(self.index, |part, row| episodes.write(part, row), &numbers);
         Ok(())
     }
 
@@ -272,16 +279,63 @@ impl Worker {
         let index = self.index;
         match &self.shared.last {
             Some(last) if self.over && self.shared.autoreset == Autoreset::SameStep => {
-                last.write(index, episodes, &numbers);
+                last.write(index, |part, row| episodes.write(part, row), &numbers);
                 self.reset(episodes, seed, None)?;
                 answer.began = true;
                 // SAFETY: this thread's own row, as in `Arrays::write`.
                 let row = unsafe { self.shared.now.numbers.row(index) };
                 row[..3].copy_from_slice(&numbers[..3]);
             }
-            _ => self.shared.now.write(index, episodes, &numbers),
+            _ => self.shared.now.write(index, |part, row| episodes.write(part, row), &numbers),
         }
         Ok(answer)
+    }
+}
+
+/// Serves the egos in one SUMO, whose rows begin with `first`.
+fn serve_egos(first: usize, shared: &Shared, tasks: &Tasks, setup: &Setup, jobs: &Receiver<Job>) {
+    let answer = |ego: usize, answer: Result<Answer, Failure>| {
+        let answer = answer.unwrap_or_else(|failure| Answer { failure: Some(failure), ..Answer::default() });
+        *lock(&shared.answers[first + ego]) = answer;
+    };
+    let mut egos = None;
+    let made = guarded(|| {
+        egos = Some(Egos::new(tasks, setup)?);
+        Ok(Answer::default())
+    });
+    answer(0, made);
+    shared.end();
+    let mut waits = true;
+    for job in jobs {
+        let done = guarded(|| {
+            let Some(egos) = &mut egos else {
+                return Err(Failure::Other("the egos could not be made".to_string()));
+            };
+            let told: Vec<(Numbers, News, bool)> = match job {
+                Job::Reset(seed, _) => {
+                    egos.reset(seed)?.into_iter().map(|(numbers, news)| (numbers, news, false)).collect()
+                }
+                Job::StepAll(_) if waits => {
+                    return Err(Failure::Other("no episode is running: call reset first".to_string()));
+                }
+                Job::StepAll(actions) => egos.step(&actions)?,
+                _ => return Err(Failure::Input("several egos in one SUMO have none of this".to_string())),
+            };
+            waits = false;
+            for (ego, (numbers, news, began)) in told.into_iter().enumerate() {
+                shared.now.write(first + ego, |part, row| egos.write(ego, part, row), &numbers);
+                answer(ego, Ok(Answer { news, began, sumo: egos.sumo(), ..Answer::default() }));
+            }
+            Ok(Answer::default())
+        });
+        if done.is_err() {
+            waits = true;
+            answer(0, done);
+        }
+        shared.end();
+    }
+    if let Some(egos) = egos {
+        egos.close();
     }
 }
 

@@ -155,3 +155,46 @@ def test_gymnasiums_processes_work_too():
     env.reset(seed=1)
     env.step(np.tile(np.float32([0, 0.4, 0]), (2, 1)))
     env.close()
+
+
+def fleet(seed, ticks=60):
+    """The steps of egos that share their SUMOs."""
+    env = gymnasium.make_vec(
+        "wad_cosim/Composite-v0", num_envs=12, egos=6, observation="vector", traffic=(10, 10), mode="training"
+    )
+    found = [env.reset(seed=seed)]
+    actions = np.tile(np.float32([0, 0.5, 0]), (12, 1))
+    actions[::2, 0] = 0.4
+    for _ in range(ticks):
+        found.append(env.step(actions))
+        assert env.observation_space.contains(found[-1][0])
+    assert len(set(env.unwrapped.sumo_pids)) == 2
+    env.close()
+    return found
+
+
+def test_egos_share_a_sumo():
+    first = fleet(4)
+    assert first[0][0].shape == (12, 187)
+    ended = [step[2] | step[3] for step in first[1:]]
+    assert sum(int(over.sum()) for over in ended) >= 6
+    for before, after in zip(first[1:], first[2:]):
+        over = before[2] | before[3]
+        # The step after an end begins the next episode; an ego without a free place waits.
+        assert (after[1][over] == 0).all() and not (after[2] | after[3])[over].any()
+        assert (after[4]["tick"][~over] >= before[4]["tick"][~over]).all()
+    same(first, fleet(4))
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "text"),
+    [
+        ({"num_envs": 5, "egos": 2}, "multiple of egos=2"),
+        ({"num_envs": 4, "egos": 2, "autoreset_mode": AutoresetMode.SAME_STEP}, "only NEXT_STEP"),
+        ({"num_envs": 4, "egos": 2, "observation": "image"}, "pictures"),
+        ({"num_envs": 4, "egos": 0}, "1 or more"),
+    ],
+)
+def test_egos_that_cannot_be(kwargs, text):
+    with pytest.raises(wad_cosim.InputError, match=text):
+        wad_cosim.DrivingVectorEnv(task="composite", **kwargs)

@@ -29,7 +29,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
             task's own.
         weather: A name, or several of which each episode draws one from its seed. Default ClearNoon, or the
             condition's.
-        observation: ``raw`` (15 numbers), ``image`` (the front camera, 512x512x3), ``dict`` (both by name), or several names
+        observation: ``raw`` (15 numbers), ``vector`` (187 numbers of the world round the ego), ``image`` (the front camera, 512x512x3), ``dict`` (both by name), or several names
             in a list.
         action: ``continuous`` (steering -1 to 1, left positive; throttle 0 to 1; brake 0 to 1), ``pedal`` (steering, and a
             pedal that brakes below 0), ``discrete`` (:data:`wad_cosim.DISCRETE_ACTIONS`), or a table (n, 3).
@@ -51,6 +51,8 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
 
     def __init__(self, **kwargs: Any) -> None:
         setup = Setup(**kwargs)
+        if kwargs.get("egos", 1) != 1:
+            raise InputError("egos: one environment is one ego; several are gymnasium.make_vec's")
         self._setup = setup
         self._arrays = Arrays(setup.observation, 1, setup.camera)
         self._native = _native.Environments(1, setup.text, self._arrays.native(), None, "disabled")

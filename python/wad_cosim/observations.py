@@ -16,6 +16,28 @@ index  what                                                              scaled 
 13     a light ahead must be stopped for                                              0 or 1
 14     nearness of its stop line                                         50 m         0 to 1
 ====== ================================================================= ============ =======
+
+The vector (``observation="vector"``) comes from the world itself, without a camera: it knows who is hidden, and every speed.
+A part that is not there is 0.
+
+========= ============================================================== ============ =======
+index     what                                                           scaled by    bounds
+========= ============================================================== ============ =======
+0-19      points of the route 5, 10, ... 50 m ahead: ahead, left         50 m         -2 to 2
+20, 21    speed limit here, and 30 m ahead                               15 m/s       0 to 2
+22-24     the next signal within 50 m: red, yellow, green                             0 or 1
+25        nearness of its stop line                                      50 m         0 to 1
+26, 27    the next junction within 50 m where the ego gives way: 1;      50 m         0 to 1
+          nearness of its stop line
+28 + 12 k road user k of the twelve nearest within 50 m: 1                            0 or 1
++ 1, 2    its centre ahead and left of the ego's                         50 m         -2 to 2
++ 3, 4    cosine and sine of its heading less the ego's                               -1 to 1
++ 5       its speed                                                      15 m/s       -2 to 2
++ 6, 7    length; width                                                  10 m; 3 m    0 to 2
++ 8-10    motor vehicle; two-wheeler; person                                          0 or 1
++ 11      its brake lights are on                                                     0 or 1
+172-186   the raw states, here from the same source
+========= ============================================================== ============ =======
 """
 
 from __future__ import annotations
@@ -49,7 +71,7 @@ RAW_NAMES = (
 )
 
 #: The values of ``observation=``.
-FORMS = ("raw", "image", "transformed", "dict")
+FORMS = ("raw", "vector", "image", "transformed", "dict")
 
 _UNIT = (3, 4, 5, 6, 7, 8, 11, 13, 14)
 
@@ -58,6 +80,15 @@ def _raw_space() -> spaces.Box:
     low, high = np.full(_native.RAW_SIZE, -2, np.float32), np.full(_native.RAW_SIZE, 2, np.float32)
     low[list(_UNIT)], high[list(_UNIT)] = 0, 1
     return spaces.Box(low, high)
+
+
+def _vector_space() -> spaces.Box:
+    user_low, user_high = [0, -2, -2, -1, -1, -2, 0, 0, 0, 0, 0, 0], [1, 2, 2, 1, 1, 2, 2, 2, 1, 1, 1, 1]
+    users = (_native.VECTOR_SIZE - _native.RAW_SIZE - 28) // len(user_low)
+    raw = _raw_space()
+    low = [-2] * 20 + [0] * 8 + user_low * users
+    high = [2] * 22 + [1] * 6 + user_high * users
+    return spaces.Box(np.float32([*low, *raw.low]), np.float32([*high, *raw.high]))
 
 
 def parts_of(form: Any) -> tuple[str, ...]:
@@ -75,6 +106,8 @@ def space_of(part: str, camera: tuple[int, int]) -> spaces.Box:
     """The space of a part; ``camera`` is its picture's height and width."""
     if part == "raw":
         return _raw_space()
+    if part == "vector":
+        return _vector_space()
     side = _native.TRANSFORMED_SIZE
     height, width = camera if part == "image" else (side, side)
     return spaces.Box(0, 255, (height, width, 3), np.uint8)

@@ -33,6 +33,7 @@ class Setup:
         tick_limit: int | None = None,
         options: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
+        egos: int = 1,
     ) -> None:
         if render_mode not in (None, "rgb_array", "human"):
             raise InputError(f"render_mode={render_mode!r}: expected None, 'rgb_array' or 'human' (SUMO's own window)")
@@ -45,6 +46,7 @@ class Setup:
             "tick_limit": None,
             "endless": False,
             "routes": None,
+            "egos": egos,
         }
         if suite is not None:
             _of_suite(suite, task, condition, made, merged)

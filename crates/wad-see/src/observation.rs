@@ -207,8 +207,8 @@ impl ObservationMode {
     }
 
     /// Size of [`Observation::latent`].
-    pub fn latent_size(self) -> usize {
-        if self == Self::Vector { SURROUNDINGS_SIZE } else { LATENT_SIZE }
+    pub const fn latent_size(self) -> usize {
+        if matches!(self, Self::Vector) { SURROUNDINGS_SIZE } else { LATENT_SIZE }
     }
 
     /// Whether images are encoded.
