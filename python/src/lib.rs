@@ -7,6 +7,7 @@
 mod environments;
 mod episode;
 mod errors;
+mod evaluation;
 mod setup;
 mod worker;
 
@@ -26,6 +27,8 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<environments::Environments>()?;
     module.add_function(wrap_pyfunction!(setup::names, module)?)?;
     module.add_function(wrap_pyfunction!(setup::suites, module)?)?;
+    module.add_function(wrap_pyfunction!(evaluation::evaluate, module)?)?;
+    module.add_function(wrap_pyfunction!(evaluation::report_of, module)?)?;
     module.add_function(wrap_pyfunction!(setup::use_sumo, module)?)?;
     Ok(())
 }

@@ -11,6 +11,7 @@ from . import _native
 from ._native import Error, InputError, SumoError
 from .actions import DISCRETE_ACTIONS
 from .env import DrivingEnv
+from .evaluation import evaluate, report
 from .registry import ids, register_all as _register_all, scenarios, suites, towns, weathers
 from .vector import DrivingVectorEnv
 
@@ -23,7 +24,9 @@ __all__ = [
     "Error",
     "InputError",
     "SumoError",
+    "evaluate",
     "ids",
+    "report",
     "scenarios",
     "suites",
     "towns",
