@@ -9,11 +9,10 @@ It reads 15 numbers of each tick and steers with two: the wheel and a pedal.
 import argparse
 import time
 
-import gymnasium
 import torch
 from stable_baselines3 import SAC
 
-import wad_cosim  # noqa: F401  registers the ids
+import wad_cosim
 from wad_cosim.sb3 import DrivingVecEnv
 
 parser = argparse.ArgumentParser()
@@ -43,16 +42,17 @@ model.learn(options.steps, log_interval=None)
 envs.close()
 print(f"{options.steps} steps in {time.perf_counter() - begin:.0f} s")
 
-# The benchmark's own routes, each with a SUMO of its own.
-env = gymnasium.make("wad_cosim/Straight-v0", condition="training", action="pedal")
-successes = 0
-for episode in range(options.episodes):
-    observation, _ = env.reset(seed=1000 + episode, options={"route": episode % 25})
-    over = False
-    while not over:
-        action, _ = model.predict(observation, deterministic=True)
-        observation, _, terminated, truncated, info = env.step(action)
-        over = terminated or truncated
-    successes += info["success"]
-env.close()
-print(f"success in {successes} of {options.episodes} episodes, {100 * successes / options.episodes:.0f} %")
+# Judged on the benchmark's routes, each in a SUMO of its own.
+table = wad_cosim.evaluate(
+    "tasks",
+    model,
+    action="pedal",
+    detector="outlines",
+    condition="training",
+    task="straight",
+    weather="ClearNoon",
+    episodes=options.episodes,
+)
+rows = table if isinstance(table, list) else table.to_dict("records")
+successes, episodes = rows[0]["successes"], rows[0]["episodes"]
+print(f"success in {successes} of {episodes} episodes, {100 * successes / episodes:.0f} %")

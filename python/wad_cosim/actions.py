@@ -25,7 +25,8 @@ DISCRETE_ACTIONS: NDArray[np.float32] = np.array(
 )
 DISCRETE_ACTIONS.setflags(write=False)
 
-#: The values of ``action=``.
+#: The values of ``action=``. ``pedal`` is two numbers -1 to 1: the wheel's cube root, so that small corrections are easily
+#: found and the whole wheel can be reached, and a pedal that accelerates above 0 and brakes below.
 FORMS = ("continuous", "pedal", "discrete")
 
 
@@ -66,7 +67,7 @@ def _continuous(actions: Any, n: int) -> NDArray[np.float32]:
 def _pedal(actions: Any, n: int) -> NDArray[np.float32]:
     numbers = _numbers(actions, (n, 2))
     out = np.empty((n, 3), dtype=np.float32)
-    out[:, 0] = numbers[:, 0]
+    np.power(numbers[:, 0], 3, out=out[:, 0])
     np.maximum(numbers[:, 1], 0, out=out[:, 1])
     np.maximum(-numbers[:, 1], 0, out=out[:, 2])
     return out
