@@ -1,5 +1,6 @@
 //! What an environment is made of, as Python hands it over.
 
+use crate::episode::Episodes;
 use crate::errors::Failure;
 use pyo3::prelude::*;
 use serde::Deserialize;
@@ -206,6 +207,31 @@ pub fn suites() -> Result<String, PyErr> {
         wad_cosim::eval::names().iter().map(|name| Suite::find(name)).collect();
     let found = found.map_err(|e| Failure::Other(e.to_string()))?;
     Ok(serde_json::to_string(&found).map_err(|e| Failure::Other(e.to_string()))?)
+}
+
+/// Seconds for `steps` steps of the expert's drive through the episode of `seed` without Python between them, and the steps driven: the measure
+/// for `python -m wad_cosim.bench`.
+#[pyfunction]
+pub fn bench(py: Python<'_>, setup: &str, seed: u64, steps: usize) -> PyResult<(f64, usize)> {
+    let setup = Setup::parse(setup)?;
+    let measured = py.detach(|| {
+        let mut episodes = Episodes::new(Arc::new(Tasks::open(&setup)?), &setup)?;
+        episodes.reset(seed, None)?;
+        let (mut seconds, mut driven) = (0.0, 0);
+        while driven < steps {
+            let action = episodes.expert()?;
+            let begin = std::time::Instant::now();
+            let (_, news) = episodes.step(action)?;
+            seconds += begin.elapsed().as_secs_f64();
+            driven += 1;
+            if news.ending.is_some() {
+                break;
+            }
+        }
+        episodes.close();
+        Ok::<_, Failure>((seconds, driven))
+    });
+    Ok(measured?)
 }
 
 /// Names the home folder of the SUMO that came with the package.

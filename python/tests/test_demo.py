@@ -17,3 +17,11 @@ def test_the_demo_says_what_is_wrong(tmp_path):
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 2
     assert "did you mean town3" in done.stderr and "Traceback" not in done.stderr
+
+
+def test_the_bench_measures():
+    done = subprocess.run(
+        [sys.executable, "-m", "wad_cosim.bench", "--steps", "20"], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert "env.step" in done.stdout and "agent-steps/s" in done.stdout
