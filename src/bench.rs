@@ -293,3 +293,10 @@ struct Moment {
     vehicles: f64,
     pedestrians: f64,
 }
+
+/// This process's peak memory (MB); None if the system does not report it.
+pub fn peak_memory_mb() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
+    Some(line.split_whitespace().nth(1)?.parse::<f64>().ok()? / 1000.0)
+}

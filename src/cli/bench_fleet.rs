@@ -1,10 +1,10 @@
 //! `wad-cosim bench fleet`: many egos in one SUMO.
 
 use super::agents::default_encoder;
-use super::bench::peak_memory_mb;
 use super::{Exit, print};
 use std::time::Instant;
 use wad_cosim::assets::Assets;
+use wad_cosim::bench::peak_memory_mb;
 use wad_cosim::bridge::Fetch;
 use wad_cosim::env::{EnvOptions, Fleet, ObservationMode, Stages};
 use wad_cosim::latent::{Encoder, PooledEncoder};

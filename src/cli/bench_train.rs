@@ -1,6 +1,5 @@
 //! `wad-cosim bench train`: driving and learning together.
 
-use super::bench::peak_memory_mb;
 use super::train::agent::{InputChoice, default_collectors, maker, with_exit};
 use super::{Exit, print};
 use anyhow::Context;
@@ -9,6 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 use wad_cosim::agent::learner::Algorithm;
 use wad_cosim::agent::policy::find_encoder;
+use wad_cosim::bench::peak_memory_mb;
 use wad_cosim::camera::Preset;
 use wad_cosim::tasks::{Curriculum, Stage, TaskKind};
 use wad_cosim::train::agent::{Limits, TrainConfig, Trained, train};
@@ -42,6 +42,9 @@ pub struct Args {
     /// Environments in parallel [default: as `train agent`].
     #[arg(long, value_name = "N")]
     collectors: Option<usize>,
+    /// Egos of each collector, all in its one SUMO.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=200))]
+    egos: u32,
     /// Updates per environment step, while learning.
     #[arg(long, value_name = "R", default_value_t = 0.5)]
     update_ratio: f64,
@@ -86,6 +89,7 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
     let hash = find_encoder(&args.encoder).map_err(|e| Exit::Input.because(e))?.hash().to_string();
     let mut config = TrainConfig::new(algorithm, curriculum, &args.encoder, &hash);
     config.seed = args.seed;
+    config.egos = args.egos;
     config.batch_size = args.batch;
     config.learning_starts = WARM_UP.max(args.batch as u64);
     config.validation.every = 0;
@@ -135,11 +139,12 @@ fn measure(
 fn report(args: &Args, collectors: usize, alone: &Trained, both: &Trained) -> anyhow::Result<()> {
     let memory = peak_memory_mb();
     let mut text = format!(
-        "{} on {}, inputs {}, {collectors} collectors: {:.1} environment steps/s without learning, {:.1} with \
+        "{} on {}, inputs {}, {collectors} collectors, {} egos each: {:.1} environment steps/s without learning, {:.1} with \
          {:.1} updates/s; peak memory {:.0} MB\n{:>12} {:>10} {:>10}\n",
         both.algorithm,
         args.task,
         name(args.inputs),
+        args.egos,
         alone.env_steps_per_s,
         both.env_steps_per_s,
         both.updates_per_s,
@@ -162,6 +167,7 @@ fn report(args: &Args, collectors: usize, alone: &Trained, both: &Trained) -> an
         "town": args.config,
         "inputs": name(args.inputs),
         "collectors": collectors,
+        "egos": args.egos,
         "update_ratio": args.update_ratio,
         "batch": args.batch,
         "device": name(args.device),

@@ -251,6 +251,54 @@ fn raw_agents_train_without_a_picture_and_their_course_is_drawn() {
     }
 }
 
+/// Six egos in one SUMO fill one buffer; a validation comes between their ticks; it goes on after its end, and what
+/// it made drives with what it observes: the surroundings as numbers.
+#[test]
+fn a_fleet_trains_on_the_surroundings_is_validated_and_goes_on() {
+    let dir = tempfile::tempdir().unwrap();
+    let curriculum = dir.path().join("curriculum.json");
+    let text = r#"{ "town": "town3", "weathers": ["ClearNoon"], "replay": 0.3, "stages": [
+        { "task": "straight", "threshold": 0.0, "window": 2 },
+        { "task": "composite", "threshold": 1.0, "window": 20, "traffic": "5,5" }] }"#;
+    std::fs::write(&curriculum, text).unwrap();
+    let out = dir.path().join("fleet");
+    let args = ["--algo", "sac", "--inputs", "vector", "--egos", "6", "--collectors", "1", "--steps", "900"];
+    let mut command = train(&out, &args);
+    command.args(["--learning-starts", "200", "--batch", "32", "--buffer", "5000", "--update-ratio", "0.2"]);
+    command
+        .args(["--validate-every", "500", "--validate-episodes", "1"])
+        .arg("--curriculum")
+        .arg(&curriculum);
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    let stages = &json(&output)["stages"];
+    assert!(stages["camera"].as_f64().unwrap() < 1.0, "nothing is drawn: {stages}");
+    let episodes = lines(&out.join("train.jsonl"));
+    let tasks = |name: &str| episodes.iter().filter(|line| line["task"] == name).count();
+    assert!(tasks("straight") > 2 && tasks("composite") > 0, "{episodes:?}");
+    assert!(!lines(&out.join("validation.jsonl")).is_empty());
+
+    let output = train(&out, &["--resume", "--steps", "1200", "--collectors", "1"]).output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert!(json(&output)["steps"].as_u64().unwrap() >= 1200);
+
+    let policy = out.join("last.safetensors").display().to_string();
+    let suite = dir.path().join("suite").display().to_string();
+    let args =
+        ["eval", "tasks", "--agent", &policy, "--episodes", "1", "--condition", "training", "--out", &suite];
+    let output = wad(&args).args(["--task", "straight"]).output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+
+    let both = train(&dir.path().join("no"), &["--algo", "td3", "--egos", "2", "--record", "records"]);
+    let output = { both }.output().unwrap();
+    assert!(
+        output.status.code() == Some(2) && stderr(&output).contains("--egos is 2"),
+        "{}",
+        stderr(&output)
+    );
+    assert!(!dir.path().join("no").exists());
+}
+
 #[test]
 fn wad_s_learns_from_demonstrations_and_is_validated() {
     let dir = tempfile::tempdir().unwrap();

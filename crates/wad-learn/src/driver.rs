@@ -282,7 +282,12 @@ impl Pilot {
             detector: Some(detector.to_string()),
             weather: None,
         };
-        let eyes = Eyes::of_agent(assets, ObservationMode::default(), detector, camera, encoder)?;
+        // People who watch want to see the whole chain, also where the agent leaves a part of it out.
+        let mode = match agent.observes() {
+            ObservationMode::Vector => ObservationMode::Vector,
+            _ => ObservationMode::default(),
+        };
+        let eyes = Eyes::of_agent(assets, mode, detector, camera, encoder)?;
         Ok(Self { driver: Driver::Agent(agent), eyes, record })
     }
 

@@ -1,6 +1,5 @@
 //! An agent's input of each tick: the latent and the six raw states (spec.md "Observation").
 
-use crate::surroundings::SURROUNDINGS_SIZE;
 use serde::{Deserialize, Serialize};
 use sumo_network::geometry::{Pose, wrap_angle};
 use sumo_network::network::{RoadOption, Route};
@@ -8,6 +7,9 @@ use wad_sim::criteria::EgoOnRoute;
 
 /// Size of the latent (paper, section "Latent State Extraction").
 pub const LATENT_SIZE: usize = 200;
+
+/// Size of the surroundings, see [`crate::surroundings`].
+pub const SURROUNDINGS_SIZE: usize = 172;
 
 /// Size of the raw vector.
 pub const RAW_SIZE: usize = 15;

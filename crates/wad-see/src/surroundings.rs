@@ -1,7 +1,7 @@
 //! What is round the ego as numbers of fixed places, from the world itself and without a camera (spec.md
 //! "Vector observation"). It knows what no camera shows: who is hidden, and every speed.
 
-use crate::observation::{LeadState, RawState, SPEED, nearness};
+use crate::observation::{LeadState, RawState, SPEED, SURROUNDINGS_SIZE, nearness};
 use crate::perception::lead::{HALF_WAY, SIGHT};
 use crate::perception::{EgoFacts, LightAhead, StopLight};
 use sumo_network::geometry::{Point, Pose, wrap_angle};
@@ -18,8 +18,7 @@ pub const USERS: usize = 12;
 pub const USER_SIZE: usize = 12;
 /// Index of the first road user's first number.
 pub const FIRST_USER: usize = 2 * POINTS + 8;
-/// Numbers of the surroundings.
-pub const SURROUNDINGS_SIZE: usize = FIRST_USER + USERS * USER_SIZE;
+const _: () = assert!(FIRST_USER + USERS * USER_SIZE == SURROUNDINGS_SIZE);
 
 /// Road users farther than this from the ego's centre are left out (m).
 pub const REACH: f64 = 50.0;
@@ -56,10 +55,15 @@ impl User {
     fn in_path(&self, route: &Route, facts: &EgoFacts<'_>) -> Option<LeadState> {
         let (s, front) = (facts.on_route.s, facts.on_route.front_s);
         let (long, broad) = (0.5 * self.length, 0.5 * self.width);
-        let corners = [[long, broad], [long, -broad], [-long, broad], [-long, -broad], [0.0, 0.0]];
-        let places = corners.map(|[x, y]| {
+        let project = |[x, y]: [f64; 2]| {
             route.project_near(self.pose.to_world(Point::new(x, y).coords), s, 0.0, SIGHT + LENGTH)
-        });
+        };
+        let middle = project([0.0, 0.0]);
+        if middle.distance > HALF_WAY + long.hypot(broad) {
+            return None;
+        }
+        let corners = [[long, broad], [long, -broad], [-long, broad], [-long, -broad]].map(project);
+        let places = [corners[0], corners[1], corners[2], corners[3], middle];
         // Beyond the ends of the searched stretch a point is off the route.
         let on = || places.iter().filter(|place| (place.distance - place.d.abs()).abs() < 0.1);
         let inside = on().any(|place| place.d.abs() < HALF_WAY);
@@ -72,7 +76,7 @@ impl User {
         let turned = wrap_angle(self.pose.heading - route.at(near).pose.heading);
         let closing_speed = facts.on_route.state.speed - self.speed * turned.cos();
         // Whose middle is behind the ego's is not in front of it.
-        let ahead = places[4].s > s || near > s;
+        let ahead = middle.s > s || near > s;
         (ahead && gap <= SIGHT).then_some(LeadState { gap, closing_speed })
     }
 }

@@ -3,6 +3,19 @@
 //! SUMO and the bridge never run at the same time, and waking another core costs more than the work
 //! of a quiet tick, so the two share one core. Linux only; elsewhere nothing happens.
 
+use std::sync::OnceLock;
+
+/// The cores that the process may use, as its first thread with a SUMO found them.
+static ALL: OnceLock<Option<Cores>> = OnceLock::new();
+
+/// Lets rayon's workers run on all cores of the process: they inherit the one core of a thread that shares it
+/// with SUMO, if that thread is the first to need them.
+pub fn free_workers() {
+    if let Some(all) = ALL.get_or_init(Cores::allowed) {
+        rayon::broadcast(|_| all.confine(0));
+    }
+}
+
 /// A set of cores.
 #[derive(Clone, Copy)]
 pub struct Cores(libc::cpu_set_t);
@@ -83,6 +96,7 @@ impl SharedCore {
     /// [`Cores::confine`] themselves elsewhere.
     pub fn with(sumo: u32) -> Self {
         let before = Cores::allowed();
+        ALL.get_or_init(|| before);
         if let Some(core) = Cores::current() {
             // SUMO first: where that is refused the thread stays free.
             if core.confine(sumo) {

@@ -13,10 +13,10 @@ use wad_cosim::agent::networks::CriticEnd;
 use wad_cosim::agent::policy::{PolicyError, find_encoder};
 use wad_cosim::agent::sac::SacParams;
 use wad_cosim::agent::td3::Td3Params;
-use wad_cosim::env::{Assets, Env, EnvError, EnvOptions};
+use wad_cosim::env::Assets;
 use wad_cosim::eyes::EyesError;
 use wad_cosim::folder_lock::LockError;
-use wad_cosim::latent::{Encoder, TchEncoder};
+use wad_cosim::latent::TchEncoder;
 use wad_cosim::tasks::Curriculum;
 use wad_cosim::train::agent::{Limits, Maker, Progress, TrainConfig, TrainError, Trained, train};
 
@@ -146,8 +146,12 @@ pub struct Args {
     /// The networks' inputs (ablation).
     #[arg(long, value_enum, default_value_t = InputChoice::Both)]
     inputs: InputChoice,
-    /// Standard deviation to which the latent is scaled.
-    #[arg(long, value_name = "X", default_value_t = 1.0)]
+    /// Egos of each collector, all in its one SUMO: they share its cost, and meet each other.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=200))]
+    egos: u32,
+    /// Standard deviation to which the latent is scaled: with 1 its 200 numbers drown the raw states at first,
+    /// and the actor is stuck at full lock.
+    #[arg(long, value_name = "X", default_value_t = 0.1)]
     latent_gain: f64,
     /// Share of the images changed to other days: other light, tints, haze, wet roads, rain; never in
     /// validation.
@@ -194,6 +198,8 @@ pub enum InputChoice {
     Latent,
     /// The raw states alone; by default nothing is drawn.
     Raw,
+    /// The surroundings as numbers from the world itself, and the raw states; nothing is drawn.
+    Vector,
 }
 
 impl InputChoice {
@@ -203,8 +209,9 @@ impl InputChoice {
             Self::Both => Inputs::Both,
             Self::Latent => Inputs::Latent,
             Self::Raw => Inputs::Raw,
+            Self::Vector => Inputs::Vector,
         });
-        let detector = if self == Self::Raw { "outlines" } else { "truth" };
+        let detector = if matches!(self, Self::Raw | Self::Vector) { "outlines" } else { "truth" };
         config.env.detector = detector.to_string();
     }
 }
@@ -221,6 +228,12 @@ fn bounds(text: &str) -> Result<(f64, f64), String> {
 pub fn run(args: Args) -> anyhow::Result<Exit> {
     let device = args.device.open()?;
     let config = if args.resume { saved_config(&args)? } else { config(&args)? };
+    if config.egos > 1 && args.record.is_some() {
+        return Err(Exit::Input.because(anyhow!(
+            "--record needs one ego to a SUMO, and --egos is {}: leave out one of the two",
+            config.egos
+        )));
+    }
     let limits = Limits {
         steps: args.steps,
         time: dataset::minutes(args.max_minutes)?,
@@ -250,10 +263,8 @@ pub fn maker(name: &str, town: &str) -> anyhow::Result<Maker> {
     let assets = Assets::load(town).map_err(|e| with_exit(TrainError::Env(e.into())))?;
     let name = name.to_string();
     Ok(Maker {
+        assets,
         encoder: Box::new(move || find_encoder(&name).map_err(|e| EyesError::from(e).into())),
-        env: Box::new(move |options: EnvOptions, encoder: Box<dyn Encoder>| -> Result<Env, EnvError> {
-            Env::new(assets.clone(), options, encoder)
-        }),
     })
 }
 
@@ -306,6 +317,7 @@ fn config(args: &Args) -> anyhow::Result<TrainConfig> {
     let mut config = TrainConfig::new(algorithm, curriculum, &encoder, &hash);
     config.seed = args.seed;
     config.latent_gain = args.latent_gain;
+    config.egos = args.egos;
     config.other_days = args.other_days;
     config.latent_mixing = args.latent_mixing;
     config.update_ratio = args.update_ratio;

@@ -6,6 +6,7 @@ use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use tch::{Device, Kind, Tensor, no_grad};
+use wad_see::observation::{ObservationMode, SURROUNDINGS_SIZE};
 
 /// One update's transitions, on the learner's device, observations scaled.
 #[derive(Debug)]
@@ -102,6 +103,9 @@ pub enum Inputs {
     Latent,
     /// The raw vector only.
     Raw,
+    /// The surroundings as numbers in place of the latent, and the raw vector; no camera
+    /// ([`wad_see::surroundings`]).
+    Vector,
 }
 
 impl Inputs {
@@ -111,6 +115,17 @@ impl Inputs {
             Self::Both => Dims::DRIVING,
             Self::Latent => Dims { raw: 0, ..Dims::DRIVING },
             Self::Raw => Dims { latent: 0, ..Dims::DRIVING },
+            Self::Vector => Dims { latent: SURROUNDINGS_SIZE as i64, ..Dims::DRIVING },
+        }
+    }
+
+    /// The parts of the observation that an environment has to compute for them.
+    pub fn observation(self) -> ObservationMode {
+        match self {
+            Self::Both => ObservationMode::LatentAndRaw,
+            Self::Latent => ObservationMode::LatentOnly,
+            Self::Raw => ObservationMode::RawOnly,
+            Self::Vector => ObservationMode::Vector,
         }
     }
 }

@@ -93,6 +93,20 @@ impl Learner {
         }
     }
 
+    /// The discounted return that the critics expect of `action` after the scaled `observation` (scaled rewards);
+    /// WAD-S' holds its entropy bonus too.
+    pub fn value(&self, observation: &Tensor, action: &Action) -> f64 {
+        no_grad(|| {
+            let observation = observation.unsqueeze(0);
+            let action = Tensor::from_slice(action).unsqueeze(0).to_device(observation.device());
+            let value = match self {
+                Self::Td3(td3) => td3.value(&observation, &action),
+                Self::Sac(sac) => sac.critics.forward(&observation, &action).amin([0i64].as_slice(), false),
+            };
+            value.double_value(&[0])
+        })
+    }
+
     /// One step of behaviour cloning: trains only the actor; it does not count as an update.
     pub fn clone_expert(&mut self, batch: &Batch, learning_rate: f64) {
         match self {

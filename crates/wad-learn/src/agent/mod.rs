@@ -36,7 +36,7 @@ pub mod td3;
 mod tests;
 
 use wad_camera::Frame;
-use wad_see::observation::{Observation, RawState};
+use wad_see::observation::{Observation, ObservationMode, RawState};
 use wad_vehicle::Control;
 
 /// Why an agent gave no control.
@@ -56,6 +56,11 @@ pub enum AgentError {
 pub trait Agent: Send {
     /// Its name in tables and options, e.g. `wad-t`.
     fn name(&self) -> &str;
+
+    /// The parts of the observation that it needs.
+    fn observes(&self) -> ObservationMode {
+        ObservationMode::default()
+    }
 
     /// Begins an episode.
     fn reset(&mut self, seed: u64) {

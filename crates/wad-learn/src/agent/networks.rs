@@ -46,8 +46,13 @@ impl Dims {
 
     /// The parts of an observation that the networks take, in one: latent, then raw.
     pub fn of(&self, observation: &Observation) -> Vec<f32> {
-        let latent = if self.latent > 0 { observation.latent.as_slice() } else { &[] };
-        let raw = if self.raw > 0 { observation.raw.as_slice() } else { &[] };
+        self.of_parts(&observation.latent, &observation.raw)
+    }
+
+    /// The same of an observation's latent and raw vector.
+    pub fn of_parts(&self, latent: &[f32], raw: &[f32]) -> Vec<f32> {
+        let latent = if self.latent > 0 { latent } else { &[] };
+        let raw = if self.raw > 0 { raw } else { &[] };
         [latent, raw].concat()
     }
 }

@@ -17,7 +17,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use wad_camera::CameraConfig;
 use wad_see::latent::{Encoder, LatentError, PooledEncoder, TchEncoder};
-use wad_see::observation::{self, Observation};
+use wad_see::observation::{self, Observation, ObservationMode};
 use wad_sim::bundled;
 use wad_vehicle::Control;
 
@@ -304,6 +304,7 @@ impl Policy {
 pub struct PolicyAgent {
     name: String,
     actor: Actor,
+    inputs: Inputs,
 }
 
 impl PolicyAgent {
@@ -312,13 +313,17 @@ impl PolicyAgent {
     /// # Errors
     /// The parameters are not of the form that the card says.
     pub fn new(name: &str, policy: &Policy) -> Result<Self, super::learner::Misfit> {
-        Ok(Self { name: name.to_string(), actor: policy.actor()? })
+        Ok(Self { name: name.to_string(), actor: policy.actor()?, inputs: policy.card.inputs })
     }
 }
 
 impl Agent for PolicyAgent {
     fn name(&self) -> &str {
         &self.name
+    }
+
+    fn observes(&self) -> ObservationMode {
+        self.inputs.observation()
     }
 
     fn act(&mut self, observation: &Observation) -> Result<Control, AgentError> {

@@ -166,8 +166,15 @@ impl Td3 {
         if weight == 0.0 {
             return -q.mean(Kind::Float);
         }
-        let shown = || self.end(&self.critics.first(&batch.observation, &batch.shown));
-        p.imitation.loss(weight, batch, &action, &self.half, &q, shown)
+        // In units of the return: the sigmoid's own size says nothing about the return's.
+        let shown = || self.meaning(&self.end(&self.critics.first(&batch.observation, &batch.shown)));
+        p.imitation.loss(weight, batch, &action, &self.half, &self.meaning(&q), shown)
+    }
+
+    /// What the critics expect, the lower of both (scaled rewards), `[B]`.
+    pub fn value(&self, observation: &Tensor, action: &Tensor) -> Tensor {
+        let q = self.end(&self.critics.forward(observation, action));
+        self.meaning(&q.amin([0i64].as_slice(), false))
     }
 
     /// The critics' last activation.

@@ -4,6 +4,7 @@ use super::slot::Outcome;
 use super::world::World;
 use super::{Assets, EnvError, EnvOptions, Info, Stages};
 use std::sync::Arc;
+use std::time::Duration;
 use sumo_network::seeds;
 use wad_see::eyes::Eyes;
 use wad_see::latent::Encoder;
@@ -43,11 +44,13 @@ use wad_vehicle::{Control, PartnerKind};
 pub struct Fleet {
     runtime: tokio::runtime::Runtime,
     world: World,
-    /// By ego, in turns.
+    /// Each ego's task.
     tasks: Vec<TaskSpec>,
     seed: u64,
     /// Episodes that each ego has begun.
     episodes: Vec<u64>,
+    /// The seed of each ego's next episode, where the caller chose it.
+    chosen: Vec<Option<u64>>,
     /// [N, D], row by row.
     observations: Vec<f32>,
     acts: Vec<Act>,
@@ -86,7 +89,7 @@ impl FleetStep {
 
 /// Whether SUMO's vehicle `id` is an ego of a fleet.
 pub fn is_ego(id: &str) -> bool {
-    id.strip_prefix(super::world::FIRST).is_some_and(|number| number.bytes().all(|b| b.is_ascii_digit()))
+    id.strip_prefix(super::slot::FIRST).is_some_and(|number| number.bytes().all(|b| b.is_ascii_digit()))
 }
 
 impl Fleet {
@@ -115,6 +118,7 @@ impl Fleet {
             tasks: Vec::new(),
             seed: 0,
             episodes: vec![0; egos],
+            chosen: vec![None; egos],
             observations: vec![0.0; egos * size],
             acts: vec![Act::Stay; egos],
             step: FleetStep::default(),
@@ -146,7 +150,8 @@ impl Fleet {
     /// `tasks` is empty.
     pub fn reset(&mut self, tasks: &[TaskSpec], seed: u64) -> Result<&[f32], EnvError> {
         assert!(!tasks.is_empty(), "a fleet has one task or more");
-        self.tasks = tasks.to_vec();
+        self.tasks = tasks.iter().cycle().take(self.egos()).cloned().collect();
+        self.chosen.fill(None);
         self.seed = seed;
         self.episodes.fill(0);
         self.begin()?;
@@ -155,16 +160,26 @@ impl Fleet {
 
     fn begin(&mut self) -> Result<(), EnvError> {
         let seeds: Vec<u64> = (0..self.egos()).map(|ego| self.next_seed(ego)).collect();
-        let tasks = self.tasks.iter().cycle();
-        let starts: Vec<_> = tasks.zip(&seeds).map(|(task, seed)| (task, *seed)).collect();
+        let starts: Vec<_> = self.tasks.iter().zip(&seeds).map(|(task, seed)| (task, *seed)).collect();
         self.runtime.block_on(self.world.reset(&starts))?;
         self.episodes.iter_mut().for_each(|episodes| *episodes += 1);
+        self.chosen.fill(None);
         self.observe();
         Ok(())
     }
 
     fn next_seed(&self, ego: usize) -> u64 {
-        Self::episode_seed(self.seed, ego, self.episodes[ego])
+        self.chosen[ego].unwrap_or_else(|| Self::episode_seed(self.seed, ego, self.episodes[ego]))
+    }
+
+    /// Chooses task and seed of ego `index`'s next episode; without it the task stays, and the seed follows from
+    /// the fleet's.
+    ///
+    /// # Panics
+    /// `index` is out of range, or there was no reset.
+    pub fn set_next(&mut self, index: usize, task: TaskSpec, seed: u64) {
+        self.tasks[index] = task;
+        self.chosen[index] = Some(seed);
     }
 
     /// The task of ego `index`.
@@ -172,7 +187,7 @@ impl Fleet {
     /// # Panics
     /// Before the first reset.
     pub fn task(&self, index: usize) -> &TaskSpec {
-        &self.tasks[index % self.tasks.len()]
+        &self.tasks[index]
     }
 
     /// One tick of all egos, `acts` by their numbers. After SUMO's death, which ends every episode with
@@ -205,10 +220,11 @@ impl Fleet {
                 continue;
             }
             self.acts[ego] = Act::Stay;
-            let start = (&self.tasks[ego % self.tasks.len()], self.next_seed(ego));
+            let start = (&self.tasks[ego], self.next_seed(ego));
             // Where no place is free it waits: traffic moves on.
             if self.runtime.block_on(self.world.begin_again(ego, start))? {
                 self.episodes[ego] += 1;
+                self.chosen[ego] = None;
                 self.step.began[ego] = true;
             }
         }
@@ -244,6 +260,14 @@ impl Fleet {
         &self.observations
     }
 
+    /// The expert's control for ego `index` (it sees the whole world). Call it once a tick at most.
+    ///
+    /// # Errors
+    /// No episode of that ego is running.
+    pub fn expert(&mut self, index: usize) -> Result<Control, EnvError> {
+        self.world.expert(index)
+    }
+
     /// The last step.
     pub fn last(&self) -> &FleetStep {
         &self.step
@@ -265,6 +289,11 @@ impl Fleet {
     /// Id of SUMO's process, None before the first reset.
     pub fn sumo_pid(&self) -> Option<u32> {
         self.world.sumo_pid()
+    }
+
+    /// Length of a tick.
+    pub fn tick(&self) -> Duration {
+        self.world.tick()
     }
 
     /// Wall time by stage; camera, perception and encoder summed over the egos, which look in parallel.

@@ -1,7 +1,7 @@
 //! The obstacle of the obstacle task.
 
 use super::EnvError;
-use super::world::FIRST;
+use super::slot::FIRST;
 use std::sync::Arc;
 use sumo_network::geometry::Pose;
 use sumo_network::world::{Actor, ActorKind, ActorType, VehicleSignals};

@@ -12,8 +12,11 @@ use wad_sim::bridge::Ego;
 use wad_sim::destination::Destinations;
 use wad_sim::end::{End, judge_limit};
 use wad_sim::session::Tick;
-use wad_sim::tasks::Placement;
+use wad_sim::tasks::{Placement, TaskSpec};
 use wad_vehicle::Control;
+
+/// SUMO's id of the first ego; the others have their number behind it.
+pub const FIRST: &str = "ego";
 
 /// A route that never ends is lengthened when less than this is left of it (m).
 const ONWARD: f64 = 250.0;
@@ -62,6 +65,10 @@ impl Slot {
 
     pub fn placement(&self) -> Option<&Placement> {
         self.episode.as_ref().map(|episode| &episode.placement)
+    }
+
+    pub fn task(&self) -> Option<&TaskSpec> {
+        self.episode.as_ref().map(|episode| &episode.task)
     }
 
     pub fn is_running(&self) -> bool {

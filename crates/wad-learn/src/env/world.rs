@@ -4,7 +4,7 @@ use super::episode::Episode;
 use super::green;
 use super::obstacle;
 use super::scratch::Scratch;
-use super::slot::{Judge, Outcome, Slot};
+use super::slot::{FIRST, Judge, Outcome, Slot};
 use super::{EnvError, EnvOptions, Stages, WorldMode};
 use rayon::prelude::*;
 use std::path::PathBuf;
@@ -32,9 +32,6 @@ const ROOM: f64 = 30.0;
 const APART: f64 = 25.0;
 /// With this many egos or more, they look on all cores.
 const PARALLEL_FROM: usize = 4;
-
-/// SUMO's id of the first ego; the others have their number behind it.
-pub const FIRST: &str = "ego";
 
 /// A task and the seed of an episode.
 pub type Start<'a> = (&'a TaskSpec, u64);
@@ -213,11 +210,16 @@ impl World {
     /// next step.
     fn leave(&mut self, index: usize, task: &TaskSpec) {
         let Some(sumo) = &mut self.sumo else { return };
-        let slot = &mut self.slots[index];
         let (bridge, seat) = sumo.session.bridge_and_seat(index);
-        if let Some(counts) = task.traffic().counts(self.assets.town_name()) {
+        // Several egos with different tasks share the largest traffic of these.
+        let others =
+            self.slots.iter().enumerate().filter(|(other, slot)| *other != index && slot.is_running());
+        let tasks = others.filter_map(|(_, slot)| slot.task()).chain([task]);
+        let counts = tasks.filter_map(|task| task.traffic().counts(self.assets.town_name()));
+        if let Some(counts) = counts.max_by_key(|counts| counts.vehicles + counts.pedestrians) {
             bridge.resize_traffic(counts);
         }
+        let slot = &mut self.slots[index];
         if std::mem::take(&mut slot.obstacle) {
             obstacle::take_away(bridge, seat.ego_mut());
         }
@@ -357,7 +359,7 @@ impl World {
         let after = sumo.session.timings();
         self.stages.physics += after.physics - before.physics;
         self.stages.sumo += after.bridge - before.bridge;
-        self.stages.steps += 1;
+        self.stages.steps += acts.iter().filter(|act| **act != Act::Stay).count() as u64;
         let (time, traffic) = (sumo.session.bridge().time(), sumo.session.bridge().counts());
         let ticks = match stepped {
             Ok(ticks) => ticks,

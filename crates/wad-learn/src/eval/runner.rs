@@ -204,6 +204,7 @@ pub(super) fn make(
         None => {
             let made = make_agent(spec)?;
             encoder = made.encoder;
+            options.observation = made.agent.observes();
             Driver::Agent(made.agent)
         }
     };

@@ -20,9 +20,9 @@ pub use seat::Seat;
 use crate::assets::Assets;
 use crate::autopilot::Decision;
 use crate::bridge::{Bridge, BridgeError, BridgeOptions, Ego};
-use crate::cpu_time;
 use crate::criteria::{EgoOnRoute, Event};
 use crate::scenario::Director;
+use crate::{cores, cpu_time};
 use rayon::prelude::*;
 use std::sync::Arc;
 use std::time::Instant;
@@ -97,6 +97,9 @@ impl Session {
         options: &BridgeOptions,
         mut seats: Vec<Seat>,
     ) -> Result<Self, BridgeError> {
+        if seats.len() >= PARALLEL_FROM {
+            cores::free_workers();
+        }
         let mut bridge = Bridge::start_on(options, Some(Arc::clone(assets.network()))).await?;
         if let Some(scenario) = assets.scenario().filter(|_| options.scenario) {
             bridge.set_director(Box::new(Director::new(Arc::clone(scenario))));

@@ -183,16 +183,23 @@ fn td3_with_linear_critics_updates_as_computed_by_hand() {
     td3_updates_as_computed_by_hand(CriticEnd::Linear);
 }
 
-fn pulled_as_computed_by_hand(filter: bool) {
+fn pulled_as_computed_by_hand(filter: bool, end: CriticEnd) {
     let data = Data::new();
     let imitation = Imitation { weight: 2.0, filter, ..Imitation::default() };
-    let mut td3 = td3(CriticEnd::Linear, imitation);
+    let mut td3 = td3(end, imitation);
     let actor = double(&td3.actor.params);
     td3.update(&data.batch(), None);
     td3.update(&data.batch(), None);
     // The actor climbs the critics of its own update.
     let critics = double(&td3.critics.params);
-    let q = |b: usize, action: &[f64]| critic(&critics, 0, &[9, 8], &data.now[b], action);
+    // The critic as a return: its size there is what imitation is weighed against.
+    let q = |b: usize, action: &[f64]| {
+        let q = critic(&critics, 0, &[9, 8], &data.now[b], action);
+        match end {
+            CriticEnd::Linear => q,
+            CriticEnd::Sigmoid { low, high } => low + (high - low) * sigmoid(q),
+        }
+    };
     let own: Vec<f64> = (0..B).map(|b| q(b, &actor_t(&actor, DIMS, &data.now[b]))).collect();
     let scale = 1.0 / (mean(own.iter().map(|q| q.abs())) + 1e-6);
     let preferred = |b: usize| !filter || q(b, &data.shown[b]) >= own[b];
@@ -214,12 +221,17 @@ fn pulled_as_computed_by_hand(filter: bool) {
 
 #[test]
 fn imitation_pulls_towards_what_was_shown() {
-    pulled_as_computed_by_hand(false);
+    pulled_as_computed_by_hand(false, CriticEnd::Linear);
+}
+
+#[test]
+fn imitation_is_weighed_against_the_return_behind_the_papers_sigmoid() {
+    pulled_as_computed_by_hand(false, CriticEnd::Sigmoid { low: -20.0, high: 10.0 });
 }
 
 #[test]
 fn imitation_pulls_only_where_the_critic_prefers_what_was_shown() {
-    pulled_as_computed_by_hand(true);
+    pulled_as_computed_by_hand(true, CriticEnd::Linear);
 }
 
 #[test]

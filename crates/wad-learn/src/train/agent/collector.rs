@@ -1,4 +1,4 @@
-//! A collector: one thread, one environment with its own SUMO, one copy of the actor.
+//! A collector: one thread, one environment or fleet with its own SUMO, one copy of the actor.
 
 use super::Maker;
 use super::config::TrainConfig;
@@ -10,7 +10,7 @@ use crate::agent::batch::InputScale;
 use crate::agent::exploration::Exploration;
 use crate::agent::learner::Actor;
 use crate::agent::replay_buffer::{SEGMENT, Segment};
-use crate::env::{End, Env, EnvError, Stages, WorldMode};
+use crate::env::{End, Ending, Env, EnvError, Fleet, Info, Stages, WorldMode};
 use crate::reward::RewardTerms;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -18,8 +18,11 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::SyncSender;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Instant;
-use wad_see::observation::Observation;
+use std::time::{Duration, Instant};
+use wad_see::latent::Encoder;
+use wad_see::observation::{Observation, RAW_SIZE};
+use wad_sim::session::Act;
+use wad_sim::tasks::TaskSpec;
 
 /// State shared by collectors and learner. Locks are held only for an episode's begin or a pointer's copy.
 #[derive(Debug)]
@@ -75,6 +78,8 @@ impl From<EnvError> for Stop {
     }
 }
 
+/// Ticks of a fleet between two reports of its times.
+const TOLD_EVERY: u64 = 50;
 /// Failures in a row after which a collector gives up.
 const PATIENCE: usize = 5;
 
@@ -101,6 +106,24 @@ pub fn collect(
         told: Stages::default(),
     };
     let mut failures = 0;
+    // A fleet whose environment fails is made again.
+    while config.egos > 1 && !shared.stop.load(Ordering::Relaxed) {
+        match collector.fly() {
+            Ok(()) | Err(Stop::Over) => return,
+            Err(Stop::Env(error)) if !error.is_input() && failures + 1 < PATIENCE => {
+                failures += 1;
+                tracing::warn!("collector {index}: a fleet's episodes are lost: {error}");
+            }
+            Err(Stop::Env(error)) => {
+                let _ = out.send(Message::Failed(error.into()));
+                return;
+            }
+            Err(Stop::Broken(why)) => {
+                let _ = out.send(Message::Failed(super::TrainError::Broken(why)));
+                return;
+            }
+        }
+    }
     let mut retry: Option<Job> = None;
     while !shared.stop.load(Ordering::Relaxed) {
         let job = retry.take().unwrap_or_else(|| lock(&shared.schedule).next(config));
@@ -116,7 +139,7 @@ pub fn collect(
                     let _ = out.send(Message::Failed(super::TrainError::Broken(why)));
                     return;
                 }
-                retry = matches!(job.purpose, Purpose::Validate(_)).then_some(job);
+                retry = job.purpose.validates().then_some(job);
             }
             Ok(report) => {
                 failures = 0;
@@ -140,10 +163,11 @@ pub fn collect(
                 collector.env = None;
                 collector.fresh = None;
                 // Every validation has the same episodes.
-                retry = matches!(job.purpose, Purpose::Validate(_)).then_some(job);
+                retry = job.purpose.validates().then_some(job);
             }
         }
-        collector.tell_times();
+        let now = collector.env.as_ref().map(Env::stages);
+        collector.tell_times(now);
     }
 }
 
@@ -167,8 +191,9 @@ struct Collector<'a> {
 }
 
 impl Collector<'_> {
+    /// Drives an episode in an environment of its own: running traffic, or a fresh world for a validation.
     fn drive(&mut self, job: &Job) -> Result<Report, Stop> {
-        let validating = matches!(job.purpose, Purpose::Validate(_));
+        let validating = job.purpose.validates();
         let slot = if validating { &mut self.fresh } else { &mut self.env };
         let mut env = match slot.take() {
             Some(env) => env,
@@ -178,10 +203,7 @@ impl Collector<'_> {
                 if validating {
                     options.world = WorldMode::Fresh;
                 }
-                let other_days = if validating { 0.0 } else { self.config.other_days };
-                let rng = sumo_network::seeds::rng(job.seed, "other days");
-                let encoder = OtherDays::before((self.maker.encoder)()?, other_days, rng);
-                (self.maker.env)(options, encoder)?
+                Env::new(Arc::clone(&self.maker.assets), options, self.encoder(job)?)?
             }
         };
         let result = self.episode(&mut env, job);
@@ -195,67 +217,215 @@ impl Collector<'_> {
         result
     }
 
+    fn encoder(&self, job: &Job) -> Result<Box<dyn Encoder>, Stop> {
+        let other_days = if job.purpose.validates() { 0.0 } else { self.config.other_days };
+        let rng = sumo_network::seeds::rng(job.seed, "other days");
+        Ok(OtherDays::before((self.maker.encoder)()?, other_days, rng))
+    }
+
     fn episode(&mut self, env: &mut Env, job: &Job) -> Result<Report, Stop> {
-        let mut rng = ChaCha8Rng::seed_from_u64(sumo_network::seeds::derive(job.seed, "exploration"));
-        let mut noise = Exploration::new(self.config.exploration, &mut rng);
-        let begin = |observation: Vec<f32>| Segment { observations: vec![observation], ..Segment::default() };
         let first = env.reset(&job.task, job.seed)?;
-        let validating = matches!(job.purpose, Purpose::Validate(_));
-        let mut recording = self.record.filter(|_| !validating).map(|folder| (folder, Recording::default()));
+        let record = self.record.filter(|_| !job.purpose.validates());
+        let mut recording = record.map(|folder| (folder, Recording::default()));
         observe(&mut recording, env, &first)?;
         let dims = self.config.dims();
-        let mut segment = begin(finite(dims.of(&first))?);
-        let (mut episodic_return, mut steps, mut terms) = (0.0, 0, RewardTerms::default());
+        let mut ongoing = Ongoing::new(job.clone(), self.config, finite(dims.of(&first))?);
         loop {
             if self.shared.stop.load(Ordering::Relaxed) {
                 return Err(Stop::Over);
             }
-            let autopilot = matches!(job.purpose, Purpose::Demonstrate { .. });
             let speed = env.speed();
-            let asks = autopilot || !validating && (recording.is_some() || self.config.asks());
+            let asks = ongoing.asks(self.config) || recording.is_some();
             let shown = if asks { Some(action::from_control(env.expert()?)) } else { None };
-            let action = match (&job.purpose, shown) {
-                (Purpose::Demonstrate { noisy: true }, Some(shown)) => {
-                    noise.advance(&mut rng);
-                    noise.slip(shown, &env.raw().vector(), &mut rng)
-                }
-                (Purpose::Demonstrate { .. }, shown) => shown.unwrap_or_default(),
-                (purpose, _) => self.act(purpose, &segment, &mut noise, &mut rng)?,
-            };
+            let action = self.choose(&mut ongoing, shown, &env.raw().vector())?;
             let step = env.step(action::to_control(action))?;
-            if let Some(ending) = step.info.ending.as_ref().filter(|ending| ending.end == End::Error) {
-                // The unfinished transition is dropped; all before it are kept.
-                tracing::info!("the rest of an episode is lost: {}", ending.cause);
-                segment.truncated = true;
-                // A recording needs its own end.
-                self.send(segment, &job.purpose)?;
-                return Ok(report(job, &step.info, steps, episodic_return, terms, env));
+            let lost = step.info.ending.as_ref().is_some_and(|ending| ending.end == End::Error);
+            if !lost {
+                observe(&mut recording, env, &step.observation)?;
+                if let Some((_, recording)) = &mut recording {
+                    recording.act(action, shown, step.reward as f32);
+                }
             }
-            steps += 1;
-            episodic_return += step.reward;
-            terms.add(&step.info.reward);
-            observe(&mut recording, env, &step.observation)?;
-            if let Some((_, recording)) = &mut recording {
-                recording.act(action, shown, step.reward as f32);
-            }
-            segment.actions.push(action);
-            segment.shown.push(shown.map(|a| action::shown(a, speed)));
-            segment.rewards.push(step.reward as f32);
-            segment.observations.push(finite(dims.of(&step.observation))?);
-            segment.terminated = step.terminated;
-            segment.truncated = step.truncated;
-            let over = step.terminated || step.truncated;
-            if over || segment.len() == SEGMENT {
-                let last = segment.observations.last().cloned().unwrap_or_default();
-                self.send(std::mem::replace(&mut segment, begin(last)), &job.purpose)?;
-            }
-            if over {
-                if let Some((folder, recording)) = recording {
+            let result = Passed {
+                reward: step.reward,
+                terminated: step.terminated,
+                truncated: step.truncated,
+                info: &step.info,
+                tick: env.tick(),
+            };
+            let observation = dims.of(&step.observation);
+            if let Some(report) = self.passed(&mut ongoing, (action, shown, speed), &result, observation)? {
+                if let Some((folder, recording)) = recording.filter(|_| !lost) {
                     self.keep(folder, &recording, job, &step.info, step.terminated)?;
                 }
-                return Ok(report(job, &step.info, steps, episodic_return, terms, env));
+                return Ok(report);
             }
         }
+    }
+
+    /// Drives a fleet until training is over. Validations are driven between its ticks, alone.
+    fn fly(&mut self) -> Result<(), Stop> {
+        let egos = self.config.egos as usize;
+        let dims = self.config.dims();
+        let mut jobs = Vec::with_capacity(egos);
+        for _ in 0..egos {
+            jobs.push(self.next_job()?);
+        }
+        let encoders = jobs.iter().map(|job| self.encoder(job)).collect::<Result<_, _>>()?;
+        let mut fleet = Fleet::new(Arc::clone(&self.maker.assets), self.config.env.clone(), encoders)?;
+        self.told = Stages::default();
+        let tasks: Vec<TaskSpec> = jobs.iter().map(|job| job.task.clone()).collect();
+        fleet.reset(&tasks, jobs[0].seed)?;
+        let size = fleet.observation_size();
+        let part = |fleet: &Fleet, ego: usize| {
+            let (latent, raw) = fleet.observations()[ego * size..(ego + 1) * size].split_at(size - RAW_SIZE);
+            dims.of_parts(latent, raw)
+        };
+        let mut ongoing: Vec<Option<Ongoing>> = Vec::with_capacity(egos);
+        for (ego, job) in jobs.iter().enumerate() {
+            ongoing.push(Some(Ongoing::new(job.clone(), self.config, finite(part(&fleet, ego))?)));
+        }
+        let mut acts = vec![Act::Stay; egos];
+        let mut chosen: Vec<Chosen> = vec![(Action::default(), None, 0.0); egos];
+        let mut failures = 0;
+        for tick in 1_u64.. {
+            if self.shared.stop.load(Ordering::Relaxed) {
+                return Err(Stop::Over);
+            }
+            for ego in 0..egos {
+                let Some(ongoing) = &mut ongoing[ego] else { continue };
+                let speed = fleet.ego(ego).map_or(0.0, |ego| ego.state().speed);
+                let asks = ongoing.asks(self.config);
+                let shown = if asks { Some(action::from_control(fleet.expert(ego)?)) } else { None };
+                let action = self.choose(ongoing, shown, &fleet.eyes(ego).raw().vector())?;
+                chosen[ego] = (action, shown, speed);
+                let control = action::to_control(action);
+                acts[ego] = if asks { Act::Disturbed(control) } else { Act::Control(control) };
+            }
+            fleet.step(&acts)?;
+            let mut lost = false;
+            for ego in 0..egos {
+                let observation = part(&fleet, ego);
+                let step = fleet.last();
+                if step.began[ego] {
+                    let job = jobs[ego].clone();
+                    ongoing[ego] = Some(Ongoing::new(job, self.config, finite(observation)?));
+                    continue;
+                }
+                let Some(one) = &mut ongoing[ego] else { continue };
+                let result = Passed {
+                    reward: step.rewards[ego],
+                    terminated: step.terminated[ego],
+                    truncated: step.truncated[ego],
+                    info: &step.infos[ego],
+                    tick: fleet.tick(),
+                };
+                let Some(report) = self.passed(one, chosen[ego], &result, observation)? else { continue };
+                ongoing[ego] = None;
+                if report.ending.end == End::Error {
+                    lost = true;
+                } else {
+                    failures = 0;
+                    self.tell(report)?;
+                }
+                jobs[ego] = self.next_job()?;
+                fleet.set_next(ego, jobs[ego].task.clone(), jobs[ego].seed);
+            }
+            failures += usize::from(lost);
+            if failures >= PATIENCE {
+                return Err(Stop::Broken(format!("SUMO died {failures} times in a row")));
+            }
+            if tick.is_multiple_of(TOLD_EVERY) {
+                self.tell_times(Some(fleet.stages()));
+            }
+        }
+        Ok(())
+    }
+
+    /// The next job of the training itself; validations before it are driven at once.
+    fn next_job(&mut self) -> Result<Job, Stop> {
+        loop {
+            let job = lock(&self.shared.schedule).next(self.config);
+            if !job.purpose.validates() {
+                return Ok(job);
+            }
+            let mut failures = 0;
+            let report = loop {
+                let report = self.drive(&job)?;
+                failures += 1;
+                if report.ending.end != End::Error {
+                    break report;
+                }
+                if failures >= PATIENCE {
+                    return Err(Stop::Broken(format!("SUMO died {failures} times in a row")));
+                }
+            };
+            self.fresh = self.fresh.take().filter(|_| lock(&self.shared.schedule).is_validating());
+            self.tell(report)?;
+        }
+    }
+
+    fn tell(&self, report: Report) -> Result<(), Stop> {
+        self.out.send(Message::Episode(Box::new(report))).map_err(|_| Stop::Over)
+    }
+
+    /// The action of an episode's next tick; `shown` is the expert's, where it was asked.
+    fn choose(
+        &mut self,
+        ongoing: &mut Ongoing,
+        shown: Option<Action>,
+        raw: &[f32; RAW_SIZE],
+    ) -> Result<Action, Stop> {
+        let Ongoing { job, rng, noise, segment, .. } = ongoing;
+        match (&job.purpose, shown) {
+            (Purpose::Demonstrate { noisy: true }, Some(shown)) => {
+                noise.advance(rng);
+                Ok(noise.slip(shown, raw, rng))
+            }
+            (Purpose::Demonstrate { .. }, shown) => Ok(shown.unwrap_or_default()),
+            (purpose, _) => self.act(purpose, segment, noise, rng),
+        }
+    }
+
+    /// Takes the result of a tick; the report if the episode is over.
+    fn passed(
+        &mut self,
+        ongoing: &mut Ongoing,
+        (action, shown, speed): Chosen,
+        result: &Passed<'_>,
+        observation: Vec<f32>,
+    ) -> Result<Option<Report>, Stop> {
+        let purpose = &ongoing.job.purpose;
+        if let Some(ending) = result.info.ending.as_ref().filter(|ending| ending.end == End::Error) {
+            // The unfinished transition is dropped; all before it are kept.
+            tracing::info!("the rest of an episode is lost: {}", ending.cause);
+            let mut segment = std::mem::take(&mut ongoing.segment);
+            segment.truncated = true;
+            self.send(segment, purpose)?;
+            return Ok(Some(ongoing.report(result)));
+        }
+        ongoing.steps += 1;
+        ongoing.episodic_return += result.reward;
+        ongoing.discounted_return += ongoing.discount * result.reward;
+        ongoing.discount *= self.config.algorithm.gamma();
+        if ongoing.start.is_none() {
+            ongoing.start = ongoing.segment.observations.first().map(|first| (first.clone(), action));
+        }
+        ongoing.terms.add(&result.info.reward);
+        let segment = &mut ongoing.segment;
+        segment.actions.push(action);
+        segment.shown.push(shown.map(|a| action::shown(a, speed)));
+        segment.rewards.push(result.reward as f32);
+        segment.observations.push(finite(observation)?);
+        segment.terminated = result.terminated;
+        segment.truncated = result.truncated;
+        let over = result.terminated || result.truncated;
+        if over || segment.len() == SEGMENT {
+            let last = segment.observations.last().cloned().unwrap_or_default();
+            let whole = std::mem::replace(segment, Ongoing::segment(last));
+            self.send(whole, purpose)?;
+        }
+        Ok(over.then(|| ongoing.report(result)))
     }
 
     fn act(
@@ -293,7 +463,7 @@ impl Collector<'_> {
         folder: &Path,
         recording: &Recording,
         job: &Job,
-        info: &crate::env::Info,
+        info: &Info,
         terminated: bool,
     ) -> Result<(), Stop> {
         let autopilot = matches!(job.purpose, Purpose::Demonstrate { .. });
@@ -334,7 +504,7 @@ impl Collector<'_> {
 
     /// Sends experience to the learner, except a validation's.
     fn send(&mut self, segment: Segment, purpose: &Purpose) -> Result<(), Stop> {
-        if matches!(purpose, Purpose::Validate(_)) || segment.is_empty() {
+        if purpose.validates() || segment.is_empty() {
             return Ok(());
         }
         let clock = Instant::now();
@@ -344,12 +514,85 @@ impl Collector<'_> {
         sent
     }
 
-    fn tell_times(&mut self) {
-        if let Some(env) = &self.env {
-            let now = env.stages();
+    fn tell_times(&mut self, now: Option<Stages>) {
+        if let Some(now) = now {
             self.times.env = difference(&now, &self.told);
             self.told = now;
             let _ = self.out.send(Message::Times(std::mem::take(&mut self.times)));
+        }
+    }
+}
+
+/// An action, the expert's if it was asked, and the ego's speed before it (m/s).
+type Chosen = (Action, Option<Action>, f64);
+
+/// The result of a tick.
+struct Passed<'a> {
+    reward: f64,
+    terminated: bool,
+    truncated: bool,
+    info: &'a Info,
+    /// Length of a tick.
+    tick: Duration,
+}
+
+/// An episode while it is driven.
+struct Ongoing {
+    job: Job,
+    rng: ChaCha8Rng,
+    noise: Exploration,
+    segment: Segment,
+    episodic_return: f64,
+    discounted_return: f64,
+    discount: f64,
+    start: Option<(Vec<f32>, Action)>,
+    steps: u64,
+    terms: RewardTerms,
+}
+
+impl Ongoing {
+    fn new(job: Job, config: &TrainConfig, first: Vec<f32>) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(sumo_network::seeds::derive(job.seed, "exploration"));
+        let noise = Exploration::new(config.exploration, &mut rng);
+        Self {
+            job,
+            rng,
+            noise,
+            segment: Self::segment(first),
+            episodic_return: 0.0,
+            discounted_return: 0.0,
+            discount: 1.0,
+            start: None,
+            steps: 0,
+            terms: RewardTerms::default(),
+        }
+    }
+
+    fn segment(first: Vec<f32>) -> Segment {
+        Segment { observations: vec![first], ..Segment::default() }
+    }
+
+    /// Whether the expert's action is wanted.
+    fn asks(&self, config: &TrainConfig) -> bool {
+        matches!(self.job.purpose, Purpose::Demonstrate { .. })
+            || !self.job.purpose.validates() && config.asks()
+    }
+
+    fn report(&self, result: &Passed<'_>) -> Report {
+        let unknown = || Ending { end: End::Error, cause: "unknown".to_string(), success: false };
+        let info = result.info;
+        Report {
+            purpose: self.job.purpose.clone(),
+            task: self.job.task.clone(),
+            ending: info.ending.clone().unwrap_or_else(unknown),
+            steps: self.steps,
+            episodic_return: self.episodic_return,
+            discounted_return: self.discounted_return,
+            start: self.start.clone(),
+            expected_return: None,
+            terms: self.terms,
+            mean_speed: info.driven / (info.tick.max(1) as f64 * result.tick.as_secs_f64()),
+            distance: info.driven,
         }
     }
 }
@@ -364,27 +607,6 @@ fn difference(now: &Stages, before: &Stages) -> Stages {
         encoder: now.encoder - before.encoder,
         resets: now.resets - before.resets,
         reset: now.reset - before.reset,
-    }
-}
-
-fn report(
-    job: &Job,
-    info: &crate::env::Info,
-    steps: u64,
-    episodic_return: f64,
-    terms: RewardTerms,
-    env: &Env,
-) -> Report {
-    let unknown = || crate::env::Ending { end: End::Error, cause: "unknown".to_string(), success: false };
-    Report {
-        purpose: job.purpose.clone(),
-        task: job.task.clone(),
-        ending: info.ending.clone().unwrap_or_else(unknown),
-        steps,
-        episodic_return,
-        terms,
-        mean_speed: info.driven / (info.tick.max(1) as f64 * env.tick().as_secs_f64()),
-        distance: info.driven,
     }
 }
 
@@ -405,7 +627,8 @@ fn finite(observation: Vec<f32>) -> Result<Vec<f32>, Stop> {
     match observation.iter().position(|x| !x.is_finite()) {
         None => Ok(observation),
         Some(at) => Err(Stop::Broken(format!(
-            "number {at} of an observation (0-199 latent, 200-214 raw) is {}; see the encoder and perception",
+            "number {at} of an observation (latent or surroundings first, then the raw states) is {}; see the encoder \
+             and perception",
             observation[at]
         ))),
     }

@@ -5,7 +5,7 @@ use crate::agent::exploration::ExplorationParams;
 use crate::agent::learner::Algorithm;
 use crate::agent::networks::Dims;
 use crate::agent::replay_buffer::Sampling;
-use crate::env::{EnvOptions, ObservationMode};
+use crate::env::EnvOptions;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use wad_sim::tasks::Curriculum;
@@ -19,6 +19,9 @@ pub struct TrainConfig {
     pub algorithm: Algorithm,
     /// The networks' inputs.
     pub inputs: Inputs,
+    /// Egos in each collector's SUMO.
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    pub egos: u32,
     /// Standard deviation to which the latent is scaled; less than 1 gives the raw states more weight
     /// early in training.
     pub latent_gain: f64,
@@ -78,6 +81,15 @@ pub struct TrainConfig {
     pub checkpoint_every: u64,
 }
 
+fn one() -> u32 {
+    1
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes it so")]
+fn is_one(egos: &u32) -> bool {
+    *egos == 1
+}
+
 fn cloning_rate() -> f64 {
     1e-3
 }
@@ -106,7 +118,8 @@ impl TrainConfig {
         Self {
             algorithm,
             inputs: Inputs::Both,
-            latent_gain: 1.0,
+            egos: 1,
+            latent_gain: 0.1,
             other_days: 0.0,
             latent_mixing: 0.0,
             seed: 0,
@@ -141,11 +154,7 @@ impl TrainConfig {
     /// Drops a part of the observation, in the networks and in the environment.
     pub fn set_inputs(&mut self, inputs: Inputs) {
         self.inputs = inputs;
-        self.env.observation = match inputs {
-            Inputs::Both => ObservationMode::LatentAndRaw,
-            Inputs::Raw => ObservationMode::RawOnly,
-            Inputs::Latent => ObservationMode::LatentOnly,
-        };
+        self.env.observation = inputs.observation();
     }
 
     /// Whether the buffer holds experience before the agent drives.

@@ -11,7 +11,7 @@ use super::curve::StagePassed;
 use super::log::RunLog;
 use super::schedule::{ActorCopy, Purpose, Report, Schedule};
 use super::{Limits, Maker, Progress, TrainError, Trained};
-use crate::agent::batch::{Batches, InputScale, Metrics, Scale};
+use crate::agent::batch::{Batches, InputScale, Inputs, Metrics, Scale};
 use crate::agent::learner::Learner;
 use crate::agent::policy::{Policy, PolicyCard};
 use crate::agent::replay_buffer::{ReplayBuffer, Sampled};
@@ -25,6 +25,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, TryRecvError, sync_channel};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use sumo_network::seeds;
+use tch::Tensor;
 use validation::Validation;
 use wad_sim::tasks::Passed;
 
@@ -356,8 +357,13 @@ impl<'a> Learning<'a> {
     fn sample(&mut self, updates: usize) -> Batches {
         let config = self.config;
         let (_, scale) = self.scale.get_or_insert_with(|| {
-            let (mean, deviation) = self.buffer.moments(MEASURED);
-            let scale = InputScale::measured(&mean, &deviation, config.dims(), config.latent_gain);
+            let scale = if config.inputs == Inputs::Vector {
+                // The surroundings are scaled by definition.
+                InputScale::identity(config.dims())
+            } else {
+                let (mean, deviation) = self.buffer.moments(MEASURED);
+                InputScale::measured(&mean, &deviation, config.dims(), config.latent_gain)
+            };
             let tensors = scale.tensors(self.limits.device);
             (scale, tensors)
         });
@@ -454,9 +460,17 @@ impl<'a> Learning<'a> {
         Ok(())
     }
 
+    /// What the critics expected of an episode's first action.
+    fn expected(&self, report: &Report) -> Option<f64> {
+        let (_, scale) = self.scale.as_ref().filter(|_| self.learner.updates() > 0)?;
+        let (observation, action) = report.start.as_ref()?;
+        let observation = Tensor::from_slice(observation).to_device(self.limits.device);
+        Some(self.learner.value(&scale.apply(&observation), action) / self.config.reward_scale)
+    }
+
     fn episode(
         &mut self,
-        report: Report,
+        mut report: Report,
         shared: &Shared,
         progress: &mut impl FnMut(Progress<'_>),
     ) -> Result<(), TrainError> {
@@ -488,6 +502,7 @@ impl<'a> Learning<'a> {
                     }
                     (state.progress.stage, state.progress.success_rate())
                 };
+                report.expected_return = self.expected(&report);
                 self.log.episode(self.steps, stage, rate, &report)?;
                 if let Some(Passed { stage, threshold, steps, rate }) = passed {
                     let pass = StagePassed { stage, threshold, step: self.steps, hours: self.hours() };

@@ -75,6 +75,10 @@ impl RunLog {
             (format!("return/{task}"), r.episodic_return),
             ("charts/mean_speed".to_string(), r.mean_speed),
         ];
+        if let Some(expected) = r.expected_return {
+            scalars.push(("losses/expected_return".to_string(), expected));
+            scalars.push(("losses/discounted_return".to_string(), r.discounted_return));
+        }
         for (name, value) in RewardTerms::NAMES.iter().zip(r.terms.values()) {
             scalars.push((format!("reward/{name}"), value));
         }
@@ -153,6 +157,8 @@ fn report_values(steps: u64, r: &Report) -> Map<String, Value> {
         "global_step": steps,
         "charts/episodic_return": r.episodic_return,
         "charts/episodic_length": r.steps,
+        "discounted_return": r.discounted_return,
+        "expected_return": r.expected_return,
         "task": r.task.kind,
         "weather": r.task.weather,
         "end": r.ending.end,

@@ -32,11 +32,12 @@ pub use learning::train;
 use crate::agent::learner::Misfit;
 use crate::agent::policy::PolicyError;
 use crate::agent::replay_buffer::BufferError;
-use crate::env::{Env, EnvError, EnvOptions};
+use crate::env::{Assets, EnvError};
 use crate::folder_lock::LockError;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Duration;
 use tch::Device;
 use wad_see::latent::Encoder;
@@ -58,13 +59,10 @@ pub struct Limits {
     pub record: Option<PathBuf>,
 }
 
-/// Makes an environment with an encoder.
-type MakeEnv = dyn Fn(EnvOptions, Box<dyn Encoder>) -> Result<Env, EnvError> + Send + Sync;
-
-/// Makes environments, each on the thread that uses it.
+/// What environments are made of, each on the thread that uses it.
 pub struct Maker {
-    /// Makes an environment with that encoder.
-    pub env: Box<MakeEnv>,
+    /// Their town.
+    pub assets: Arc<Assets>,
     /// Their encoder.
     pub encoder: Box<dyn Fn() -> Result<Box<dyn Encoder>, EnvError> + Send + Sync>,
 }

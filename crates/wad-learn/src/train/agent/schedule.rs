@@ -1,6 +1,7 @@
 //! The next episode: demonstrations first, then the curriculum, with validations between.
 
 use super::config::TrainConfig;
+use crate::agent::action::Action;
 use crate::agent::batch::InputScale;
 use crate::env::Ending;
 use crate::reward::RewardTerms;
@@ -41,6 +42,13 @@ pub enum Purpose {
     Validate(Arc<ActorCopy>),
 }
 
+impl Purpose {
+    /// Whether it is a validation.
+    pub fn validates(&self) -> bool {
+        matches!(self, Self::Validate(_))
+    }
+}
+
 /// The result of an episode.
 #[derive(Clone, Debug)]
 pub struct Report {
@@ -49,6 +57,11 @@ pub struct Report {
     pub ending: Ending,
     pub steps: u64,
     pub episodic_return: f64,
+    /// The same, discounted (Monte Carlo), and where it began: the observation and the first action.
+    pub discounted_return: f64,
+    pub start: Option<(Vec<f32>, Action)>,
+    /// The return that the critics expected there, by the critics of the episode's end.
+    pub expected_return: Option<f64>,
     pub terms: RewardTerms,
     /// m/s, over the whole episode.
     pub mean_speed: f64,
@@ -104,6 +117,11 @@ impl Schedule {
         let knows_nothing = !config.is_warm() && config.init.is_none();
         let start = self.steps < config.learning_starts && knows_nothing;
         Job { purpose: if start { Purpose::Start } else { Purpose::Explore }, task, seed }
+    }
+
+    /// Whether episodes of a validation wait.
+    pub fn is_validating(&self) -> bool {
+        !self.validations.is_empty()
     }
 
     /// Queues a validation of `actor` first: every task of the stages so far.
