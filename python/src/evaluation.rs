@@ -43,8 +43,8 @@ struct PythonAgent {
     name: String,
     /// Takes an observation (and None, a seed, at an episode's begin), and gives an action.
     act: Arc<Py<PyAny>>,
-    /// It gets the raw states alone.
-    raw: bool,
+    /// What it gets.
+    mode: ObservationMode,
     raised: Raised,
     stop: Arc<AtomicBool>,
 }
@@ -63,6 +63,10 @@ impl Agent for PythonAgent {
         &self.name
     }
 
+    fn observes(&self) -> ObservationMode {
+        self.mode
+    }
+
     fn reset(&mut self, seed: u64) {
         Python::attach(|py| {
             if let Err(error) = self.act.call1(py, (py.None(), seed)) {
@@ -73,7 +77,8 @@ impl Agent for PythonAgent {
 
     fn act(&mut self, observation: &Observation) -> Result<Control, AgentError> {
         Python::attach(|py| {
-            let numbers = if self.raw { observation.raw.to_vec() } else { observation.concat() };
+            let raw = self.mode == ObservationMode::RawOnly;
+            let numbers = if raw { observation.raw.to_vec() } else { observation.concat() };
             let numbers = PyArray1::from_vec(py, numbers);
             let action = self.act.call1(py, (numbers, 0)).and_then(|action| action.extract::<Action>(py));
             action.map(to_control).map_err(|error| self.fail(py, error))
@@ -141,11 +146,11 @@ fn drive(
         observation: wanted.observation,
         ..EnvOptions::evaluation()
     };
-    let raw = options.observation == ObservationMode::RawOnly;
+    let mode = options.observation;
     let make_agent = |spec: &eval::DriverSpec| {
         let Some(act) = &act else { return Err(DriverError::Unknown { found: spec.to_string() }) };
         let (act, raised, stop) = (Arc::clone(act), Arc::clone(raised), Arc::clone(stop));
-        let agent = PythonAgent { name: spec.to_string(), act, raw, raised, stop };
+        let agent = PythonAgent { name: spec.to_string(), act, mode, raised, stop };
         let id = format!("of Python, {spec}");
         Ok(Made { agent: Box::new(agent), encoder: Box::new(PooledEncoder), id })
     };
