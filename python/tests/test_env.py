@@ -62,6 +62,19 @@ def test_the_expert_arrives_and_equal_seeds_are_equal(make):
     assert len(other) != len(first) or not (other[1][0] == first[1][0]).all()
 
 
+def test_lights_are_held_at_green_in_every_episode(make):
+    # They were in an environment's first episode only.
+    env = make(condition="training", weather="ClearNoon")
+    for _ in range(2):
+        observation, _ = env.reset(seed=1008, options={"route": 8})
+        over = False
+        while not over:
+            assert observation[13] == 0, "a red light"
+            observation, _, terminated, truncated, info = env.step(env.unwrapped.expert_action())
+            over = terminated or truncated
+        assert info["end"] == "arrival"
+
+
 def test_leaving_the_lane_terminates(make):
     env = make()
     env.reset(seed=1)

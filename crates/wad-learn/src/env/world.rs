@@ -1,7 +1,7 @@
 //! One SUMO with its egos, from episode to episode.
 
 use super::episode::Episode;
-use super::green;
+use super::green::{self, Held};
 use super::obstacle;
 use super::scratch::Scratch;
 use super::slot::{FIRST, Judge, Outcome, Slot};
@@ -148,6 +148,11 @@ impl World {
     fn park(&mut self) {
         if let Some(sumo) = self.sumo.take() {
             self.parked = sumo.session.into_seats();
+        }
+        // What an episode left behind went with its SUMO: the next one's lights are held anew.
+        for slot in &mut self.slots {
+            slot.held = Held::default();
+            slot.obstacle = false;
         }
     }
 
