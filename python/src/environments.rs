@@ -58,7 +58,7 @@ impl Environments {
         autoreset: &str,
     ) -> PyResult<Self> {
         let setup = Arc::new(Setup::parse(setup)?);
-        if count == 0 || count % setup.egos != 0 {
+        if count == 0 || !count.is_multiple_of(setup.egos) {
             let egos = setup.egos;
             let text =
                 format!("{count} environments: expected a multiple of egos={egos}, the egos of each SUMO");

@@ -1,7 +1,7 @@
 //! Benchmarks: the same plan, seeds and records as the command line's `eval`, with a driver of Python's.
 
-use crate::errors::{Error, Failure};
-use numpy::PyArray1;
+use crate::errors::{Error, Failure, InputError};
+use numpy::{PyArray1, PyReadonlyArray1};
 use pyo3::prelude::*;
 use serde::Deserialize;
 use std::path::PathBuf;
@@ -9,15 +9,56 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 use wad_cosim::agent::action::{Action, to_control};
+use wad_cosim::agent::actor::PlainActor;
+use wad_cosim::agent::policy::Policy;
 use wad_cosim::agent::{Agent, AgentError};
+use wad_cosim::camera::CameraConfig;
 use wad_cosim::env::{EnvOptions, ObservationMode};
-use wad_cosim::eval::{
-    self, DriverError, EvalError, Evaluation, Keep, Made, Order, Results, Selection, Suite, report,
-};
+use wad_cosim::eval::{self, EvalError, Evaluation, Keep, Made, Order, Results, Selection, Suite, report};
 use wad_cosim::latent::PooledEncoder;
 use wad_cosim::observation::Observation;
 use wad_cosim::traffic::TrafficSpec;
 use wad_cosim::vehicle::Control;
+
+/// A trained agent that drives with numbers of Python's.
+#[pyclass(frozen)]
+pub struct LoadedAgent {
+    actor: PlainActor,
+    #[pyo3(get)]
+    observation: &'static str,
+}
+
+#[pymethods]
+impl LoadedAgent {
+    /// The agent of a file, or a bundled one.
+    #[new]
+    fn new(name: &str) -> PyResult<Self> {
+        let fail = |error: String| Failure::Input(error);
+        let (policy, path) = Policy::find(name).map_err(|e| fail(e.to_string()))?;
+        let camera = CameraConfig::default().hash();
+        policy.check(&path, &policy.card.encoder_hash, &camera).map_err(|e| fail(e.to_string()))?;
+        let observation = match policy.card.inputs.observation() {
+            ObservationMode::RawOnly => "raw",
+            ObservationMode::Vector => "vector",
+            _ => "latent",
+        };
+        let actor = policy.actor().map_err(|e| fail(e.to_string()))?;
+        Ok(Self { actor, observation })
+    }
+
+    /// Steering, throttle and brake for an observation.
+    fn act(&self, observation: PyReadonlyArray1<'_, f32>) -> PyResult<Action> {
+        let numbers: Vec<f32> = observation.as_array().iter().copied().collect();
+        let expected = self.actor.dims().observation() as usize;
+        if numbers.len() != expected {
+            let found = numbers.len();
+            return Err(InputError::new_err(format!(
+                "an observation of {found} numbers: expected {expected}"
+            )));
+        }
+        Ok(self.actor.act(&numbers))
+    }
+}
 
 /// An evaluation as Python describes it, in JSON.
 #[derive(Deserialize)]
@@ -146,9 +187,9 @@ fn drive(
         observation: wanted.observation,
         ..EnvOptions::evaluation()
     };
-    let mode = options.observation;
+    let (mode, camera) = (options.observation, options.camera);
     let make_agent = |spec: &eval::DriverSpec| {
-        let Some(act) = &act else { return Err(DriverError::Unknown { found: spec.to_string() }) };
+        let Some(act) = &act else { return Made::trained(&spec.to_string(), None, &camera) };
         let (act, raised, stop) = (Arc::clone(act), Arc::clone(raised), Arc::clone(stop));
         let agent = PythonAgent { name: spec.to_string(), act, mode, raised, stop };
         let id = format!("of Python, {spec}");

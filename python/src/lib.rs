@@ -25,6 +25,7 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("LATENT_SIZE", wad_cosim::observation::LATENT_SIZE)?;
     module.add("TRANSFORMED_SIZE", wad_cosim::perception::TRANSFORMED_SIZE)?;
     module.add_class::<environments::Environments>()?;
+    module.add_class::<evaluation::LoadedAgent>()?;
     module.add_function(wrap_pyfunction!(setup::bench, module)?)?;
     module.add_function(wrap_pyfunction!(setup::names, module)?)?;
     module.add_function(wrap_pyfunction!(setup::suites, module)?)?;

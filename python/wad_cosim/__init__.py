@@ -11,7 +11,7 @@ from . import _native
 from ._native import Error, InputError, SumoError
 from .actions import DISCRETE_ACTIONS
 from .env import DrivingEnv
-from .evaluation import evaluate, report
+from .evaluation import TrainedAgent, evaluate, load_agent, report
 from .registry import ids, register_all as _register_all, scenarios, suites, towns, weathers
 from .vector import DrivingVectorEnv
 
@@ -24,8 +24,10 @@ __all__ = [
     "Error",
     "InputError",
     "SumoError",
+    "TrainedAgent",
     "evaluate",
     "ids",
+    "load_agent",
     "report",
     "scenarios",
     "suites",

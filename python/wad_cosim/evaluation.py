@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from . import _native, actions
 from ._native import InputError
@@ -43,7 +44,7 @@ def evaluate(
         suite: ``tasks``, ``composite``, ``corl2017``, ``nocrash``, ``infractions``, a suite's JSON file or a scenario.
         agent: A function of an observation that gives an action; an object with ``predict(observation,
             deterministic=True)`` such as a model of Stable-Baselines3; or a driver by name: ``autopilot``, ``random``,
-            ``constant:THROTTLE,STEER,BRAKE``. If it has a method ``reset``, that is called at an episode's begin.
+            ``constant:THROTTLE,STEER,BRAKE``, or the file of a trained agent with the inputs raw or vector. If it has a method ``reset``, that is called at an episode's begin.
         name: Its name in tables. Default: the function's or the class's.
         observation: What it gets: ``raw`` or ``vector``, as :class:`DrivingEnv` has them.
         action: What it gives, as :class:`DrivingEnv`'s ``action``.
@@ -93,6 +94,31 @@ def evaluate(
     }
     summary = json.loads(_native.evaluate(json.dumps(wanted), act, _say if progress else None))
     return _table(summary["totals"])
+
+
+class TrainedAgent:
+    """An agent that ``wad-cosim train agent`` trained; :func:`load_agent` makes it."""
+
+    def __init__(self, name: str | os.PathLike[str]) -> None:
+        self._native = _native.LoadedAgent(os.fspath(name))
+        #: What it needs: ``raw``, ``vector``, or ``latent`` (200 numbers, then the raw states), which the wheel's environments do
+        #: not have yet.
+        self.observation = self._native.observation
+
+    def act(self, observation: Any) -> NDArray[np.float32]:
+        """Steering, throttle and brake for an observation."""
+        try:
+            numbers = np.asarray(observation, dtype=np.float32).reshape(-1)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"an observation is not made of numbers: {error}") from None
+        return np.array(self._native.act(numbers), dtype=np.float32)
+
+    __call__ = act
+
+
+def load_agent(name: str | os.PathLike[str]) -> TrainedAgent:
+    """The trained agent of a file that ``wad-cosim train agent`` wrote, or ``wad-t`` or ``wad-s``; the networks run without libtorch."""
+    return TrainedAgent(name)
 
 
 def report(*folders: str | os.PathLike[str]) -> str:

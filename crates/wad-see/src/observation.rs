@@ -19,7 +19,6 @@ pub const RAW_SIZE: usize = 15;
 pub const RAW_MEANING: u32 = 3;
 
 /// Files without a version of the raw vector have version 1.
-#[cfg(feature = "learn")]
 pub fn first_meaning() -> u32 {
     1
 }

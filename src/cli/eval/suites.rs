@@ -241,7 +241,6 @@ pub fn with_exit(error: EvalError) -> anyhow::Error {
         ) => Exit::Input,
         EvalError::Store(StoreError::File { .. } | StoreError::Lock(LockError::Make { .. })) => Exit::Other,
         EvalError::Store(_) => Exit::Input,
-        #[cfg(feature = "learn")]
         EvalError::Driver(DriverError::Policy(_) | DriverError::Encoder(_)) => Exit::Input,
         _ => Exit::Other,
     };
