@@ -98,3 +98,18 @@ def test_an_exception_of_the_agent_comes_through():
 def test_wrong_arguments_say_what_is_expected(suite, kwargs, text):
     with pytest.raises(wad_cosim.InputError, match=text):
         wad_cosim.evaluate(suite, **kwargs)
+
+
+def test_bundled_agents_act_without_libtorch():
+    agent = wad_cosim.load_agent("wad-t")
+    assert agent.observation == "latent"
+    action = agent.act(np.zeros(215))
+    assert action.shape == (3,) and -1 <= action[0] <= 1 and (action[1:] >= 0).all() and (action[1:] <= 1).all()
+    with pytest.raises(wad_cosim.InputError, match="expected 215"):
+        agent.act(np.zeros(15))
+    for name in ("wad-z", __file__):
+        with pytest.raises(wad_cosim.InputError):
+            wad_cosim.load_agent(name)
+    # Its latent needs OpenCV and the encoder, which the wheel has not.
+    with pytest.raises(wad_cosim.InputError, match="libtorch"):
+        wad_cosim.evaluate("tasks", "wad-t", **PART)

@@ -58,7 +58,7 @@ class DrivingVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         self._arrays = Arrays(setup.observation, num_envs, setup.camera)
         self._last = Arrays(setup.observation, num_envs, setup.camera) if mode == AutoresetMode.SAME_STEP else None
         last = self._last.native() if self._last else None
-        self._native = _native.Environments(num_envs, setup.text, self._arrays.native(), last, _MODES[mode])
+        self._sumos = _native.Environments(num_envs, setup.text, self._arrays.native(), last, _MODES[mode])
         self.num_envs = num_envs
         self.metadata = {**type(self).metadata, "autoreset_mode": mode}
         self.render_mode = setup.render_mode
@@ -103,7 +103,7 @@ class DrivingVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
                 self._generators[i] = seeding.np_random(own)[0]
                 wanted[i] = own % 2**64
             self._seeds[i] = self._drawn(i)
-        self._native.reset(wanted, route_of(options))
+        self._sumos.reset(wanted, route_of(options))
         self._over &= ~chosen
         return self._arrays.all(self._copy), infos.of_all(self._arrays.numbers, chosen)
 
@@ -111,7 +111,7 @@ class DrivingVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         self, actions: Any
     ) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Drives one tick of every environment."""
-        news = self._native.step(self._setup.controls(actions, self.num_envs), self._seeds)
+        news = self._sumos.step(self._setup.controls(actions, self.num_envs), self._seeds)
         numbers = self._arrays.numbers
         rewards = numbers[:, infos.REWARD].copy()
         terminated = numbers[:, infos.TERMINATED] != 0
@@ -149,19 +149,21 @@ class DrivingVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         """The front cameras' pictures, with ``render_mode="rgb_array"``."""
         if self.render_mode != "rgb_array":
             return (None,) * self.num_envs
-        return tuple(self._native.picture(i) for i in range(self.num_envs))
+        return tuple(self._sumos.picture(i) for i in range(self.num_envs))
 
     def expert_actions(self) -> NDArray[np.float32]:
         """The rule-based experts' actions for this tick, (num_envs, 3); see :meth:`DrivingEnv.expert_action`."""
-        return np.array(self._native.expert(), dtype=np.float32)
+        return np.array(self._sumos.expert(), dtype=np.float32)
 
     @property
     def sumo_pids(self) -> list[int | None]:
         """Ids of the SUMO processes."""
-        return self._native.sumos()
+        return self._sumos.sumos()
 
     def close_extras(self, **kwargs: Any) -> None:
         """Ends the SUMOs."""
-        self._native.close()
+        # Gymnasium 1.2 closes what could not be made, too.
+        if hasattr(self, "_sumos"):
+            self._sumos.close()
 
 
