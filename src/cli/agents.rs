@@ -32,7 +32,7 @@ pub fn open(
             let id = format!("exec:{command}, encoder {}", encoder.hash());
             Ok(Made { agent: Box::new(ExternalAgent::new(command, limits)), encoder, id })
         }
-        other => trained(&other.to_string(), encoder, camera),
+        other => Made::trained(&other.to_string(), encoder, camera),
     }
 }
 
@@ -52,65 +52,26 @@ pub fn pilot(
     pilot.map_err(|e| Exit::Input.because(e))
 }
 
-#[cfg(feature = "learn")]
-fn trained(name: &str, encoder: Option<&str>, camera: &CameraConfig) -> Result<Made, DriverError> {
-    let (agent, encoder) = wad_cosim::agent::policy::open(name, encoder, camera)?;
-    let id = format!("{}, encoder {}", weights(name), encoder.hash());
-    Ok(Made { agent, encoder, id })
-}
-
-/// `weights` and the checksum of the file of the trained agent `name`.
-#[cfg(feature = "learn")]
-fn weights(name: &str) -> String {
-    let bytes = match wad_cosim::bundled::agent(name) {
-        Some(bytes) if !std::path::Path::new(name).is_file() => bytes.to_vec(),
-        _ => std::fs::read(name).unwrap_or_default(),
-    };
-    format!("weights {:08x}", crc32fast::hash(&bytes))
-}
-
 /// Whether the trained agent `name` learned from demonstrations; None if its file is missing or is not the
 /// one with the identity `id`.
-#[cfg(feature = "learn")]
 pub fn is_demonstrated(name: &str, id: &str) -> Option<bool> {
-    if id.split(", ").next() != Some(weights(name).as_str()) {
+    if id.split(", ").next() != Some(Made::weights(name).as_str()) {
         return None;
     }
     let (policy, _) = wad_cosim::agent::policy::Policy::find(name).ok()?;
     Some(policy.card.demonstrations > 0)
 }
 
-#[cfg(not(feature = "learn"))]
-pub fn is_demonstrated(_: &str, _: &str) -> Option<bool> {
-    None
-}
-
-#[cfg(not(feature = "learn"))]
-fn trained(name: &str, _: Option<&str>, _: &CameraConfig) -> Result<Made, DriverError> {
-    Err(DriverError::Unknown { found: name.to_string() })
-}
-
 /// The encoder called `name`, by default the bundled one.
-#[cfg(feature = "learn")]
 pub fn default_encoder(name: Option<&str>) -> Result<Box<dyn Encoder>, DriverError> {
-    Ok(wad_cosim::agent::policy::find_encoder(name.unwrap_or("default"))?)
-}
-
-#[cfg(not(feature = "learn"))]
-pub fn default_encoder(_: Option<&str>) -> Result<Box<dyn Encoder>, DriverError> {
-    Ok(Box::new(wad_cosim::latent::PooledEncoder))
+    let default = if cfg!(feature = "learn") { "default" } else { "pooled" };
+    Ok(wad_cosim::agent::policy::find_encoder(name.unwrap_or(default))?)
 }
 
 /// The name of `agent`'s encoder: `asked`, else the agent's own, else the default.
-#[cfg(feature = "learn")]
 pub fn sees_through(asked: Option<&str>, agent: Option<&str>) -> String {
     let own = || agent.and_then(wad_cosim::agent::policy::encoder_of);
     asked.map(str::to_string).or_else(own).unwrap_or_else(|| "default".to_string())
-}
-
-#[cfg(not(feature = "learn"))]
-pub fn sees_through(asked: Option<&str>, _: Option<&str>) -> String {
-    asked.unwrap_or("default").to_string()
 }
 
 /// The decoder for latents of the encoder called `encoder`; None where this build or this

@@ -4,7 +4,7 @@ use super::keeper;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::sync::Mutex;
+use std::sync::{Mutex, OnceLock};
 use std::time::Duration;
 
 /// The oldest SUMO release that is good enough.
@@ -45,6 +45,9 @@ pub enum InstallError {
 /// How long a SUMO may take to say its version or its options.
 pub const ANSWER: Duration = Duration::from_secs(30);
 
+/// The SUMO that came with the program.
+static OWN: OnceLock<PathBuf> = OnceLock::new();
+
 /// A SUMO on this machine.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SumoInstall {
@@ -52,13 +55,20 @@ pub struct SumoInstall {
 }
 
 impl SumoInstall {
-    /// The first SUMO found: at `WAD_COSIM_SUMO_HOME`, in the cache folder that scripts/setup fills,
-    /// at `SUMO_HOME`, next to a `sumo` on the PATH. A variable that is set and wrong is an error.
+    /// The first SUMO found: at `WAD_COSIM_SUMO_HOME`, the program's own ([`SumoInstall::set_own`]), in the
+    /// cache folder that scripts/setup fills, at `SUMO_HOME`, next to a `sumo` on the PATH. A variable that is
+    /// set and wrong is an error.
     ///
     /// # Errors
     /// There is none.
     pub fn find() -> Result<Self, InstallError> {
         Self::find_with(|name| std::env::var_os(name).filter(|value| !value.is_empty()))
+    }
+
+    /// Names the home folder of a SUMO that came with the program, such as a Python package that the program
+    /// depends on. Only the first call has an effect.
+    pub fn set_own(home: PathBuf) {
+        let _ = OWN.set(home);
     }
 
     fn find_with(variable: impl Fn(&str) -> Option<OsString>) -> Result<Self, InstallError> {
@@ -72,6 +82,9 @@ impl SumoInstall {
             // If it is set, nothing else is tried.
             let found = candidate(home.into(), "WAD_COSIM_SUMO_HOME");
             return found.ok_or(InstallError::NotFound { looked });
+        }
+        if let Some(install) = OWN.get().and_then(|home| candidate(home.clone(), "the program's own")) {
+            return Ok(install);
         }
         let cached = crate::cache::cache_in(&variable).map(|cache| cache.join("sumo-1.28.0/sumo"));
         if let Some(install) = cached.and_then(|home| candidate(home, "the cache folder")) {

@@ -2,7 +2,7 @@
 
 use std::io::{self, Read};
 use std::process::{Child, Command, Output, Stdio};
-use std::sync::{Mutex, OnceLock, mpsc};
+use std::sync::{Mutex, mpsc};
 use std::time::{Duration, Instant};
 
 /// Starts a command so that the kernel sends it `signal` (such as `libc::SIGKILL`) when this process ends,
@@ -15,8 +15,9 @@ use std::time::{Duration, Instant};
 /// As [`Command::spawn`], and the thread cannot be started.
 pub fn spawn(command: Command, signal: i32) -> io::Result<Child> {
     type Request = (Command, i32, mpsc::Sender<io::Result<Child>>);
-    static KEEPER: OnceLock<Option<Mutex<mpsc::Sender<Request>>>> = OnceLock::new();
-    let keeper = KEEPER.get_or_init(|| {
+    /// The thread's process and its requests: a fork copies this and not the thread.
+    static KEEPER: Mutex<Option<(u32, mpsc::Sender<Request>)>> = Mutex::new(None);
+    let start = || {
         let (sender, requests) = mpsc::channel::<Request>();
         let keep = move || {
             for (mut command, signal, answer) in requests {
@@ -28,13 +29,20 @@ pub fn spawn(command: Command, signal: i32) -> io::Result<Child> {
                 }
             }
         };
-        let thread = std::thread::Builder::new().name("child-keeper".to_owned()).spawn(keep);
-        thread.ok().map(|_| Mutex::new(sender))
-    });
+        std::thread::Builder::new().name("child-keeper".to_owned()).spawn(keep).map(|_| sender)
+    };
     let gone = || io::Error::other("the thread that starts other programs could not be started");
     let (sender, answer) = mpsc::channel();
-    let keeper = keeper.as_ref().ok_or_else(gone)?;
-    keeper.lock().map_err(|_| gone())?.send((command, signal, sender)).map_err(|_| gone())?;
+    let own = std::process::id();
+    let mut keeper = KEEPER.lock().map_err(|_| gone())?;
+    let requests = match keeper.take() {
+        Some((process, requests)) if process == own => requests,
+        _ => start()?,
+    };
+    let sent = requests.send((command, signal, sender)).map_err(|_| gone());
+    *keeper = Some((own, requests));
+    drop(keeper);
+    sent?;
     answer.recv().map_err(|_| gone())?
 }
 

@@ -1,6 +1,6 @@
 //! Drivers: one list for `run`, `eval`, scenarios and the live view.
 
-use crate::agent::{Agent, AgentError, Seen};
+use crate::agent::{Agent, AgentError, Seen, policy};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -51,11 +51,9 @@ pub enum DriverError {
         found: String,
     },
     /// A trained agent or its encoder cannot be opened.
-    #[cfg(feature = "learn")]
     #[error(transparent)]
-    Policy(#[from] crate::agent::policy::PolicyError),
+    Policy(#[from] policy::PolicyError),
     /// An encoder cannot be opened.
-    #[cfg(feature = "learn")]
     #[error(transparent)]
     Encoder(#[from] wad_see::latent::LatentError),
     /// An agent cannot be started.
@@ -77,6 +75,27 @@ pub struct Made {
     pub encoder: Box<dyn Encoder>,
     /// Identifies the weights of both.
     pub id: String,
+}
+
+impl Made {
+    /// The trained agent called `name`, and `encoder` or the one that it was trained with.
+    ///
+    /// # Errors
+    /// The agent or the encoder does not exist, or they do not fit together or this camera.
+    pub fn trained(name: &str, encoder: Option<&str>, camera: &CameraConfig) -> Result<Self, DriverError> {
+        let (agent, encoder) = policy::open(name, encoder, camera)?;
+        let id = format!("{}, encoder {}", Self::weights(name), encoder.hash());
+        Ok(Self { agent, encoder, id })
+    }
+
+    /// `weights` and the checksum of the file of the trained agent `name`.
+    pub fn weights(name: &str) -> String {
+        let bytes = match wad_sim::bundled::agent(name) {
+            Some(bytes) if !std::path::Path::new(name).is_file() => bytes.to_vec(),
+            _ => std::fs::read(name).unwrap_or_default(),
+        };
+        format!("weights {:08x}", crc32fast::hash(&bytes))
+    }
 }
 
 /// Half throttle, straight on.

@@ -9,8 +9,8 @@
 use crate::latent::{Decoder, Encoder, LatentError};
 use crate::observation::{LATENT_SIZE, Observation, ObservationMode, RAW_SIZE, RawState};
 use crate::perception::{
-    self, Detector, EgoFacts, LightAhead, Percept, Perception, PerceptionError, StopLight, TransformedImage,
-    stages,
+    self, Detector, EgoFacts, LaneDetector, LightAhead, Percept, Perception, PerceptionError, StopLight,
+    TransformedImage, stages,
 };
 use crate::surroundings::Surroundings;
 use std::time::Instant;
@@ -135,9 +135,14 @@ impl Eyes {
     /// # Errors
     /// As [`Eyes::camera`]; a build without OpenCV finds no lanes.
     pub fn new(town: Town, config: CameraConfig, detector: Box<dyn Detector>) -> Result<Self, EyesError> {
+        LaneDetector::check()?;
+        Self::perceiving(town, config, detector)
+    }
+
+    fn perceiving(town: Town, config: CameraConfig, detector: Box<dyn Detector>) -> Result<Self, EyesError> {
         let mut eyes = Self::camera(town, config)?;
         if let Some(sight) = &mut eyes.sight {
-            sight.perception = Some(Perception::new(detector, config)?);
+            sight.perception = Some(Perception::new(detector, config));
         }
         Ok(eyes)
     }
@@ -154,8 +159,12 @@ impl Eyes {
         encoder: Box<dyn Encoder>,
     ) -> Result<Self, EyesError> {
         let eyes = if mode.looks() {
+            // The raw states need no lanes, so a build without OpenCV has them.
+            if mode.encodes() {
+                LaneDetector::check()?;
+            }
             let detector = perception::detector(detector, perception::MIN_SCORE)?;
-            Self::new(assets.town(), camera, detector)?
+            Self::perceiving(assets.town(), camera, detector)?
         } else {
             Self::blind()
         };

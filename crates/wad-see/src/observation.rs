@@ -19,7 +19,6 @@ pub const RAW_SIZE: usize = 15;
 pub const RAW_MEANING: u32 = 3;
 
 /// Files without a version of the raw vector have version 1.
-#[cfg(feature = "learn")]
 pub fn first_meaning() -> u32 {
     1
 }
@@ -209,8 +208,8 @@ impl ObservationMode {
     }
 
     /// Size of [`Observation::latent`].
-    pub fn latent_size(self) -> usize {
-        if self == Self::Vector { SURROUNDINGS_SIZE } else { LATENT_SIZE }
+    pub const fn latent_size(self) -> usize {
+        if matches!(self, Self::Vector) { SURROUNDINGS_SIZE } else { LATENT_SIZE }
     }
 
     /// Whether images are encoded.

@@ -1,10 +1,10 @@
 //! `eval merge`: joins the results of several shards.
 
-use super::suites::{Summary, plan, report, with_exit};
+use super::suites::{report, with_exit};
 use crate::cli::Exit;
 use clap::ValueHint;
 use std::path::{Path, PathBuf};
-use wad_cosim::eval::{self, EpisodeRecord, Manifest, Results, Store, StoreError};
+use wad_cosim::eval::{self, EpisodeRecord, Manifest, Results, Store, StoreError, Summary};
 
 /// Options of `eval merge`.
 #[derive(clap::Args, Debug)]
@@ -38,7 +38,7 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
     }
     let Some(manifest) = first else { return Ok(Exit::Done) };
     let (suite, selection) = (&manifest.suite, &manifest.selection);
-    let (plan, _) = plan(suite, selection)?;
+    let (plan, _) = eval::plan(suite, selection).map_err(with_exit)?;
     let found: Vec<_> = runs.iter().map(|run| eval::in_order(&plan, &run.episodes)).collect();
     // If two runs have the same episode, the last run's counts.
     let last = |index: usize| {

@@ -5,21 +5,16 @@ use crate::cli::progress::Bar;
 use crate::cli::{Exit, print};
 use clap::ValueHint;
 use serde::Serialize;
-use std::collections::BTreeMap;
 use std::path::PathBuf;
-use std::sync::Arc;
-use std::sync::atomic::Ordering;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use wad_cosim::agent::external::Limits;
 use wad_cosim::camera::Preset;
-use wad_cosim::env::{Assets, EnvOptions};
+use wad_cosim::env::EnvOptions;
 use wad_cosim::eval::{
-    self, Case, DriverError, DriverSpec, EpisodeRecord, EvalError, Evaluation, Fault, Keep, Manifest, Row,
-    Score, Selection, Shard, Store, StoreError, Suite,
+    self, DriverError, DriverSpec, EpisodeRecord, EvalError, Evaluation, Fault, Keep, Order, Outcome,
+    Selection, Shard, StoreError, Suite, Summary,
 };
 use wad_cosim::folder_lock::LockError;
-use wad_cosim::perception;
-use wad_cosim::traci::process::SumoInstall;
 use wad_cosim::traffic::TrafficSpec;
 
 const EXAMPLES: &str = "\
@@ -125,27 +120,6 @@ fn once<T: PartialEq>(flag: &str, given: &mut Vec<T>, name: impl Fn(&T) -> Strin
     *given = left;
 }
 
-/// `summary.json`: independent of when, where and in which order the episodes were driven.
-#[derive(Serialize)]
-pub struct Summary {
-    pub suite: String,
-    pub episodes: u64,
-    pub planned: u64,
-    pub totals: Vec<Total>,
-    pub rows: Vec<Row>,
-}
-
-/// A task of one agent in one condition, over all weathers and seeds.
-#[derive(Serialize)]
-pub struct Total {
-    agent: String,
-    condition: String,
-    town: String,
-    task: String,
-    #[serde(flatten)]
-    score: Score,
-}
-
 /// The last line of `--json`.
 #[derive(Serialize)]
 struct Answer<'a> {
@@ -160,51 +134,6 @@ struct Answer<'a> {
     out: Option<&'a PathBuf>,
 }
 
-impl Summary {
-    /// Of the episodes of a plan, in its order.
-    pub fn of(suite: &str, planned: usize, episodes: &[EpisodeRecord]) -> Self {
-        let key = |e: &EpisodeRecord| {
-            let c = &e.case;
-            (c.agent.to_string(), c.condition.clone(), c.town.clone(), c.task.clone(), traffic_key(e))
-        };
-        let totals = eval::grouped(episodes.iter(), key).into_iter().map(|group| {
-            let case = &group[0].case;
-            Total {
-                agent: case.agent.to_string(),
-                condition: case.condition.clone(),
-                town: case.town.clone(),
-                task: case.task.clone(),
-                score: Score::of(&group),
-            }
-        });
-        Self {
-            suite: suite.to_string(),
-            episodes: episodes.len() as u64,
-            planned: planned as u64,
-            totals: totals.collect(),
-            rows: eval::rows(episodes),
-        }
-    }
-}
-
-fn traffic_key(episode: &EpisodeRecord) -> String {
-    episode.case.spec.traffic().to_string()
-}
-
-/// Towns by name.
-type Towns = BTreeMap<String, Arc<Assets>>;
-
-/// The selected episodes, and their towns.
-pub fn plan(suite: &Suite, selection: &Selection) -> anyhow::Result<(Vec<Case>, Towns)> {
-    let mut towns = Towns::new();
-    for town in selection.towns(suite).map_err(|e| Exit::Input.because(e))? {
-        let assets = Assets::load(&town).map_err(|e| with_exit(e.into()))?;
-        towns.insert(town, assets);
-    }
-    let plan = selection.routes(suite, &towns).and_then(|routes| selection.plan(suite, &routes));
-    Ok((plan.map_err(|e| Exit::Input.because(e))?, towns))
-}
-
 /// Runs the command.
 pub fn run(suite: &str, args: Args) -> anyhow::Result<Exit> {
     let suite = Suite::find(suite).map_err(|e| Exit::Input.because(e))?;
@@ -215,80 +144,41 @@ pub fn run(suite: &str, args: Args) -> anyhow::Result<Exit> {
         detector: args.detector.clone(),
         ..EnvOptions::evaluation()
     };
-    let (plan, towns) = plan(&suite, &selection)?;
-    let mine = plan.iter().enumerate().filter(|(i, _)| args.shard.is_none_or(|s| s.has(*i)));
-    let mine: Vec<_> = mine.map(|(_, case)| case.clone()).collect();
     let limits = Limits { answer: seconds(args.agent_timeout)?, ..Limits::default() };
     let make_agent = agents::maker(options.camera, limits);
-    let ids = selection.agents.iter().filter(|agent| agent.looks()).map(|agent| {
-        let made = make_agent(agent).map_err(|e| with_exit(e.into()))?;
-        Ok((agent.to_string(), made.id))
-    });
-    let ids = ids.collect::<anyhow::Result<_>>()?;
-    let hashes = |hash: fn(&Assets) -> &str| -> BTreeMap<String, String> {
-        towns.iter().map(|(town, assets)| (town.clone(), hash(assets).to_string())).collect()
-    };
-    let manifest = Manifest {
-        build: env!("WAD_COSIM_VERSION").to_string(),
-        sumo: sumo_version()?,
-        suite: suite.clone(),
-        selection,
-        options: options.clone(),
-        agents: ids,
-        nets: hashes(Assets::net_hash),
-        towns: hashes(Assets::files_hash),
-        detector: perception::weights_hash(&args.detector),
-        shard: args.shard,
-    };
-    let opened = args.out.as_ref().map(|out| Store::open(out, &manifest, args.resume)).transpose();
-    let (mut store, mut episodes) = match opened.map_err(|e| with_exit(e.into()))? {
-        Some((store, episodes)) => (Some(store), episodes),
-        None => (None, Vec::new()),
-    };
-    // Episodes in which SUMO died do not count for the agent, and are driven again.
-    episodes.retain(|episode| episode.fault != Some(Fault::Simulator));
-    let left: Vec<_> = (mine.iter().zip(eval::in_order(&mine, &episodes)))
-        .filter(|(_, done)| done.is_none())
-        .map(|(case, _)| case.clone())
-        .collect();
     let stop = crate::cli::interrupt()?.flag();
-    let bar = Bar::new(mine.len() as u64, "episodes");
-    let before = (mine.len() - left.len()) as u64;
-    bar.show(before, "");
-    let evaluation = Evaluation {
-        options,
-        jobs: args.jobs,
-        make_agent: &make_agent,
-        keep: args.out.clone().map(|out| (out, args.keep)),
-        build: env!("WAD_COSIM_VERSION"),
-        stop: &stop,
+    let order = Order {
+        suite,
+        selection,
+        shard: args.shard,
+        out: args.out.clone(),
+        resume: args.resume,
+        evaluation: Evaluation {
+            options,
+            jobs: args.jobs,
+            make_agent: &make_agent,
+            keep: args.out.clone().map(|out| (out, args.keep)),
+            build: env!("WAD_COSIM_VERSION"),
+            stop: &stop,
+        },
     };
-    let began = Instant::now();
-    let mut driven = 0;
-    let result = eval::run(&left, &towns, &evaluation, |record| {
-        driven += 1;
-        if let Some(store) = &mut store {
-            store.add(&record)?;
+    let mut bar = None;
+    let result = eval::evaluate(order, |progress| {
+        let bar = bar.get_or_insert_with(|| Bar::new(progress.planned, "episodes"));
+        if let Some(record) = progress.record {
+            if !record.ending.success {
+                tracing::info!("{}", failure(record));
+            }
+            if record.fault == Some(Fault::Agent) {
+                bar.say(&failure(record));
+            }
         }
-        if !record.ending.success {
-            tracing::info!("{}", failure(&record));
-        }
-        if record.fault == Some(Fault::Agent) {
-            bar.say(&failure(&record));
-        }
-        episodes.push(record);
-        bar.show(before + driven, "");
-        Ok(())
+        bar.show(progress.done, "");
     });
-    bar.clear();
-    result.map_err(with_exit)?;
-    let wall_seconds = began.elapsed().as_secs_f64();
-    let done: Vec<EpisodeRecord> = eval::in_order(&mine, &episodes).into_iter().flatten().cloned().collect();
-    let interrupted = stop.load(Ordering::Relaxed) && done.len() < mine.len();
-    let summary = Summary::of(&suite.name, mine.len(), &done);
-    if let Some(store) = store {
-        store.finish(&summary).map_err(|e| with_exit(e.into()))?;
+    if let Some(bar) = &mut bar {
+        bar.clear();
     }
+    let Outcome { summary, driven, wall_seconds, interrupted } = result.map_err(with_exit)?;
     let per_hour = if driven == 0 { 0.0 } else { driven as f64 * 3600.0 / wall_seconds };
     if driven > 0 {
         eprintln!("{driven} episodes in {wall_seconds:.0} s, {per_hour:.0} an hour");
@@ -317,38 +207,19 @@ pub fn report(summary: &Summary, json: Option<String>) -> anyhow::Result<()> {
     }
 }
 
-/// `--traffic` selects the tasks with that traffic; if there are none, it changes the traffic of all tasks.
 fn selection(suite: &Suite, args: &Args) -> Selection {
-    let has = |traffic: TrafficSpec| {
-        suite.tasks.iter().filter(move |t| t.traffic.unwrap_or(t.kind.traffic()) == traffic)
-    };
-    let names_tasks = args.tasks.is_empty()
-        && suite.tasks.len() > 1
-        && !args.traffic.is_empty()
-        && args.traffic.iter().all(|&traffic| has(traffic).next().is_some());
-    let (tasks, traffic) = if names_tasks {
-        let tasks = args.traffic.iter().flat_map(|&traffic| has(traffic)).map(|t| t.name.clone());
-        (tasks.collect(), Vec::new())
-    } else {
-        (args.tasks.clone(), args.traffic.clone())
-    };
-    Selection {
+    let selection = Selection {
         agents: args.agents.clone(),
-        tasks,
+        tasks: args.tasks.clone(),
         conditions: args.conditions.clone(),
         towns: args.towns.clone(),
         weathers: args.weathers.clone(),
-        traffic,
+        traffic: Vec::new(),
         seeds: args.seeds.clone(),
         episodes: args.episodes,
         routes: args.routes.clone(),
-    }
-}
-
-fn sumo_version() -> anyhow::Result<String> {
-    let version = SumoInstall::find().and_then(|install| install.version());
-    let (major, minor, patch) = version.map_err(|e| Exit::Sumo.because(e))?;
-    Ok(format!("{major}.{minor}.{patch}"))
+    };
+    selection.in_traffic(suite, &args.traffic)
 }
 
 fn seconds(given: f64) -> anyhow::Result<Duration> {
@@ -363,13 +234,13 @@ pub fn with_exit(error: EvalError) -> anyhow::Error {
         EvalError::Env(env) if env.is_input() => Exit::Input,
         EvalError::Env(env) if env.is_sumo() => Exit::Sumo,
         EvalError::Assets(assets) if assets.is_input() => Exit::Input,
-        EvalError::Assets(_) => Exit::Sumo,
+        EvalError::Assets(_) | EvalError::Sumo(_) => Exit::Sumo,
+        EvalError::Suite(_) => Exit::Input,
         EvalError::Driver(
             DriverError::Unknown { .. } | DriverError::Constant { .. } | DriverError::Manual,
         ) => Exit::Input,
         EvalError::Store(StoreError::File { .. } | StoreError::Lock(LockError::Make { .. })) => Exit::Other,
         EvalError::Store(_) => Exit::Input,
-        #[cfg(feature = "learn")]
         EvalError::Driver(DriverError::Policy(_) | DriverError::Encoder(_)) => Exit::Input,
         _ => Exit::Other,
     };
@@ -396,7 +267,7 @@ fn failure(record: &EpisodeRecord) -> String {
 
 /// The totals as text.
 fn table(summary: &Summary) -> String {
-    let named = |total: &Total| {
+    let named = |total: &eval::Total| {
         [&*eval::report::short(&total.agent), &total.condition, &total.town, &total.task].map(str::to_string)
     };
     let names: Vec<[String; 4]> = summary.totals.iter().map(named).collect();
@@ -440,12 +311,12 @@ mod tests {
 
     #[test]
     fn long_names_keep_the_columns() {
-        let total = |task: &str, town: &str| Total {
+        let total = |task: &str, town: &str| eval::Total {
             agent: "autopilot".to_string(),
             condition: "new".to_string(),
             town: town.to_string(),
             task: task.to_string(),
-            score: Score::of(&[]),
+            score: eval::Score::of(&[]),
         };
         let totals = vec![total("short", "town3"), total("a task with a very long name", "my_own_long_town")];
         let summary = Summary { suite: String::new(), episodes: 0, planned: 0, totals, rows: Vec::new() };

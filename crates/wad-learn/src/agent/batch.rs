@@ -1,12 +1,11 @@
 //! An update's input and output: transitions on the device with scaled observations, and metrics.
 
 use super::networks::Dims;
+pub use super::params::{InputScale, Inputs};
 use super::replay_buffer::Sampled;
 use rand::{Rng, RngExt};
-use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use tch::{Device, Kind, Tensor, no_grad};
-use wad_see::observation::{ObservationMode, SURROUNDINGS_SIZE};
 
 /// One update's transitions, on the learner's device, observations scaled.
 #[derive(Debug)]
@@ -92,75 +91,7 @@ impl Batches {
     }
 }
 
-/// The inputs of an agent; its networks have no others. For ablations.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Inputs {
-    /// Latent and raw vector.
-    #[default]
-    Both,
-    /// The latent only.
-    Latent,
-    /// The raw vector only.
-    Raw,
-    /// The surroundings as numbers in place of the latent, and the raw vector; no camera
-    /// ([`wad_see::surroundings`]).
-    Vector,
-}
-
-impl Inputs {
-    /// The sizes of networks with these inputs.
-    pub fn dims(self) -> Dims {
-        match self {
-            Self::Both => Dims::DRIVING,
-            Self::Latent => Dims { raw: 0, ..Dims::DRIVING },
-            Self::Raw => Dims { latent: 0, ..Dims::DRIVING },
-            Self::Vector => Dims { latent: SURROUNDINGS_SIZE as i64, ..Dims::DRIVING },
-        }
-    }
-
-    /// The parts of the observation that an environment has to compute for them.
-    pub fn observation(self) -> ObservationMode {
-        match self {
-            Self::Both => ObservationMode::LatentAndRaw,
-            Self::Latent => ObservationMode::LatentOnly,
-            Self::Raw => ObservationMode::RawOnly,
-            Self::Vector => ObservationMode::Vector,
-        }
-    }
-}
-
-/// Scales an observation to about -1 to 1: x' = (x - offset) factor. Measured once, on the first
-/// experience, and part of the actor from then on.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct InputScale {
-    /// Subtracted from each number of an observation.
-    pub offset: Vec<f32>,
-    /// Multiplied with each number afterwards.
-    pub factor: Vec<f32>,
-}
-
 impl InputScale {
-    /// The identity.
-    pub fn identity(dims: Dims) -> Self {
-        let n = dims.observation() as usize;
-        Self { offset: vec![0.0; n], factor: vec![1.0; n] }
-    }
-
-    /// From means and standard deviations of the latent; the raw vector is scaled by definition. Numbers
-    /// that hardly vary are not amplified: the smallest deviation used is a tenth of the mean one. `gain` is
-    /// the deviation of the scaled latent.
-    pub fn measured(mean: &[f32], deviation: &[f32], dims: Dims, gain: f64) -> Self {
-        let latent = dims.latent as usize;
-        let floor = 0.1 * deviation[..latent].iter().sum::<f32>() / (latent as f32).max(1.0);
-        let mut scale = Self::identity(dims);
-        scale.offset[..latent].copy_from_slice(&mean[..latent]);
-        for (factor, deviation) in scale.factor[..latent].iter_mut().zip(deviation) {
-            *factor = gain as f32 / deviation.max(floor).max(1e-6);
-        }
-        scale
-    }
-
     /// On a device.
     pub fn tensors(&self, device: Device) -> Scale {
         Scale {

@@ -6,28 +6,8 @@
 //! that the data includes ways back to the lane's middle.
 
 use super::batch::Batch;
-use serde::{Deserialize, Serialize};
+pub use super::params::Imitation;
 use tch::{Kind, Tensor, no_grad};
-
-/// The weight of imitation.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Imitation {
-    /// Weight relative to the critic, whose mean size counts as 1. 0: no imitation.
-    pub weight: f64,
-    /// Updates over which the weight falls linearly.
-    pub updates: u64,
-    /// Share of the weight that remains after `updates` updates.
-    pub floor: f64,
-    /// Imitate only where the critic prefers the expert's action (Nair et al. 2018).
-    pub filter: bool,
-}
-
-impl Default for Imitation {
-    fn default() -> Self {
-        Self { weight: 0.0, updates: 200_000, floor: 0.0, filter: false }
-    }
-}
 
 /// Weight of a steering error against the same share of a pedal's travel: at 10 m/s a hundredth
 /// of full lock matters, and a tenth of a pedal does not.

@@ -3,54 +3,12 @@
 use super::action::{ACTION_SIZE, Action};
 use super::batch::{Batch, InputScale, Metrics, Scale};
 use super::networks::{ActorT, Dims, Params, PolicyS};
-use super::sac::{Sac, SacParams};
-use super::td3::{Td3, Td3Params};
+pub use super::params::{Algorithm, Misfit};
+use super::sac::Sac;
+use super::td3::Td3;
 use crate::optim::Adam;
-use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use tch::{Device, Tensor, no_grad};
-
-/// The algorithm with its constants.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "algo", rename_all = "snake_case", deny_unknown_fields)]
-pub enum Algorithm {
-    /// WAD-T.
-    Td3(Td3Params),
-    /// WAD-S.
-    Sac(SacParams),
-}
-
-impl Algorithm {
-    /// Discount per tick.
-    pub fn gamma(&self) -> f64 {
-        match self {
-            Self::Td3(params) => params.gamma,
-            Self::Sac(params) => params.gamma,
-        }
-    }
-
-    /// The agent's name in the paper: `wad-t`, `wad-s`.
-    pub fn agent_name(&self) -> &'static str {
-        match self {
-            Self::Td3(_) => "wad-t",
-            Self::Sac(_) => "wad-s",
-        }
-    }
-}
-
-/// A saved state that does not fit.
-#[derive(Debug, thiserror::Error)]
-#[error(
-    "tensor `{name}`: expected {expected} numbers, found {found}; the file belongs to networks of another form"
-)]
-pub struct Misfit {
-    /// The tensor's name.
-    pub name: String,
-    /// Numbers in this program's tensor.
-    pub expected: i64,
-    /// What the saved state has.
-    pub found: String,
-}
 
 /// TD3 or SAC.
 #[derive(Debug)]
@@ -279,6 +237,14 @@ impl Actor {
     /// Sizes of its inputs and outputs.
     pub fn dims(&self) -> Dims {
         self.dims
+    }
+
+    /// Number of parameters.
+    pub fn size(&self) -> usize {
+        match &self.net {
+            Net::T(actor) => actor.params.size() as usize,
+            Net::S(policy) => policy.params.size() as usize,
+        }
     }
 
     /// Sets the scale of the inputs.

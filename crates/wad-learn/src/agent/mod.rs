@@ -8,10 +8,13 @@
 //! | [`td3`], [`sac`] | one learning step each, in the papers' order |
 //! | [`imitation`] | an expert's actions as a second teacher, beyond the paper |
 //! | [`replay_buffer`], [`replay_files`] | a million transitions of latents, in memory and on disk |
+//! | [`params`] | what a trained agent's file says of it |
+//! | [`actor`] | a trained actor without libtorch |
 //! | [`policy`] | a trained actor as a file, and as an [`Agent`] |
 //! | [`external`] | another process as an [`Agent`], over a pipe |
 
 pub mod action;
+pub mod actor;
 #[cfg(feature = "learn")]
 pub mod batch;
 pub mod exploration;
@@ -22,7 +25,7 @@ pub mod imitation;
 pub mod learner;
 #[cfg(feature = "learn")]
 pub mod networks;
-#[cfg(feature = "learn")]
+pub mod params;
 pub mod policy;
 #[cfg(feature = "learn")]
 pub mod replay_buffer;

@@ -14,48 +14,9 @@
 //! Shapes: B is the batch. All of a network's parameters lie in one flat tensor ([`Params`]); a pair of
 //! critics is one network whose weights have a leading dimension of two.
 
+pub use super::params::{CriticEnd, Dims, HIDDEN_S};
 use rand::{Rng, RngExt};
-use serde::{Deserialize, Serialize};
 use tch::{Device, Kind, Tensor, no_grad};
-use wad_see::observation::Observation;
-
-/// Sizes of inputs and outputs.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Dims {
-    /// Numbers in the latent.
-    pub latent: i64,
-    /// Numbers in the raw vector.
-    pub raw: i64,
-    /// Numbers in an action.
-    pub actions: i64,
-}
-
-impl Dims {
-    /// The driving agents' sizes.
-    pub const DRIVING: Self = Self {
-        latent: wad_see::observation::LATENT_SIZE as i64,
-        raw: wad_see::observation::RAW_SIZE as i64,
-        actions: super::action::ACTION_SIZE as i64,
-    };
-
-    /// Numbers in an observation.
-    pub fn observation(&self) -> i64 {
-        self.latent + self.raw
-    }
-
-    /// The parts of an observation that the networks take, in one: latent, then raw.
-    pub fn of(&self, observation: &Observation) -> Vec<f32> {
-        self.of_parts(&observation.latent, &observation.raw)
-    }
-
-    /// The same of an observation's latent and raw vector.
-    pub fn of_parts(&self, latent: &[f32], raw: &[f32]) -> Vec<f32> {
-        let latent = if self.latent > 0 { latent } else { &[] };
-        let raw = if self.raw > 0 { raw } else { &[] };
-        [latent, raw].concat()
-    }
-}
 
 /// A network's parameters: one flat tensor, and the weights and biases as leaves that share its memory.
 #[derive(Debug)]
@@ -291,22 +252,6 @@ impl ActorT {
     }
 }
 
-/// The meaning of a critic's output.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
-pub enum CriticEnd {
-    /// The paper's sigmoid: 0 is a return of `low`, 1 of `high` (in scaled rewards). Returns outside are
-    /// clamped, which also bounds overestimation.
-    Sigmoid {
-        /// The return at the sigmoid's 0 (scaled rewards).
-        low: f64,
-        /// The return at the sigmoid's 1 (scaled rewards).
-        high: f64,
-    },
-    /// The return itself.
-    Linear,
-}
-
 /// Two critics of one form: Q1 and Q2.
 #[derive(Debug)]
 pub struct Critics {
@@ -355,9 +300,6 @@ impl Critics {
         x.squeeze_dim(1)
     }
 }
-
-/// Sizes of WAD-S' hidden layers, in all its networks.
-pub const HIDDEN_S: [i64; 3] = [256, 128, 64];
 
 /// Bounds of the logarithm of WAD-S' standard deviations; a tanh moves between them.
 const LOG_STD: [f64; 2] = [-5.0, 2.0];

@@ -5,9 +5,8 @@
 //! one encoder and one camera, whose hashes it carries.
 
 use super::action::to_control;
-use super::batch::{InputScale, Inputs};
-use super::learner::{Actor, Algorithm};
-use super::networks::Dims;
+use super::actor::PlainActor;
+use super::params::{Algorithm, Dims, InputScale, Inputs, Misfit};
 use super::{Agent, AgentError};
 use half::f16;
 use half::slice::HalfFloatSliceExt;
@@ -16,7 +15,9 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use wad_camera::CameraConfig;
-use wad_see::latent::{Encoder, LatentError, PooledEncoder, TchEncoder};
+#[cfg(feature = "learn")]
+use wad_see::latent::TchEncoder;
+use wad_see::latent::{Encoder, LatentError, PooledEncoder};
 use wad_see::observation::{self, Observation, ObservationMode};
 use wad_sim::bundled;
 use wad_vehicle::Control;
@@ -253,17 +254,15 @@ impl Policy {
     ///
     /// # Errors
     /// The parameters are not of the form that the card says.
-    pub fn actor(&self) -> Result<Actor, super::learner::Misfit> {
-        let mut actor = Actor::new(&self.card.algorithm, self.card.dims, &self.scale);
-        actor.set(&self.values)?;
-        Ok(actor)
+    pub fn actor(&self) -> Result<PlainActor, Misfit> {
+        PlainActor::new(&self.card.algorithm, self.card.dims, &self.scale, &self.values)
     }
 
     /// The name of the encoder that it was trained with: the bundled one with those weights, or the name in
     /// its training's configuration.
     pub fn encoder(&self) -> String {
         let called = || self.card.config.get("encoder")?.as_str().map(str::to_string);
-        TchEncoder::bundled_with(&self.card.encoder_hash).or_else(called).unwrap_or_else(|| "default".into())
+        bundled_encoder(&self.card.encoder_hash).or_else(called).unwrap_or_else(|| "default".into())
     }
 
     /// Refuses another encoder or camera than the agent was trained with, and raw states of another meaning.
@@ -303,7 +302,7 @@ impl Policy {
 /// A trained agent that drives.
 pub struct PolicyAgent {
     name: String,
-    actor: Actor,
+    actor: PlainActor,
     inputs: Inputs,
 }
 
@@ -312,7 +311,7 @@ impl PolicyAgent {
     ///
     /// # Errors
     /// The parameters are not of the form that the card says.
-    pub fn new(name: &str, policy: &Policy) -> Result<Self, super::learner::Misfit> {
+    pub fn new(name: &str, policy: &Policy) -> Result<Self, Misfit> {
         Ok(Self { name: name.to_string(), actor: policy.actor()?, inputs: policy.card.inputs })
     }
 }
@@ -349,10 +348,32 @@ impl Agent for PolicyAgent {
 /// # Errors
 /// There is no such encoder, or it does not fit this program.
 pub fn find_encoder(name: &str) -> Result<Box<dyn Encoder>, LatentError> {
-    Ok(match name {
-        "pooled" => Box::new(PooledEncoder),
-        name => Box::new(TchEncoder::find(name)?),
-    })
+    match name {
+        "pooled" => Ok(Box::new(PooledEncoder)),
+        name => trained_encoder(name),
+    }
+}
+
+#[cfg(feature = "learn")]
+fn trained_encoder(name: &str) -> Result<Box<dyn Encoder>, LatentError> {
+    Ok(Box::new(TchEncoder::find(name)?))
+}
+
+#[cfg(not(feature = "learn"))]
+fn trained_encoder(name: &str) -> Result<Box<dyn Encoder>, LatentError> {
+    let why = format!("`{name}` is a trained one, and this build has no libtorch; only `pooled` works in it");
+    Err(LatentError::Encoder(why))
+}
+
+/// The name of the bundled encoder with these weights.
+#[cfg(feature = "learn")]
+fn bundled_encoder(hash: &str) -> Option<String> {
+    TchEncoder::bundled_with(hash)
+}
+
+#[cfg(not(feature = "learn"))]
+fn bundled_encoder(_: &str) -> Option<String> {
+    None
 }
 
 /// The name of the encoder of agent `name`; None if it is not a trained agent of this program.
@@ -370,18 +391,26 @@ pub type Opened = (Box<dyn Agent>, Box<dyn Encoder>);
 /// The agent or encoder does not exist, or they do not fit together or this camera.
 pub fn open(name: &str, encoder: Option<&str>, camera: &CameraConfig) -> Result<Opened, PolicyError> {
     let (policy, path) = Policy::find(name)?;
+    // Without libtorch there are no trained encoders; an agent that does not use the latent needs none.
+    let blind = !policy.card.inputs.observation().encodes();
+    if cfg!(not(feature = "learn")) && encoder.is_none() && blind {
+        policy.check(&path, &policy.card.encoder_hash, &camera.hash())?;
+        let agent = PolicyAgent::new(name, &policy);
+        let misfit = |e: Misfit| PolicyError::Format { path: path.clone(), why: e.to_string() };
+        return Ok((Box::new(agent.map_err(misfit)?), Box::new(PooledEncoder)));
+    }
     let encoder = match encoder {
         Some(encoder) => find_encoder(encoder)?,
         // The encoder's file may have moved since: the hash decides.
         None => find_encoder(&policy.encoder()).or_else(|_| find_encoder("default"))?,
     };
     policy.check(&path, encoder.hash(), &camera.hash())?;
-    let misfit = |e: super::learner::Misfit| PolicyError::Format { path: path.clone(), why: e.to_string() };
+    let misfit = |e: Misfit| PolicyError::Format { path: path.clone(), why: e.to_string() };
     let agent = PolicyAgent::new(name, &policy).map_err(misfit)?;
     Ok((Box::new(agent), encoder))
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "learn"))]
 mod tests {
     use super::super::learner::Learner;
     use super::super::td3::Td3Params;

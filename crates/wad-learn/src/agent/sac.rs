@@ -2,46 +2,12 @@
 //! WAD-S' learning step.
 
 use super::batch::{Batch, Metrics};
-use super::imitation::{Imitation, cloning_loss};
+use super::imitation::cloning_loss;
 use super::networks::{Critics, Dims, HIDDEN_S, PolicyS, Value};
+pub use super::params::SacParams;
 use crate::optim::Adam;
 use rand::Rng;
-use serde::{Deserialize, Serialize};
 use tch::{Device, Kind, Tensor, no_grad};
-
-/// SAC's constants, under cleanrl's names.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct SacParams {
-    /// Discount per tick.
-    pub gamma: f64,
-    /// Polyak factor of the value network's target.
-    pub tau: f64,
-    /// Adam's learning rate for all networks (paper: 3e-4).
-    pub learning_rate: f64,
-    /// Temperature: scaled reward per nat of entropy. With `autotune` its initial value.
-    pub alpha: f64,
-    /// Adjust the temperature to keep the entropy at `target_entropy` (Haarnoja et al. 2019).
-    pub autotune: bool,
-    /// Target entropy (nats), over actions in -1..1; None: minus the number of actions.
-    pub target_entropy: Option<f64>,
-    /// Imitation, beyond the paper.
-    pub imitation: Imitation,
-}
-
-impl Default for SacParams {
-    fn default() -> Self {
-        Self {
-            gamma: 0.98,
-            tau: 0.005,
-            learning_rate: 3e-4,
-            alpha: 0.1,
-            autotune: true,
-            target_entropy: None,
-            imitation: Imitation::default(),
-        }
-    }
-}
 
 /// Policy, critics, value network with its target, and optimisers.
 #[derive(Debug)]

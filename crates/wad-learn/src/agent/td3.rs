@@ -1,55 +1,12 @@
 //! TD3 (Fujimoto et al. 2018): WAD-T's learning step.
 
 use super::batch::{Batch, Metrics};
-use super::imitation::{Imitation, cloning_loss};
+use super::imitation::cloning_loss;
 use super::networks::{ActorT, CriticEnd, Critics, Dims};
+pub use super::params::Td3Params;
 use crate::optim::Adam;
 use rand::Rng;
-use serde::{Deserialize, Serialize};
 use tch::{Device, Kind, Tensor, no_grad};
-
-/// TD3's constants, under cleanrl's names.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Td3Params {
-    /// Discount per tick: 0.98 has a horizon of 50 ticks, 8 s.
-    pub gamma: f64,
-    /// Polyak factor of the target networks.
-    pub tau: f64,
-    /// Adam's learning rate for the actor (paper: 3e-4).
-    pub actor_learning_rate: f64,
-    /// Adam's learning rate for the critics. With the paper's 3e-3 they do not hold (docs/agents.md).
-    pub critic_learning_rate: f64,
-    /// Noise on the target's action, in units of half an action's range.
-    pub policy_noise: f64,
-    /// Bound of that noise, in the same units.
-    pub noise_clip: f64,
-    /// Critic updates per actor update.
-    pub policy_frequency: u64,
-    /// Hidden layers of the critics.
-    pub critic_hidden: Vec<i64>,
-    /// The critics' last layer.
-    pub critic_end: CriticEnd,
-    /// Imitation, beyond the paper.
-    pub imitation: Imitation,
-}
-
-impl Default for Td3Params {
-    fn default() -> Self {
-        Self {
-            gamma: 0.98,
-            tau: 0.005,
-            actor_learning_rate: 3e-4,
-            critic_learning_rate: 3e-4,
-            policy_noise: 0.1,
-            noise_clip: 0.25,
-            policy_frequency: 2,
-            critic_hidden: vec![256, 128],
-            critic_end: CriticEnd::Sigmoid { low: -60.0, high: 100.0 },
-            imitation: Imitation::default(),
-        }
-    }
-}
 
 /// Actor, critics, their targets and optimisers.
 #[derive(Debug)]

@@ -149,6 +149,8 @@ impl World {
         if let Some(sumo) = self.sumo.take() {
             self.parked = sumo.session.into_seats();
         }
+        // What an episode left behind went with its SUMO: the next one's lights are held anew.
+        self.slots.iter_mut().for_each(Slot::moved_out);
     }
 
     /// Moves the egos to their starts, and prepares traffic, lights and obstacles for the tasks.
@@ -273,9 +275,8 @@ impl World {
                 })
             })?);
         }
-        // The old one goes before the new one comes, and with it what its egos' tasks changed.
+        // The old one goes before the new one comes.
         self.park();
-        self.slots.iter_mut().for_each(Slot::moved_out);
         let seed = starts.first().map_or(0, |(_, seed)| *seed);
         let options = BridgeOptions {
             seed: seeds::derive(seed, "world"),

@@ -10,6 +10,7 @@
 
 pub mod kept;
 mod manifest;
+mod order;
 mod plan;
 mod record;
 pub mod report;
@@ -18,15 +19,18 @@ mod rows;
 mod runner;
 mod store;
 mod suite;
+mod summary;
 mod tally;
 pub mod verify;
 
 pub use crate::driver::{Driver, DriverError, DriverSpec, Made};
 pub use manifest::Manifest;
+pub use order::{Order, Outcome, Progress, Towns, evaluate, plan};
 pub use plan::{Case, Selection, Shard};
 pub use record::{EpisodeRecord, Fault, RecordingFolder};
 pub use rows::{Row, Score, grouped, rows, wilson};
 pub use runner::{EvalError, Evaluation, Keep, MakeAgent, run};
 pub use store::{Results, Store, StoreError, in_order};
 pub use suite::{Condition, Suite, SuiteError, SuiteTask, condition_name, names};
+pub use summary::{Summary, Total};
 pub use tally::{EventCounts, Histogram};

@@ -255,6 +255,25 @@ impl Selection {
         Ok(plan)
     }
 
+    /// With traffic as `--traffic` gives it: it selects the tasks with that traffic; if there are none, or tasks are
+    /// selected already, it changes the traffic of all tasks.
+    #[must_use]
+    pub fn in_traffic(mut self, suite: &Suite, traffic: &[TrafficSpec]) -> Self {
+        let has = |traffic: TrafficSpec| {
+            suite.tasks.iter().filter(move |t| t.traffic.unwrap_or(t.kind.traffic()) == traffic)
+        };
+        let names_tasks = self.tasks.is_empty()
+            && suite.tasks.len() > 1
+            && !traffic.is_empty()
+            && traffic.iter().all(|&traffic| has(traffic).next().is_some());
+        if names_tasks {
+            self.tasks = traffic.iter().flat_map(|&traffic| has(traffic)).map(|t| t.name.clone()).collect();
+        } else {
+            self.traffic = traffic.to_vec();
+        }
+        self
+    }
+
     /// The routes of the towns that the suite's tasks need.
     ///
     /// # Errors

@@ -25,6 +25,12 @@ pub enum EvalError {
     /// A town cannot be read.
     #[error(transparent)]
     Assets(#[from] AssetsError),
+    /// The suite has no such part.
+    #[error(transparent)]
+    Suite(#[from] super::SuiteError),
+    /// SUMO is missing.
+    #[error(transparent)]
+    Sumo(#[from] sumo_traci::process::InstallError),
     /// A driver cannot be made.
     #[error(transparent)]
     Driver(#[from] DriverError),

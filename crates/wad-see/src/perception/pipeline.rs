@@ -48,15 +48,12 @@ pub struct Perception {
 
 impl Perception {
     /// Perception with a detector, for frames of `camera`.
-    ///
-    /// # Errors
-    /// This build cannot detect lanes.
-    pub fn new(detector: Box<dyn Detector>, camera: CameraConfig) -> Result<Self, PerceptionError> {
-        Ok(Self {
+    pub fn new(detector: Box<dyn Detector>, camera: CameraConfig) -> Self {
+        Self {
             detector,
             camera,
             ground: GroundPlane::new(&camera),
-            lanes: LaneDetector::new()?,
+            lanes: LaneDetector::default(),
             lead: LeadTracker::default(),
             crossing: CrossingTracker::default(),
             stop_light: StopLight::default(),
@@ -71,7 +68,7 @@ impl Perception {
                 transformed: TransformedImage::default(),
                 raw: RawState::STANDING,
             },
-        })
+        }
     }
 
     /// The camera whose frames it takes.
@@ -128,7 +125,7 @@ impl Perception {
     /// Second stage: the lane boundaries.
     ///
     /// # Errors
-    /// OpenCV fails.
+    /// OpenCV fails, or this build has none.
     pub fn find_lanes(&mut self, frame: &Frame, facts: &EgoFacts<'_>) -> Result<(), PerceptionError> {
         self.percept.lanes = self.lanes.find(frame, &self.ground, facts)?;
         Ok(())
@@ -177,7 +174,7 @@ mod tests {
     use crate::perception::{LaneBoundary, TruthDetector};
 
     fn perception() -> Perception {
-        Perception::new(Box::new(TruthDetector::new()), CameraConfig::default()).unwrap()
+        Perception::new(Box::new(TruthDetector::new()), CameraConfig::default())
     }
 
     #[test]

@@ -90,13 +90,13 @@ pub struct LaneDetector {
 type Aged = (LaneBoundary, u32);
 
 impl LaneDetector {
-    /// A detector.
+    /// Whether this build can find lanes.
     ///
     /// # Errors
     /// This build has no OpenCV.
-    pub fn new() -> Result<Self, PerceptionError> {
+    pub fn check() -> Result<(), PerceptionError> {
         if cfg!(feature = "vision") {
-            return Ok(Self::default());
+            return Ok(());
         }
         Err(PerceptionError::Lanes(
             "this build has no OpenCV; build wad-cosim with the feature `vision`".to_string(),
@@ -155,8 +155,7 @@ impl LaneDetector {
 
     #[cfg(not(feature = "vision"))]
     fn look(&mut self, _: &Frame, _: &GroundPlane, _: [f32; 2]) -> Result<(), PerceptionError> {
-        self.pieces = Pieces::default();
-        Ok(())
+        Self::check()
     }
 }
 

@@ -31,7 +31,7 @@ mod found {
         let road = Road::new("GGG");
         let frame = picture(&camera, lines);
         let ground = GroundPlane::new(&camera);
-        LaneDetector::new().unwrap().find(&frame, &ground, &road.facts(s, 0.0, 0.0, 8.0)).unwrap()
+        LaneDetector::default().find(&frame, &ground, &road.facts(s, 0.0, 0.0, 8.0)).unwrap()
     }
 
     fn check(seen: Option<LaneBoundary>, painted: &LaneBoundary) {
@@ -84,7 +84,7 @@ mod found {
         let (road, ground) = (Road::new("GGG"), GroundPlane::new(&camera));
         let lines = [line(1.5, 0.0, 0.0), line(-1.5, 0.0, 0.0)];
         let (both, one) = (picture(&camera, &lines), picture(&camera, &lines[..1]));
-        let mut detector = LaneDetector::new().unwrap();
+        let mut detector = LaneDetector::default();
         let mut look = |frame: &Frame, tick: usize| {
             let facts = road.facts(60.0 + tick as f64, 0.0, 0.0, 6.0);
             detector.find(frame, &ground, &facts).unwrap().right

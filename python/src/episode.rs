@@ -1,0 +1,250 @@
+//! One environment: episodes, and what Python gets of each tick.
+
+use crate::errors::Failure;
+use crate::setup::{Part, Setup, Tasks};
+use wad_cosim::agent::action::{self, Action};
+use wad_cosim::criteria::Event;
+use wad_cosim::env::{Ending, Env, EnvError, Fleet, Info};
+use wad_cosim::eyes::Eyes;
+use wad_cosim::latent::PooledEncoder;
+use wad_cosim::reward::RewardTerms;
+use wad_cosim::session::Act;
+use wad_cosim::tasks::TaskSpec;
+
+/// Names of the numbers of a tick, in their order: [`Numbers`].
+pub const NUMBERS: [&str; 16] = [
+    "reward",
+    "terminated",
+    "truncated",
+    "tick",
+    "time",
+    "speed",
+    "driven",
+    "route_done",
+    "vehicles",
+    "pedestrians",
+    RewardTerms::NAMES[0],
+    RewardTerms::NAMES[1],
+    RewardTerms::NAMES[2],
+    RewardTerms::NAMES[3],
+    RewardTerms::NAMES[4],
+    RewardTerms::NAMES[5],
+];
+
+/// The numbers of a tick: flags as 0 and 1, SI units, the route done as a share, then the reward's terms.
+pub type Numbers = [f64; NUMBERS.len()];
+
+/// What seldom happens in a tick.
+#[derive(Clone, Debug, Default)]
+pub struct News {
+    /// The tick's events.
+    pub events: Vec<Event>,
+    /// How the episode ended.
+    pub ending: Option<Ending>,
+}
+
+/// An environment with its camera for people.
+pub struct Episodes {
+    tasks: std::sync::Arc<Tasks>,
+    env: Env,
+    /// Draws pictures where the environment itself draws none.
+    painter: Option<Eyes>,
+    parts: Vec<Part>,
+}
+
+impl Episodes {
+    /// An environment without an episode.
+    pub fn new(tasks: std::sync::Arc<Tasks>, setup: &Setup) -> Result<Self, Failure> {
+        let env = Env::new(tasks.assets.clone(), setup.options.clone(), Box::new(PooledEncoder))?;
+        let draws = setup.render || setup.observation.contains(&Part::Image);
+        let own = !setup.options.observation.encodes();
+        let painter = (draws && own)
+            .then(|| Eyes::camera(tasks.assets.town(), setup.options.camera).map_err(EnvError::Eyes))
+            .transpose()?;
+        Ok(Self { tasks, env, painter, parts: setup.observation.clone() })
+    }
+
+    /// Begins the episode of `seed`, on the route of that number if one is given.
+    pub fn reset(&mut self, seed: u64, route: Option<usize>) -> Result<Numbers, Failure> {
+        let task = self.tasks.episode(seed, route)?;
+        self.env.reset(&task, seed)?;
+        if let Some(painter) = &mut self.painter {
+            painter.reset(task.weather, seed);
+        }
+        self.look();
+        Ok(standing(self.env.speed()))
+    }
+
+    /// Drives one tick.
+    pub fn step(&mut self, action: Action) -> Result<(Numbers, News), Failure> {
+        let step = self.env.step(action::to_control(action))?;
+        self.look();
+        let numbers = numbers(step.reward, step.terminated, step.truncated, &step.info);
+        Ok((numbers, News { events: step.info.events, ending: step.info.ending }))
+    }
+
+    /// The expert's action for this tick.
+    pub fn expert(&mut self) -> Result<Action, Failure> {
+        Ok(action::from_control(self.env.expert()?))
+    }
+
+    /// The painter's town follows; the picture is drawn if it is part of the observation.
+    fn look(&mut self) {
+        let seen = self.parts.contains(&Part::Image);
+        if let (Some(painter), Some(ego)) = (&mut self.painter, self.env.ego()) {
+            painter.follow(ego.world());
+            if seen {
+                painter.glance(&ego.state().pose);
+            }
+        }
+    }
+
+    /// The front camera's picture of this tick, drawn now if the observation has none; RGB, row by row.
+    pub fn picture(&mut self) -> Result<&[u8], Failure> {
+        let seen = self.parts.contains(&Part::Image);
+        let Some(ego) = self.env.ego() else { return Err(EnvError::NoEpisode.into()) };
+        if let Some(painter) = self.painter.as_mut().filter(|_| !seen) {
+            painter.glance(&ego.state().pose);
+        }
+        self.drawn().ok_or_else(|| Failure::Other("this environment draws no pictures".to_string()))
+    }
+
+    fn drawn(&self) -> Option<&[u8]> {
+        let frame = match &self.painter {
+            Some(painter) => painter.frame(),
+            None => self.env.frame(),
+        };
+        frame.map(|frame| frame.rgb.as_slice()).filter(|rgb| !rgb.is_empty())
+    }
+
+    /// Writes a part of the observation.
+    pub fn write(&self, part: Part, row: Row<'_>) {
+        match (part, row) {
+            (Part::Image, Row::Bytes(row)) => {
+                if let Some(rgb) = self.drawn() {
+                    row.copy_from_slice(rgb);
+                }
+            }
+            (part, row) => write(self.env.eyes(), part, row),
+        }
+    }
+
+    /// Id of SUMO's process, for tests that kill it.
+    pub fn sumo(&self) -> Option<u32> {
+        self.env.sumo_pid()
+    }
+
+    /// Ends SUMO.
+    pub fn close(self) {
+        self.env.close();
+    }
+}
+
+/// Writes what `eyes` saw.
+fn write(eyes: &Eyes, part: Part, row: Row<'_>) {
+    match (part, row) {
+        (Part::Raw, Row::Numbers(row)) => row.copy_from_slice(&eyes.raw().vector()),
+        (Part::Vector, Row::Numbers(row)) => eyes.write_observation(row),
+        (Part::Latent, Row::Numbers(row)) => row.copy_from_slice(eyes.latent()),
+        (Part::Transformed, Row::Bytes(row)) => {
+            if let Some(image) = eyes.image() {
+                row.copy_from_slice(image.bytes());
+            }
+        }
+        _ => unreachable!("the arrays are checked when the environment is made"),
+    }
+}
+
+/// Several egos in one SUMO; each begins its next episode by itself, in the step after an end.
+pub struct Egos {
+    tasks: Vec<TaskSpec>,
+    fleet: Fleet,
+}
+
+impl Egos {
+    /// Egos without an episode.
+    pub fn new(tasks: &Tasks, setup: &Setup) -> Result<Self, Failure> {
+        let encoders = (0..setup.egos).map(|_| Box::new(PooledEncoder) as _).collect();
+        let fleet = Fleet::new(tasks.assets.clone(), setup.options.clone(), encoders)?;
+        Ok(Self { tasks: tasks.all(), fleet })
+    }
+
+    /// Begins an episode of each ego.
+    pub fn reset(&mut self, seed: u64) -> Result<Vec<(Numbers, News)>, Failure> {
+        self.fleet.reset(&self.tasks, seed)?;
+        Ok((0..self.fleet.egos()).map(|ego| (self.standing(ego), News::default())).collect())
+    }
+
+    /// Drives one tick; also says whose episode began.
+    pub fn step(&mut self, actions: &[Action]) -> Result<Vec<(Numbers, News, bool)>, Failure> {
+        let acts: Vec<Act> = actions.iter().map(|action| Act::Control(action::to_control(*action))).collect();
+        self.fleet.step(&acts)?;
+        let step = self.fleet.last();
+        Ok((0..self.fleet.egos())
+            .map(|ego| {
+                if step.began[ego] {
+                    return (self.standing(ego), News::default(), true);
+                }
+                let (reward, info) = (step.rewards[ego], &step.infos[ego]);
+                let numbers = numbers(reward, step.terminated[ego], step.truncated[ego], info);
+                (numbers, News { events: info.events.clone(), ending: info.ending.clone() }, false)
+            })
+            .collect())
+    }
+
+    fn standing(&self, ego: usize) -> Numbers {
+        standing(self.fleet.ego(ego).map_or(0.0, |ego| ego.state().speed))
+    }
+
+    /// Writes a part of an ego's observation.
+    pub fn write(&self, ego: usize, part: Part, row: Row<'_>) {
+        write(self.fleet.eyes(ego), part, row);
+    }
+
+    /// Id of SUMO's process, for tests that kill it.
+    pub fn sumo(&self) -> Option<u32> {
+        self.fleet.sumo_pid()
+    }
+
+    /// Ends SUMO.
+    pub fn close(self) {
+        self.fleet.close();
+    }
+}
+
+/// The numbers of an episode that begins.
+fn standing(speed: f64) -> Numbers {
+    let mut numbers = [0.0; NUMBERS.len()];
+    numbers[5] = speed;
+    numbers
+}
+
+/// An environment's row of an array.
+pub enum Row<'a> {
+    /// Of 32-bit numbers.
+    Numbers(&'a mut [f32]),
+    /// Of bytes.
+    Bytes(&'a mut [u8]),
+}
+
+fn numbers(reward: f64, terminated: bool, truncated: bool, info: &Info) -> Numbers {
+    let terms = info.reward.values();
+    [
+        reward,
+        f64::from(terminated),
+        f64::from(truncated),
+        info.tick as f64,
+        info.time,
+        info.ego.speed,
+        info.driven,
+        (info.driven / info.route_length.max(1.0)).clamp(0.0, 1.0),
+        info.traffic.0 as f64,
+        info.traffic.1 as f64,
+        terms[0],
+        terms[1],
+        terms[2],
+        terms[3],
+        terms[4],
+        terms[5],
+    ]
+}

@@ -1,0 +1,36 @@
+//! The extension module `wad_cosim._native`: environments on threads of their own, and what travels with them.
+//!
+//! Python's half (`python/wad_cosim`) knows Gymnasium and speaks to users; this half knows the simulator. A
+//! thread drives each environment, so that Python's lock is free meanwhile, signals are heard during long
+//! resets, and many environments run at once.
+
+mod environments;
+mod episode;
+mod errors;
+mod evaluation;
+mod setup;
+mod worker;
+
+use pyo3::prelude::*;
+
+/// The module.
+#[pymodule]
+fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    wad_cosim::register_bundled();
+    errors::add(module)?;
+    module.add("VERSION", wad_cosim::program::version())?;
+    module.add("NUMBERS", episode::NUMBERS.to_vec())?;
+    module.add("RAW_SIZE", wad_cosim::observation::RAW_SIZE)?;
+    module.add("VECTOR_SIZE", environments::VECTOR_SIZE)?;
+    module.add("LATENT_SIZE", wad_cosim::observation::LATENT_SIZE)?;
+    module.add("TRANSFORMED_SIZE", wad_cosim::perception::TRANSFORMED_SIZE)?;
+    module.add_class::<environments::Environments>()?;
+    module.add_class::<evaluation::LoadedAgent>()?;
+    module.add_function(wrap_pyfunction!(setup::bench, module)?)?;
+    module.add_function(wrap_pyfunction!(setup::names, module)?)?;
+    module.add_function(wrap_pyfunction!(setup::suites, module)?)?;
+    module.add_function(wrap_pyfunction!(evaluation::evaluate, module)?)?;
+    module.add_function(wrap_pyfunction!(evaluation::report_of, module)?)?;
+    module.add_function(wrap_pyfunction!(setup::use_sumo, module)?)?;
+    Ok(())
+}

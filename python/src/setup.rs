@@ -1,0 +1,241 @@
+//! What an environment is made of, as Python hands it over.
+
+use crate::episode::Episodes;
+use crate::errors::Failure;
+use pyo3::prelude::*;
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError, Weak};
+use wad_cosim::assets::Assets;
+use wad_cosim::bridge::DEFAULT_TICK_MS;
+use wad_cosim::camera::Preset;
+use wad_cosim::env::{EnvOptions, ObservationMode};
+use wad_cosim::eval::Suite;
+use wad_cosim::eval::routes::{RouteError, Routes};
+use wad_cosim::seeds;
+use wad_cosim::tasks::{Placement, TaskKind, TaskSpec};
+use wad_cosim::traci::process::SumoInstall;
+use wad_cosim::traffic::TrafficSpec;
+
+/// A part of an observation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Part {
+    /// The raw states, scaled.
+    Raw,
+    /// What is round the ego, from the world itself, and the raw states.
+    Vector,
+    /// The latent.
+    Latent,
+    /// The front camera's picture.
+    Image,
+    /// The transformed image.
+    Transformed,
+}
+
+impl Part {
+    /// Whether lanes are found and the transformed image is painted for it.
+    fn encodes(self) -> bool {
+        matches!(self, Self::Latent | Self::Transformed)
+    }
+}
+
+/// An environment as Python describes it, in JSON.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Setup {
+    /// CONFIG.
+    pub town: String,
+    /// None: the scenario's.
+    pub task: Option<TaskKind>,
+    /// None: the task's or the scenario's own.
+    pub traffic: Option<TrafficSpec>,
+    /// Drawn from the episode's seed; empty: the scenario's, or ClearNoon.
+    pub weathers: Vec<Preset>,
+    /// None: the task's or the scenario's own.
+    pub tick_limit: Option<u64>,
+    /// The route never ends.
+    pub endless: bool,
+    /// The set of the town's routes that places are taken from; None: they are drawn.
+    pub routes: Option<String>,
+    /// The environment's options.
+    pub options: EnvOptions,
+    /// The parts to compute.
+    pub observation: Vec<Part>,
+    /// Pictures are asked for: the camera follows.
+    pub render: bool,
+    /// SUMO's own window.
+    pub gui: bool,
+    /// Egos in one SUMO.
+    pub egos: usize,
+}
+
+impl Setup {
+    /// Reads what Python wrote.
+    pub fn parse(text: &str) -> Result<Self, Failure> {
+        let mut setup: Self = serde_json::from_str(text).map_err(|e| Failure::Input(e.to_string()))?;
+        setup.options.gui = setup.gui;
+        let encodes = setup.observation.iter().any(|part| part.encodes());
+        setup.options.observation = match (setup.observation.contains(&Part::Vector), encodes) {
+            (true, true) => {
+                let text = "observation: `vector` knows the world and does not look; it goes with raw and image only";
+                return Err(Failure::Input(text.to_string()));
+            }
+            (true, false) => ObservationMode::Vector,
+            (false, true) => ObservationMode::LatentAndRaw,
+            (false, false) => ObservationMode::RawOnly,
+        };
+        if setup.egos == 0 {
+            return Err(Failure::Input("egos=0: expected 1 or more".to_string()));
+        }
+        let draws = setup.render || setup.observation.contains(&Part::Image);
+        if setup.egos > 1 && (draws || setup.routes.is_some()) {
+            let text =
+                "egos: several egos in one SUMO have neither pictures nor a benchmark's routes; use egos=1";
+            return Err(Failure::Input(text.to_string()));
+        }
+        Ok(setup)
+    }
+}
+
+/// The episodes of an environment.
+pub struct Tasks {
+    /// The town.
+    pub assets: Arc<Assets>,
+    spec: TaskSpec,
+    weathers: Vec<Preset>,
+    routes: Vec<Placement>,
+}
+
+impl Tasks {
+    /// Reads the town, which environments share.
+    pub fn open(setup: &Setup) -> Result<Self, Failure> {
+        let assets = town(&setup.town)?;
+        let (mut spec, mut weathers) = match (setup.task, assets.scenario()) {
+            (Some(kind), _) => (TaskSpec::new(kind), vec![Preset::ClearNoon]),
+            (None, Some(scenario)) => {
+                let mut spec = TaskSpec::new(scenario.task);
+                spec.traffic = Some(scenario.traffic);
+                spec.tick_limit = Some(scenario.tick_limit(DEFAULT_TICK_MS / 1000.0));
+                (spec, vec![scenario.weather])
+            }
+            (None, None) => {
+                let kinds: Vec<_> = TaskKind::ALL.iter().map(|kind| kind.name()).collect();
+                return Err(Failure::Input(format!(
+                    "`{}` is no scenario, so it has no task of its own: give task=, one of {}",
+                    setup.town,
+                    kinds.join(", ")
+                )));
+            }
+        };
+        spec.traffic = setup.traffic.or(spec.traffic);
+        spec.tick_limit = setup.tick_limit.or(spec.tick_limit);
+        spec.endless = setup.endless;
+        if !setup.weathers.is_empty() {
+            weathers.clone_from(&setup.weathers);
+        }
+        let input = |error: RouteError| Failure::Input(error.to_string());
+        let routes = match &setup.routes {
+            Some(set) => {
+                let (routes, path) = Routes::find(&setup.town, &assets, None).map_err(input)?;
+                routes.set(set, &path).map_err(input)?.to_vec()
+            }
+            None => Vec::new(),
+        };
+        Ok(Self { assets, spec, weathers, routes })
+    }
+
+    /// The tasks of several egos, in turns: one for each weather.
+    pub fn all(&self) -> Vec<TaskSpec> {
+        self.weathers.iter().map(|weather| self.spec.clone().in_weather(*weather)).collect()
+    }
+
+    /// The episode of `seed`: its weather, and its route, unless that of number `route` is asked for.
+    pub fn episode(&self, seed: u64, route: Option<usize>) -> Result<TaskSpec, Failure> {
+        let drawn = |what: &str, n: usize| seeds::derive(seed, what) as usize % n.max(1);
+        let weather = self.weathers[drawn("weather", self.weathers.len())];
+        let route = match route {
+            Some(route) if route < self.routes.len() => Some(route),
+            Some(route) => {
+                let n = self.routes.len();
+                let text = match n {
+                    0 => {
+                        format!("route {route}: this environment draws its places, it has no list of routes")
+                    }
+                    _ => format!("route {route}: expected 0 to {}", n - 1),
+                };
+                return Err(Failure::Input(text));
+            }
+            None if self.routes.is_empty() => None,
+            None => Some(drawn("route", self.routes.len())),
+        };
+        let placement = route.map(|route| self.routes[route].clone());
+        Ok(TaskSpec { placement, ..self.spec.clone().in_weather(weather) })
+    }
+}
+
+/// The town of a CONFIG, read once while an environment uses it.
+fn town(config: &str) -> Result<Arc<Assets>, Failure> {
+    static OPEN: Mutex<BTreeMap<String, Weak<Assets>>> = Mutex::new(BTreeMap::new());
+    let mut open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(assets) = open.get(config).and_then(Weak::upgrade) {
+        return Ok(assets);
+    }
+    let assets = Assets::load(config)?;
+    open.retain(|_, assets| assets.strong_count() > 0);
+    open.insert(config.to_string(), Arc::downgrade(&assets));
+    Ok(assets)
+}
+
+/// Names of what travels with the package: towns, scenarios, tasks, weathers.
+#[pyfunction]
+pub fn names() -> BTreeMap<&'static str, Vec<String>> {
+    let texts = |names: Vec<&str>| names.into_iter().map(String::from).collect::<Vec<_>>();
+    BTreeMap::from([
+        ("towns", wad_cosim::bundled::towns()),
+        ("scenarios", wad_cosim::bundled::scenarios()),
+        ("tasks", texts(TaskKind::ALL.iter().map(|kind| kind.name()).collect())),
+        ("weathers", texts(Preset::ALL.iter().map(|weather| weather.name()).collect())),
+    ])
+}
+
+/// The bundled suites, in JSON.
+#[pyfunction]
+pub fn suites() -> Result<String, PyErr> {
+    let found: Result<Vec<Suite>, _> =
+        wad_cosim::eval::names().iter().map(|name| Suite::find(name)).collect();
+    let found = found.map_err(|e| Failure::Other(e.to_string()))?;
+    Ok(serde_json::to_string(&found).map_err(|e| Failure::Other(e.to_string()))?)
+}
+
+/// Seconds for `steps` steps of the expert's drive through the episode of `seed` without Python between them, and the steps driven: the measure
+/// for `python -m wad_cosim.bench`.
+#[pyfunction]
+pub fn bench(py: Python<'_>, setup: &str, seed: u64, steps: usize) -> PyResult<(f64, usize)> {
+    let setup = Setup::parse(setup)?;
+    let measured = py.detach(|| {
+        let mut episodes = Episodes::new(Arc::new(Tasks::open(&setup)?), &setup)?;
+        episodes.reset(seed, None)?;
+        let (mut seconds, mut driven) = (0.0, 0);
+        while driven < steps {
+            let action = episodes.expert()?;
+            let begin = std::time::Instant::now();
+            let (_, news) = episodes.step(action)?;
+            seconds += begin.elapsed().as_secs_f64();
+            driven += 1;
+            if news.ending.is_some() {
+                break;
+            }
+        }
+        episodes.close();
+        Ok::<_, Failure>((seconds, driven))
+    });
+    Ok(measured?)
+}
+
+/// Names the home folder of the SUMO that came with the package.
+#[pyfunction]
+pub fn use_sumo(home: PathBuf) {
+    SumoInstall::set_own(home);
+}

@@ -1,0 +1,115 @@
+"""Benchmarks, as the command line drives them."""
+
+import json
+import pathlib
+import subprocess
+
+import numpy as np
+import pytest
+
+import wad_cosim
+
+PART = {"condition": "development", "task": "obstacle", "episodes": 2, "weather": "ClearNoon", "seed": 3}
+PROGRAM = pathlib.Path(__file__).parents[2] / "target" / "release" / "wad-cosim"
+
+
+def rows(table):
+    """The rows, whether pandas is installed or not."""
+    return table if isinstance(table, list) else table.to_dict("records")
+
+
+def test_the_same_bytes_as_the_command_line(tmp_path):
+    if not PROGRAM.exists():
+        pytest.skip("the program is not built: cargo build --release")
+    constant = "constant:0.3,0,0"
+    wad_cosim.evaluate("tasks", constant, **PART, out=tmp_path / "python", keep="none")
+    command = [PROGRAM, "eval", "tasks", "--agent", constant, "--out", tmp_path / "program", "--keep", "none"]
+    for option, value in PART.items():
+        command += [f"--{option}", str(value)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    for name in ("episodes.jsonl", "summary.json"):
+        ours, theirs = ((tmp_path / where / name).read_bytes() for where in ("python", "program"))
+        assert ours == theirs and ours
+
+
+@pytest.mark.parametrize("observation", ["raw", "vector"])
+def test_a_function_is_judged(tmp_path, observation):
+    seen = []
+
+    def crawl(numbers):
+        seen.append(numbers)
+        return np.float32([0, 0.3, 0])
+
+    out = tmp_path / "results"
+    table = rows(wad_cosim.evaluate("tasks", crawl, observation=observation, detector="outlines", **PART, out=out))
+    assert len(table) == 1 and table[0]["agent"] == "crawl"
+    assert table[0]["episodes"] == 2 and 0 <= table[0]["interval"][0] <= table[0]["interval"][1] <= 1
+    space = wad_cosim.DrivingEnv(task="straight", observation=observation).observation_space
+    assert all(space.contains(numbers) for numbers in seen)
+    lines = (out / "episodes.jsonl").read_text().splitlines()
+    assert len(lines) == 2 and json.loads(lines[0])["agent"] == "crawl"
+    # What is done is not driven again.
+    count = len(seen)
+    wad_cosim.evaluate("tasks", crawl, observation=observation, detector="outlines", **PART, out=out, resume=True)
+    assert len(seen) == count
+    with pytest.raises(wad_cosim.InputError, match="holds results already"):
+        wad_cosim.evaluate("tasks", crawl, observation=observation, detector="outlines", **PART, out=out)
+    assert "crawl" in wad_cosim.report(out)
+
+
+def test_a_policy_that_predicts_is_judged():
+    class Policy:
+        begun = 0
+
+        def reset(self):
+            self.begun += 1
+
+        def predict(self, observation, deterministic=False):
+            assert deterministic
+            return 8, None
+
+    policy = Policy()
+    table = rows(wad_cosim.evaluate("tasks", policy, action="discrete", detector="outlines", **PART))
+    assert table[0]["agent"] == "Policy" and policy.begun == 2
+
+
+def test_an_exception_of_the_agent_comes_through():
+    def broken(_):
+        raise ZeroDivisionError("by hand")
+
+    with pytest.raises(ZeroDivisionError, match="by hand"):
+        wad_cosim.evaluate("tasks", broken, detector="outlines", **PART)
+    with pytest.raises(wad_cosim.InputError, match="shape"):
+        wad_cosim.evaluate("tasks", lambda _: [1, 2], detector="outlines", **PART)
+
+
+@pytest.mark.parametrize(
+    ("suite", "kwargs", "text"),
+    [
+        ("nocash", {}, "corl2017"),
+        ("tasks", {"condition": "paris"}, "paris"),
+        ("tasks", {"agent": "wad-z"}, "wad-z"),
+        ("tasks", {"keep": "some"}, "failures"),
+        ("tasks", {"agent": 3}, "predict"),
+        ("tasks", {"observation": "lidar"}, "raw, vector"),
+    ],
+)
+def test_wrong_arguments_say_what_is_expected(suite, kwargs, text):
+    with pytest.raises(wad_cosim.InputError, match=text):
+        wad_cosim.evaluate(suite, **kwargs)
+
+
+def test_bundled_agents_act_without_libtorch():
+    agent = wad_cosim.load_agent("wad-t")
+    assert agent.observation == "latent"
+    action = agent.act(np.zeros(215))
+    assert action.shape == (3,) and -1 <= action[0] <= 1 and (action[1:] >= 0).all() and (action[1:] <= 1).all()
+    with pytest.raises(wad_cosim.InputError, match="expected 215"):
+        agent.act(np.zeros(15))
+    for name in ("wad-z", __file__):
+        with pytest.raises(wad_cosim.InputError):
+            wad_cosim.load_agent(name)
+    # Its latent needs OpenCV and the encoder, which the wheel has not.
+    with pytest.raises(wad_cosim.InputError, match="libtorch"):
+        wad_cosim.evaluate("tasks", "wad-t", **PART)

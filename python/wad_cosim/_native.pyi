@@ -1,0 +1,65 @@
+"""The simulator's half of the package; see the Python modules for what users call."""
+
+import os
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+VERSION: str
+NUMBERS: list[str]
+RAW_SIZE: int
+VECTOR_SIZE: int
+LATENT_SIZE: int
+TRANSFORMED_SIZE: int
+
+class Error(RuntimeError):
+    """The simulator failed, or was used out of order."""
+
+class SumoError(Error):
+    """SUMO is missing, did not start or died."""
+
+class InputError(ValueError):
+    """An argument is wrong; the text says what is expected."""
+
+class Environments:
+    """Environments that are driven together, each on a thread of its own."""
+
+    def __new__(
+        cls,
+        count: int,
+        setup: str,
+        now: dict[str, NDArray[Any]],
+        last: dict[str, NDArray[Any]] | None,
+        autoreset: str,
+    ) -> Environments: ...
+    def reset(self, seeds: Sequence[int | None], route: int | None = None) -> None: ...
+    def step(
+        self, actions: NDArray[np.float32], seeds: Sequence[int]
+    ) -> list[tuple[int, bool, list[dict[str, Any]], tuple[str, str, bool] | None]]: ...
+    def expert(self) -> list[list[float]]: ...
+    def picture(self, index: int) -> NDArray[np.uint8]: ...
+    def sumos(self) -> list[int | None]: ...
+    def close(self) -> None: ...
+    @property
+    def closed(self) -> bool: ...
+
+class LoadedAgent:
+    """A trained agent."""
+
+    def __new__(cls, name: str) -> LoadedAgent: ...
+    @property
+    def observation(self) -> str: ...
+    def act(self, observation: NDArray[np.float32]) -> list[float]: ...
+
+def names() -> dict[str, list[str]]: ...
+def suites() -> str: ...
+def use_sumo(home: str | os.PathLike[str]) -> None: ...
+def bench(setup: str, seed: int, steps: int) -> tuple[float, int]: ...
+def evaluate(
+    wanted: str,
+    act: Callable[[NDArray[np.float32] | None, int], Sequence[float] | None] | None,
+    watch: Callable[[int, int], None] | None,
+) -> str: ...
+def report_of(folders: Sequence[str | os.PathLike[str]]) -> str: ...

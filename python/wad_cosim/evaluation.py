@@ -1,0 +1,166 @@
+"""Benchmarks: any policy judged as the command line judges agents, with the same routes, seeds and records."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _native, actions
+from ._native import InputError
+
+_MODES = {"raw": "raw_only", "vector": "vector"}
+
+
+def evaluate(
+    suite: str,
+    agent: Any = "autopilot",
+    *,
+    name: str | None = None,
+    observation: str = "raw",
+    action: Any = "continuous",
+    detector: str = "truth",
+    condition: str | Iterable[str] = (),
+    task: str | Iterable[str] = (),
+    town: str | Iterable[str] = (),
+    weather: str | Iterable[str] = (),
+    traffic: str | Iterable[str] = (),
+    episodes: int | None = None,
+    seed: int | Iterable[int] = (),
+    jobs: int = 1,
+    out: str | os.PathLike[str] | None = None,
+    resume: bool = False,
+    keep: str = "failures",
+    progress: bool = False,
+) -> Any:
+    """Drives the episodes of a benchmark, as ``wad-cosim eval`` does.
+
+    Args:
+        suite: ``tasks``, ``composite``, ``corl2017``, ``nocrash``, ``infractions``, a suite's JSON file or a scenario.
+        agent: A function of an observation that gives an action; an object with ``predict(observation,
+            deterministic=True)`` such as a model of Stable-Baselines3; or a driver by name: ``autopilot``, ``random``,
+            ``constant:THROTTLE,STEER,BRAKE``, or the file of a trained agent with the inputs raw or vector. If it has a method ``reset``, that is called at an episode's begin.
+        name: Its name in tables. Default: the function's or the class's.
+        observation: What it gets: ``raw`` or ``vector``, as :class:`DrivingEnv` has them.
+        action: What it gives, as :class:`DrivingEnv`'s ``action``.
+        detector: As the command line's ``--detector``.
+        condition, task, town, weather, traffic, seed: Only these of the suite; one or several.
+        episodes: Episodes per task, town and weather. Default: the suite's.
+        jobs: Environments in parallel. Several call the agent from as many threads, one at a time.
+        out: A folder for config.json, episodes.jsonl, summary.json and recordings.
+        resume: Go on with the evaluation in ``out``.
+        keep: Which episodes to record in ``out``: ``none``, ``failures`` or ``all``.
+        progress: Say on stderr how far it is.
+
+    Returns:
+        A row for each agent, condition, town and task: a pandas DataFrame where pandas is installed, else a list of
+        dictionaries. Rates are fractions; ``interval`` is Wilson's 95 % interval.
+
+    Raises:
+        InputError: An argument is wrong, or ``out`` holds other results.
+        SumoError: SUMO failed.
+    """
+    if observation not in _MODES:
+        raise InputError(f"observation={observation!r}: expected one of {', '.join(_MODES)}")
+    act: Callable[[Any, int], Any] | None = None
+    if isinstance(agent, str):
+        called = agent
+    else:
+        called = name or getattr(agent, "__name__", None) or type(agent).__name__
+        act = _driver(agent, action)
+    wanted = {
+        "suite": suite,
+        "selection": {
+            "agents": [called],
+            "tasks": _list(task),
+            "conditions": _list(condition),
+            "towns": _list(town),
+            "weathers": _list(weather),
+            "seeds": [seed] if isinstance(seed, int) else list(seed),
+            "episodes": episodes,
+        },
+        "traffic": _list(traffic),
+        "observation": _MODES[observation],
+        "detector": detector,
+        "jobs": jobs,
+        "out": None if out is None else os.fspath(out),
+        "resume": resume,
+        "keep": keep,
+    }
+    summary = json.loads(_native.evaluate(json.dumps(wanted), act, _say if progress else None))
+    return _table(summary["totals"])
+
+
+class TrainedAgent:
+    """An agent that ``wad-cosim train agent`` trained; :func:`load_agent` makes it."""
+
+    def __init__(self, name: str | os.PathLike[str]) -> None:
+        self._native = _native.LoadedAgent(os.fspath(name))
+        #: What it needs: ``raw``, ``vector``, or ``latent`` (200 numbers, then the raw states), which the wheel's environments do
+        #: not have yet.
+        self.observation = self._native.observation
+
+    def act(self, observation: Any) -> NDArray[np.float32]:
+        """Steering, throttle and brake for an observation."""
+        try:
+            numbers = np.asarray(observation, dtype=np.float32).reshape(-1)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"an observation is not made of numbers: {error}") from None
+        return np.array(self._native.act(numbers), dtype=np.float32)
+
+    __call__ = act
+
+
+def load_agent(name: str | os.PathLike[str]) -> TrainedAgent:
+    """The trained agent of a file that ``wad-cosim train agent`` wrote, or ``wad-t`` or ``wad-s``; the networks run without libtorch."""
+    return TrainedAgent(name)
+
+
+def report(*folders: str | os.PathLike[str]) -> str:
+    """The tables of evaluations' folders as Markdown; ``wad-cosim report`` writes pages with figures and maps too."""
+    return _native.report_of([os.fspath(folder) for folder in folders])
+
+
+def _list(given: str | Iterable[str]) -> list[str]:
+    return [given] if isinstance(given, str) else list(given)
+
+
+def _say(done: int, planned: int) -> None:
+    print(f"\r{done} of {planned} episodes", end="\n" if done == planned else "", file=sys.stderr, flush=True)
+
+
+def _driver(agent: Any, form: Any) -> Callable[[Any, int], Any]:
+    predict = getattr(agent, "predict", None)
+    if predict is None and not callable(agent):
+        raise InputError(f"agent={agent!r}: expected a function of an observation, or an object with `predict`")
+    reset = getattr(agent, "reset", None)
+    _, controls = actions.of(form)
+
+    def act(observation: Any, _seed: int) -> Any:
+        if observation is None:
+            return reset() if callable(reset) else None
+        if predict is not None:
+            chosen = predict(observation, deterministic=True)
+            chosen = chosen[0] if isinstance(chosen, tuple) else chosen
+        else:
+            chosen = agent(observation)
+        row = controls([chosen], 1)[0]
+        if not np.isfinite(row).all():
+            raise InputError(f"an action is not finite: {chosen!r}")
+        return row.tolist()
+
+    return act
+
+
+def _table(rows: list[dict[str, Any]]) -> Any:
+    try:
+        import pandas
+    except ImportError:
+        return rows
+    return pandas.DataFrame(rows)
+
