@@ -35,8 +35,8 @@ use wad_vehicle::{Control, PartnerKind};
 /// fleet.reset(&[TaskSpec::new(TaskKind::Composite)], 7)?;
 /// for _ in 0..100 {
 ///     let acts = [Act::Expert; 16];
-///     let step = fleet.step(&acts)?;
-///     println!("{:?} {}", step.rewards, fleet.observations().len());
+///     println!("{:?}", fleet.step(&acts)?.rewards);
+///     println!("{:?}", &fleet.observations()[..fleet.observation_size()]);
 /// }
 /// # Ok(())
 /// # }
