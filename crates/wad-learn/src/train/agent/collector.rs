@@ -1,5 +1,8 @@
 //! A collector: one thread, one environment or fleet with its own SUMO, one copy of the actor.
 
+mod fleet;
+mod ongoing;
+
 use super::Maker;
 use super::config::TrainConfig;
 use super::other_days::OtherDays;
@@ -10,19 +13,16 @@ use crate::agent::batch::InputScale;
 use crate::agent::exploration::Exploration;
 use crate::agent::learner::Actor;
 use crate::agent::replay_buffer::{SEGMENT, Segment};
-use crate::env::{End, Ending, Env, EnvError, Fleet, Info, Stages, WorldMode};
-use crate::reward::RewardTerms;
-use rand::SeedableRng;
+use crate::env::{End, Env, EnvError, Info, Stages, WorldMode};
+use ongoing::{Chosen, Ongoing, Passed};
 use rand_chacha::ChaCha8Rng;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::SyncSender;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 use wad_see::latent::Encoder;
 use wad_see::observation::{Observation, RAW_SIZE};
-use wad_sim::session::Act;
-use wad_sim::tasks::TaskSpec;
 
 /// State shared by collectors and learner. Locks are held only for an episode's begin or a pointer's copy.
 #[derive(Debug)]
@@ -78,8 +78,6 @@ impl From<EnvError> for Stop {
     }
 }
 
-/// Ticks of a fleet between two reports of its times.
-const TOLD_EVERY: u64 = 50;
 /// Failures in a row after which a collector gives up.
 const PATIENCE: usize = 5;
 
@@ -263,108 +261,6 @@ impl Collector<'_> {
         }
     }
 
-    /// Drives a fleet until training is over. Validations are driven between its ticks, alone.
-    fn fly(&mut self) -> Result<(), Stop> {
-        let egos = self.config.egos as usize;
-        let dims = self.config.dims();
-        let mut jobs = Vec::with_capacity(egos);
-        for _ in 0..egos {
-            jobs.push(self.next_job()?);
-        }
-        let encoders = jobs.iter().map(|job| self.encoder(job)).collect::<Result<_, _>>()?;
-        let mut fleet = Fleet::new(Arc::clone(&self.maker.assets), self.config.env.clone(), encoders)?;
-        self.told = Stages::default();
-        let tasks: Vec<TaskSpec> = jobs.iter().map(|job| job.task.clone()).collect();
-        fleet.reset(&tasks, jobs[0].seed)?;
-        let size = fleet.observation_size();
-        let part = |fleet: &Fleet, ego: usize| {
-            let (latent, raw) = fleet.observations()[ego * size..(ego + 1) * size].split_at(size - RAW_SIZE);
-            dims.of_parts(latent, raw)
-        };
-        let mut ongoing: Vec<Option<Ongoing>> = Vec::with_capacity(egos);
-        for (ego, job) in jobs.iter().enumerate() {
-            ongoing.push(Some(Ongoing::new(job.clone(), self.config, finite(part(&fleet, ego))?)));
-        }
-        let mut acts = vec![Act::Stay; egos];
-        let mut chosen: Vec<Chosen> = vec![(Action::default(), None, 0.0); egos];
-        let mut failures = 0;
-        for tick in 1_u64.. {
-            if self.shared.stop.load(Ordering::Relaxed) {
-                return Err(Stop::Over);
-            }
-            for ego in 0..egos {
-                let Some(ongoing) = &mut ongoing[ego] else { continue };
-                let speed = fleet.ego(ego).map_or(0.0, |ego| ego.state().speed);
-                let asks = ongoing.asks(self.config);
-                let shown = if asks { Some(action::from_control(fleet.expert(ego)?)) } else { None };
-                let action = self.choose(ongoing, shown, &fleet.eyes(ego).raw().vector())?;
-                chosen[ego] = (action, shown, speed);
-                let control = action::to_control(action);
-                acts[ego] = if asks { Act::Disturbed(control) } else { Act::Control(control) };
-            }
-            fleet.step(&acts)?;
-            let mut lost = false;
-            for ego in 0..egos {
-                let observation = part(&fleet, ego);
-                let step = fleet.last();
-                if step.began[ego] {
-                    let job = jobs[ego].clone();
-                    ongoing[ego] = Some(Ongoing::new(job, self.config, finite(observation)?));
-                    continue;
-                }
-                let Some(one) = &mut ongoing[ego] else { continue };
-                let result = Passed {
-                    reward: step.rewards[ego],
-                    terminated: step.terminated[ego],
-                    truncated: step.truncated[ego],
-                    info: &step.infos[ego],
-                    tick: fleet.tick(),
-                };
-                let Some(report) = self.passed(one, chosen[ego], &result, observation)? else { continue };
-                ongoing[ego] = None;
-                if report.ending.end == End::Error {
-                    lost = true;
-                } else {
-                    failures = 0;
-                    self.tell(report)?;
-                }
-                jobs[ego] = self.next_job()?;
-                fleet.set_next(ego, jobs[ego].task.clone(), jobs[ego].seed);
-            }
-            failures += usize::from(lost);
-            if failures >= PATIENCE {
-                return Err(Stop::Broken(format!("SUMO died {failures} times in a row")));
-            }
-            if tick.is_multiple_of(TOLD_EVERY) {
-                self.tell_times(Some(fleet.stages()));
-            }
-        }
-        Ok(())
-    }
-
-    /// The next job of the training itself; validations before it are driven at once.
-    fn next_job(&mut self) -> Result<Job, Stop> {
-        loop {
-            let job = lock(&self.shared.schedule).next(self.config);
-            if !job.purpose.validates() {
-                return Ok(job);
-            }
-            let mut failures = 0;
-            let report = loop {
-                let report = self.drive(&job)?;
-                failures += 1;
-                if report.ending.end != End::Error {
-                    break report;
-                }
-                if failures >= PATIENCE {
-                    return Err(Stop::Broken(format!("SUMO died {failures} times in a row")));
-                }
-            };
-            self.fresh = self.fresh.take().filter(|_| lock(&self.shared.schedule).is_validating());
-            self.tell(report)?;
-        }
-    }
-
     fn tell(&self, report: Report) -> Result<(), Stop> {
         self.out.send(Message::Episode(Box::new(report))).map_err(|_| Stop::Over)
     }
@@ -519,80 +415,6 @@ impl Collector<'_> {
             self.times.env = difference(&now, &self.told);
             self.told = now;
             let _ = self.out.send(Message::Times(std::mem::take(&mut self.times)));
-        }
-    }
-}
-
-/// An action, the expert's if it was asked, and the ego's speed before it (m/s).
-type Chosen = (Action, Option<Action>, f64);
-
-/// The result of a tick.
-struct Passed<'a> {
-    reward: f64,
-    terminated: bool,
-    truncated: bool,
-    info: &'a Info,
-    /// Length of a tick.
-    tick: Duration,
-}
-
-/// An episode while it is driven.
-struct Ongoing {
-    job: Job,
-    rng: ChaCha8Rng,
-    noise: Exploration,
-    segment: Segment,
-    episodic_return: f64,
-    discounted_return: f64,
-    discount: f64,
-    start: Option<(Vec<f32>, Action)>,
-    steps: u64,
-    terms: RewardTerms,
-}
-
-impl Ongoing {
-    fn new(job: Job, config: &TrainConfig, first: Vec<f32>) -> Self {
-        let mut rng = ChaCha8Rng::seed_from_u64(sumo_network::seeds::derive(job.seed, "exploration"));
-        let noise = Exploration::new(config.exploration, &mut rng);
-        Self {
-            job,
-            rng,
-            noise,
-            segment: Self::segment(first),
-            episodic_return: 0.0,
-            discounted_return: 0.0,
-            discount: 1.0,
-            start: None,
-            steps: 0,
-            terms: RewardTerms::default(),
-        }
-    }
-
-    fn segment(first: Vec<f32>) -> Segment {
-        Segment { observations: vec![first], ..Segment::default() }
-    }
-
-    /// Whether the expert's action is wanted.
-    fn asks(&self, config: &TrainConfig) -> bool {
-        matches!(self.job.purpose, Purpose::Demonstrate { .. })
-            || !self.job.purpose.validates() && config.asks()
-    }
-
-    fn report(&self, result: &Passed<'_>) -> Report {
-        let unknown = || Ending { end: End::Error, cause: "unknown".to_string(), success: false };
-        let info = result.info;
-        Report {
-            purpose: self.job.purpose.clone(),
-            task: self.job.task.clone(),
-            ending: info.ending.clone().unwrap_or_else(unknown),
-            steps: self.steps,
-            episodic_return: self.episodic_return,
-            discounted_return: self.discounted_return,
-            start: self.start.clone(),
-            expected_return: None,
-            terms: self.terms,
-            mean_speed: info.driven / (info.tick.max(1) as f64 * result.tick.as_secs_f64()),
-            distance: info.driven,
         }
     }
 }

@@ -1,5 +1,6 @@
 //! The learner's loop.
 
+mod messages;
 mod recorded;
 mod report;
 mod validation;
@@ -7,9 +8,8 @@ mod validation;
 use super::checkpoint::{Best, Checkpoints, RngState, State};
 use super::collector::{Message, Shared, collect, lock};
 use super::config::TrainConfig;
-use super::curve::StagePassed;
 use super::log::RunLog;
-use super::schedule::{ActorCopy, Purpose, Report, Schedule};
+use super::schedule::{ActorCopy, Schedule};
 use super::{Limits, Maker, Progress, TrainError, Trained};
 use crate::agent::batch::{Batches, InputScale, Inputs, Metrics, Scale};
 use crate::agent::learner::Learner;
@@ -21,13 +21,11 @@ use crate::folder_lock::FolderLock;
 use rand_chacha::ChaCha8Rng;
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, TryRecvError, sync_channel};
+use std::sync::mpsc::{Receiver, sync_channel};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use sumo_network::seeds;
-use tch::Tensor;
 use validation::Validation;
-use wad_sim::tasks::Passed;
 
 /// Updates that are sampled and moved to the device together.
 const TOGETHER: usize = 8;
@@ -400,128 +398,6 @@ impl<'a> Learning<'a> {
         }
     }
 
-    /// Receives from collectors; waits a little if there is nothing else to do.
-    fn listen(
-        &mut self,
-        messages: &Receiver<Message>,
-        shared: &Shared,
-        idle: bool,
-        progress: &mut impl FnMut(Progress<'_>),
-    ) -> Result<(), TrainError> {
-        let mut message = if idle {
-            match messages.recv_timeout(Duration::from_millis(50)) {
-                Ok(message) => Some(message),
-                Err(RecvTimeoutError::Timeout) => None,
-                Err(RecvTimeoutError::Disconnected) => return Err(gone()),
-            }
-        } else {
-            match messages.try_recv() {
-                Ok(message) => Some(message),
-                Err(TryRecvError::Empty) => None,
-                Err(TryRecvError::Disconnected) => return Err(gone()),
-            }
-        };
-        while let Some(now) = message.take() {
-            match now {
-                Message::Segment { segment, autopilot } => {
-                    let n = segment.len() as u64;
-                    if self.steps < self.limits.steps {
-                        self.buffer.push(&segment);
-                        let mut schedule = lock(&shared.schedule);
-                        if autopilot {
-                            self.demonstrated += n;
-                            schedule.state.demonstrated = self.demonstrated;
-                        } else {
-                            self.steps += n;
-                            schedule.steps = self.steps;
-                        }
-                    }
-                    // One segment at a time: the learner's turn.
-                    return Ok(());
-                }
-                Message::Episode(report) => self.episode(*report, shared, progress)?,
-                Message::Times(times) => {
-                    let sum = &mut self.rate.env;
-                    sum.steps += times.env.steps;
-                    sum.sumo += times.env.sumo;
-                    sum.physics += times.env.physics;
-                    sum.camera += times.env.camera;
-                    sum.perception += times.env.perception;
-                    sum.encoder += times.env.encoder;
-                    sum.resets += times.env.resets;
-                    sum.reset += times.env.reset;
-                    self.rate.actor += times.actor;
-                    self.rate.waiting += times.waiting;
-                }
-                Message::Failed(error) => return Err(error),
-            }
-            message = messages.try_recv().ok();
-        }
-        Ok(())
-    }
-
-    /// What the critics expected of an episode's first action.
-    fn expected(&self, report: &Report) -> Option<f64> {
-        let (_, scale) = self.scale.as_ref().filter(|_| self.learner.updates() > 0)?;
-        let (observation, action) = report.start.as_ref()?;
-        let observation = Tensor::from_slice(observation).to_device(self.limits.device);
-        Some(self.learner.value(&scale.apply(&observation), action) / self.config.reward_scale)
-    }
-
-    fn episode(
-        &mut self,
-        mut report: Report,
-        shared: &Shared,
-        progress: &mut impl FnMut(Progress<'_>),
-    ) -> Result<(), TrainError> {
-        match &report.purpose {
-            Purpose::Validate(actor) => {
-                let Some(validation) = &mut self.validation else { return Ok(()) };
-                if actor.version == validation.actor.version {
-                    self.log.validation_episode(validation.steps, &report)?;
-                    validation.reports.push(report);
-                }
-                if validation.reports.len() >= validation.expected {
-                    self.finish_validation(shared, progress)?;
-                }
-            }
-            purpose => {
-                let agent = !matches!(purpose, Purpose::Demonstrate { .. });
-                let mut passed = None;
-                let (stage, rate) = {
-                    let mut schedule = lock(&shared.schedule);
-                    let state = &mut schedule.state;
-                    let curriculum = &self.config.curriculum;
-                    if agent {
-                        self.returns.push_back(report.episodic_return);
-                        if self.returns.len() > 20 {
-                            self.returns.pop_front();
-                        }
-                        let success = report.ending.success;
-                        passed = state.progress.note(curriculum, report.task.kind, report.steps, success);
-                    }
-                    (state.progress.stage, state.progress.success_rate())
-                };
-                report.expected_return = self.expected(&report);
-                self.log.episode(self.steps, stage, rate, &report)?;
-                if let Some(Passed { stage, threshold, steps, rate }) = passed {
-                    let pass = StagePassed { stage, threshold, step: self.steps, hours: self.hours() };
-                    self.log.passed(&pass)?;
-                    let how = if threshold { "is passed" } else { "is left, its steps are spent" };
-                    let task = self.config.curriculum.stages[stage].task;
-                    let news = format!(
-                        "step {}: stage {} ({task}) {how}, after {steps} steps with {:.0} % of its last episodes",
-                        self.steps,
-                        stage + 1,
-                        100.0 * rate
-                    );
-                    self.show(shared, Some(news), progress);
-                }
-            }
-        }
-        Ok(())
-    }
-
     fn now_and_then(
         &mut self,
         shared: &Shared,
@@ -603,8 +479,4 @@ impl<'a> Learning<'a> {
         self.rate.paused += clock.elapsed().as_secs_f64();
         Ok(())
     }
-}
-
-fn gone() -> TrainError {
-    TrainError::Broken("all collectors ended; see the messages above".to_string())
 }
