@@ -3,6 +3,7 @@
 //! SUMO and the bridge never run at the same time, and waking another core costs more than the work
 //! of a quiet tick, so the two share one core. Linux only; elsewhere nothing happens.
 
+use rayon::prelude::*;
 use std::sync::OnceLock;
 
 /// The cores that the process may use, as its first thread with a SUMO found them.
@@ -14,6 +15,17 @@ pub fn free_workers() {
     if let Some(all) = ALL.get_or_init(Cores::allowed) {
         rayon::broadcast(|_| all.confine(0));
     }
+}
+
+/// With this many items or more, [`each`] uses all cores.
+pub const PARALLEL_FROM: usize = 4;
+
+/// `what` for each item, in their order; on all cores where there are many.
+pub fn each<T: Send, R: Send>(items: Vec<T>, what: impl Fn(T) -> R + Sync + Send) -> Vec<R> {
+    if items.len() < PARALLEL_FROM {
+        return items.into_iter().map(what).collect();
+    }
+    items.into_par_iter().map(what).collect()
 }
 
 /// A set of cores.

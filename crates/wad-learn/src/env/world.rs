@@ -6,7 +6,6 @@ use super::obstacle;
 use super::scratch::Scratch;
 use super::slot::{FIRST, Judge, Outcome, Slot};
 use super::{EnvError, EnvOptions, Stages, WorldMode};
-use rayon::prelude::*;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -18,6 +17,7 @@ use wad_see::latent::Encoder;
 use wad_sim::assets::Assets;
 use wad_sim::autopilot::AutopilotParams;
 use wad_sim::bridge::{BridgeError, BridgeOptions, Ego};
+use wad_sim::cores;
 use wad_sim::destination::Destinations;
 use wad_sim::session::{Act, Seat, Session};
 use wad_sim::tasks::{Placement, TaskError, TaskSpec};
@@ -30,8 +30,6 @@ const PLACES: usize = 12;
 const ROOM: f64 = 30.0;
 /// An ego begins at least this far from all others (m).
 const APART: f64 = 25.0;
-/// With this many egos or more, they look on all cores.
-const PARALLEL_FROM: usize = 4;
 
 /// A task and the seed of an episode.
 pub type Start<'a> = (&'a TaskSpec, u64);
@@ -475,14 +473,10 @@ fn each<G: Send, T: Send>(
     slots: &mut [Slot],
     seats: &[Seat],
     given: Vec<G>,
-    what: impl Fn(&mut Slot, &Seat, G) -> T + Sync,
+    what: impl Fn(&mut Slot, &Seat, G) -> T + Sync + Send,
 ) -> Vec<T> {
-    if slots.len() < PARALLEL_FROM {
-        let all = slots.iter_mut().zip(seats).zip(given);
-        return all.map(|((slot, seat), given)| what(slot, seat, given)).collect();
-    }
-    let all = slots.par_iter_mut().zip(seats).zip(given);
-    all.map(|((slot, seat), given)| what(slot, seat, given)).collect()
+    let all = slots.iter_mut().zip(seats).zip(given).collect();
+    cores::each(all, |((slot, seat), given)| what(slot, seat, given))
 }
 
 fn begin_of(route: &Route) -> Point {

@@ -23,15 +23,10 @@ use crate::bridge::{Bridge, BridgeError, BridgeOptions, Ego};
 use crate::criteria::{EgoOnRoute, Event};
 use crate::scenario::Director;
 use crate::{cores, cpu_time};
-use rayon::prelude::*;
 use std::sync::Arc;
 use std::time::Instant;
 use sumo_network::network::{Network, Route};
-use sumo_network::world::{Actor, WorldState};
 use wad_vehicle::{Contact, Control, PartnerKind};
-
-/// With this many egos or more, physics runs on all cores.
-const PARALLEL_FROM: usize = 4;
 
 /// What an ego does in a tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -97,7 +92,7 @@ impl Session {
         options: &BridgeOptions,
         mut seats: Vec<Seat>,
     ) -> Result<Self, BridgeError> {
-        if seats.len() >= PARALLEL_FROM {
+        if seats.len() >= cores::PARALLEL_FROM {
             cores::free_workers();
         }
         let mut bridge = Bridge::start_on(options, Some(Arc::clone(assets.network()))).await?;
@@ -192,11 +187,9 @@ impl Session {
         let tick = self.bridge.tick();
         let clock = Instant::now();
         // Each ego has a physics world of its own: the order does not matter.
-        let mut ticks: Vec<Tick> = if self.seats.len() < PARALLEL_FROM {
-            self.seats.iter_mut().zip(acts).map(|(seat, act)| seat.drive(*act, tick)).collect()
-        } else {
-            self.seats.par_iter_mut().zip(acts).map(|(seat, act)| seat.drive(*act, tick)).collect()
-        };
+        let seats = self.seats.iter_mut().zip(acts).collect();
+        let mut ticks: Vec<Tick> =
+            cores::each(seats, |(seat, act): (&mut Seat, &Act)| seat.drive(*act, tick));
         tell_both(&self.seats, &mut ticks);
         self.timings.physics += clock.elapsed().as_secs_f64();
         self.settle().await?;
@@ -263,18 +256,18 @@ fn tell_both(seats: &[Seat], ticks: &mut [Tick]) {
     if seats.len() < 2 {
         return;
     }
-    let named =
-        |world: &WorldState, of: &dyn Fn(&Actor) -> bool| world.vehicles.iter().find(|a| of(a)).cloned();
     for index in 0..seats.len() {
         let me = seats[index].ego();
         for contact in ticks[index].contacts.clone() {
             if contact.kind != PartnerKind::Vehicle {
                 continue;
             }
-            let Some(actor) = named(me.world(), &|actor| actor.key == contact.key) else { continue };
+            let known = me.world().vehicles.iter().find(|actor| actor.key == contact.key);
+            let Some(actor) = known else { continue };
             let Some(other) = seats.iter().position(|seat| *seat.ego().id == *actor.id) else { continue };
             let partner = seats[other].ego();
-            let Some(mine) = named(partner.world(), &|actor| *actor.id == *me.id) else { continue };
+            let known = partner.world().vehicles.iter().find(|actor| *actor.id == *me.id);
+            let Some(mine) = known else { continue };
             let told = &mut ticks[other].contacts;
             if told.iter().all(|known| (known.kind, known.key) != (PartnerKind::Vehicle, mine.key)) {
                 let place = me.state().pose.to_world(contact.point);

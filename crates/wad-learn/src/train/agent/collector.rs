@@ -102,70 +102,28 @@ pub fn collect(
         version: None,
         times: Times::default(),
         told: Stages::default(),
+        retry: None,
+        failures: 0,
     };
-    let mut failures = 0;
-    // A fleet whose environment fails is made again.
-    while config.egos > 1 && !shared.stop.load(Ordering::Relaxed) {
-        match collector.fly() {
-            Ok(()) | Err(Stop::Over) => return,
-            Err(Stop::Env(error)) if !error.is_input() && failures + 1 < PATIENCE => {
-                failures += 1;
-                tracing::warn!("collector {index}: a fleet's episodes are lost: {error}");
-            }
-            Err(Stop::Env(error)) => {
-                let _ = out.send(Message::Failed(error.into()));
-                return;
-            }
-            Err(Stop::Broken(why)) => {
-                let _ = out.send(Message::Failed(super::TrainError::Broken(why)));
-                return;
-            }
-        }
-    }
-    let mut retry: Option<Job> = None;
     while !shared.stop.load(Ordering::Relaxed) {
-        let job = retry.take().unwrap_or_else(|| lock(&shared.schedule).next(config));
-        match collector.drive(&job) {
-            // SUMO died during the episode.
-            Ok(report) if report.ending.end == End::Error => {
-                failures += 1;
-                if failures >= PATIENCE {
-                    let why = format!(
-                        "SUMO died {failures} times in a row; the last time: {}",
-                        report.ending.cause
-                    );
-                    let _ = out.send(Message::Failed(super::TrainError::Broken(why)));
-                    return;
-                }
-                retry = job.purpose.validates().then_some(job);
-            }
-            Ok(report) => {
-                failures = 0;
-                if out.send(Message::Episode(Box::new(report))).is_err() {
-                    return;
-                }
-            }
+        let stopped = if config.egos > 1 { collector.fly() } else { collector.drive_next() };
+        let error = match stopped {
+            Ok(()) => continue,
             Err(Stop::Over) => return,
-            Err(Stop::Broken(why)) => {
-                let _ = out.send(Message::Failed(super::TrainError::Broken(why)));
-                return;
-            }
+            Err(Stop::Broken(why)) => super::TrainError::Broken(why),
             Err(Stop::Env(error)) => {
-                failures += 1;
+                collector.failures += 1;
                 let hopeless = error.is_input() && !matches!(error, EnvError::Crowded { .. });
-                if hopeless || failures >= PATIENCE {
-                    let _ = out.send(Message::Failed(error.into()));
-                    return;
+                if !hopeless && collector.failures < PATIENCE {
+                    tracing::warn!("collector {index}: what it drove is lost: {error}");
+                    (collector.env, collector.fresh) = (None, None);
+                    continue;
                 }
-                tracing::warn!("collector {index}: an episode of `{}` is lost: {error}", job.task.kind);
-                collector.env = None;
-                collector.fresh = None;
-                // Every validation has the same episodes.
-                retry = job.purpose.validates().then_some(job);
+                error.into()
             }
-        }
-        let now = collector.env.as_ref().map(Env::stages);
-        collector.tell_times(now);
+        };
+        let _ = out.send(Message::Failed(error));
+        return;
     }
 }
 
@@ -186,9 +144,45 @@ struct Collector<'a> {
     times: Times,
     /// The time that `env` had spent at the last report.
     told: Stages,
+    /// A validation whose SUMO died: every validation has the same episodes.
+    retry: Option<Job>,
+    /// In a row.
+    failures: usize,
 }
 
 impl Collector<'_> {
+    fn next_job(&mut self) -> Job {
+        self.retry.take().unwrap_or_else(|| lock(&self.shared.schedule).next(self.config))
+    }
+
+    /// Drives the next episode, and reports.
+    fn drive_next(&mut self) -> Result<(), Stop> {
+        let job = self.next_job();
+        self.drive_alone(&job)?;
+        let now = self.env.as_ref().map(Env::stages);
+        self.tell_times(now);
+        Ok(())
+    }
+
+    fn drive_alone(&mut self, job: &Job) -> Result<(), Stop> {
+        self.retry = job.purpose.validates().then(|| job.clone());
+        let report = self.drive(job)?;
+        if report.ending.end == End::Error {
+            return self.died(&report.ending.cause);
+        }
+        self.retry = None;
+        self.tell(report)
+    }
+
+    /// SUMO died during an episode.
+    fn died(&mut self, cause: &str) -> Result<(), Stop> {
+        self.failures += 1;
+        if self.failures < PATIENCE {
+            return Ok(());
+        }
+        Err(Stop::Broken(format!("SUMO died {} times in a row; the last time: {cause}", self.failures)))
+    }
+
     /// Drives an episode in an environment of its own: running traffic, or a fresh world for a validation.
     fn drive(&mut self, job: &Job) -> Result<Report, Stop> {
         let validating = job.purpose.validates();
@@ -261,7 +255,8 @@ impl Collector<'_> {
         }
     }
 
-    fn tell(&self, report: Report) -> Result<(), Stop> {
+    fn tell(&mut self, report: Report) -> Result<(), Stop> {
+        self.failures = 0;
         self.out.send(Message::Episode(Box::new(report))).map_err(|_| Stop::Over)
     }
 

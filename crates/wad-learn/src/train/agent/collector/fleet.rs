@@ -1,7 +1,7 @@
 //! A collector with many egos in its SUMO.
 
 use super::ongoing::{Chosen, Ongoing, Passed};
-use super::{Collector, PATIENCE, Stop, finite, lock};
+use super::{Collector, Stop, finite, lock};
 use crate::agent::action::{self, Action};
 use crate::env::{End, Fleet, Stages};
 use crate::train::agent::schedule::Job;
@@ -21,7 +21,7 @@ impl Collector<'_> {
         let dims = self.config.dims();
         let mut jobs = Vec::with_capacity(egos);
         for _ in 0..egos {
-            jobs.push(self.next_job()?);
+            jobs.push(self.next_training()?);
         }
         let encoders = jobs.iter().map(|job| self.encoder(job)).collect::<Result<_, _>>()?;
         let mut fleet = Fleet::new(Arc::clone(&self.maker.assets), self.config.env.clone(), encoders)?;
@@ -39,7 +39,6 @@ impl Collector<'_> {
         }
         let mut acts = vec![Act::Stay; egos];
         let mut chosen: Vec<Chosen> = vec![(Action::default(), None, 0.0); egos];
-        let mut failures = 0;
         for tick in 1_u64.. {
             if self.shared.stop.load(Ordering::Relaxed) {
                 return Err(Stop::Over);
@@ -55,7 +54,8 @@ impl Collector<'_> {
                 acts[ego] = if asks { Act::Disturbed(control) } else { Act::Control(control) };
             }
             fleet.step(&acts)?;
-            let mut lost = false;
+            // One death, however many episodes it costs.
+            let mut lost = None;
             for ego in 0..egos {
                 let observation = part(&fleet, ego);
                 let step = fleet.last();
@@ -75,17 +75,15 @@ impl Collector<'_> {
                 let Some(report) = self.passed(one, chosen[ego], &result, observation)? else { continue };
                 ongoing[ego] = None;
                 if report.ending.end == End::Error {
-                    lost = true;
+                    lost = Some(report.ending.cause);
                 } else {
-                    failures = 0;
                     self.tell(report)?;
                 }
-                jobs[ego] = self.next_job()?;
+                jobs[ego] = self.next_training()?;
                 fleet.set_next(ego, jobs[ego].task.clone(), jobs[ego].seed);
             }
-            failures += usize::from(lost);
-            if failures >= PATIENCE {
-                return Err(Stop::Broken(format!("SUMO died {failures} times in a row")));
+            if let Some(cause) = lost {
+                self.died(&cause)?;
             }
             if tick.is_multiple_of(TOLD_EVERY) {
                 self.tell_times(Some(fleet.stages()));
@@ -95,25 +93,17 @@ impl Collector<'_> {
     }
 
     /// The next job of the training itself; validations before it are driven at once.
-    fn next_job(&mut self) -> Result<Job, Stop> {
+    fn next_training(&mut self) -> Result<Job, Stop> {
         loop {
-            let job = lock(&self.shared.schedule).next(self.config);
+            let job = self.next_job();
             if !job.purpose.validates() {
                 return Ok(job);
             }
-            let mut failures = 0;
-            let report = loop {
-                let report = self.drive(&job)?;
-                failures += 1;
-                if report.ending.end != End::Error {
-                    break report;
-                }
-                if failures >= PATIENCE {
-                    return Err(Stop::Broken(format!("SUMO died {failures} times in a row")));
-                }
-            };
-            self.fresh = self.fresh.take().filter(|_| lock(&self.shared.schedule).is_validating());
-            self.tell(report)?;
+            self.drive_alone(&job)?;
+            // Its SUMO is not needed until the next validation.
+            if self.retry.is_none() && !lock(&self.shared.schedule).is_validating() {
+                self.fresh = None;
+            }
         }
     }
 }
