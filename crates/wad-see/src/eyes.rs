@@ -9,8 +9,8 @@
 use crate::latent::{Decoder, Encoder, LatentError};
 use crate::observation::{LATENT_SIZE, Observation, ObservationMode, RAW_SIZE, RawState};
 use crate::perception::{
-    self, Detector, EgoFacts, LaneDetector, LightAhead, Percept, Perception, PerceptionError, StopLight,
-    TransformedImage, stages,
+    self, Detector, EgoFacts, LightAhead, Percept, Perception, PerceptionError, StopLight, TransformedImage,
+    stages,
 };
 use crate::surroundings::Surroundings;
 use std::time::Instant;
@@ -133,13 +133,8 @@ impl Eyes {
     /// A camera of `config` with perception by `detector` behind it.
     ///
     /// # Errors
-    /// As [`Eyes::camera`]; a build without OpenCV finds no lanes.
+    /// As [`Eyes::camera`].
     pub fn new(town: Town, config: CameraConfig, detector: Box<dyn Detector>) -> Result<Self, EyesError> {
-        LaneDetector::check()?;
-        Self::perceiving(town, config, detector)
-    }
-
-    fn perceiving(town: Town, config: CameraConfig, detector: Box<dyn Detector>) -> Result<Self, EyesError> {
         let mut eyes = Self::camera(town, config)?;
         if let Some(sight) = &mut eyes.sight {
             sight.perception = Some(Perception::new(detector, config));
@@ -159,12 +154,8 @@ impl Eyes {
         encoder: Box<dyn Encoder>,
     ) -> Result<Self, EyesError> {
         let eyes = if mode.looks() {
-            // The raw states need no lanes, so a build without OpenCV has them.
-            if mode.encodes() {
-                LaneDetector::check()?;
-            }
             let detector = perception::detector(detector, perception::MIN_SCORE)?;
-            Self::perceiving(assets.town(), camera, detector)?
+            Self::new(assets.town(), camera, detector)?
         } else {
             Self::blind()
         };
@@ -264,7 +255,7 @@ impl Eyes {
         self.times.detect = lap();
         let encodes = self.mode.encodes();
         if encodes {
-            perception.find_lanes(frame, facts)?;
+            perception.find_lanes(frame, facts);
             self.times.lanes = lap();
         }
         perception.judge(facts);

@@ -87,9 +87,6 @@ pub enum PerceptionError {
         /// What went wrong.
         why: String,
     },
-    /// The lane detection fails; says why.
-    #[error("lane detection: {0}")]
-    Lanes(String),
     /// The picture's size is not the camera's.
     #[error("expected a picture of {expected:?} (width, height), found {found:?}: {hint}")]
     Size {

@@ -1,6 +1,5 @@
 //! A road, an ego on it, and pictures of it, for the unit tests.
 
-#[cfg(feature = "vision")]
 use super::LaneBoundary;
 use super::{Detection, EgoFacts, GroundPlane};
 use std::sync::Arc;
@@ -8,7 +7,6 @@ use sumo_network::geometry::Vector;
 use sumo_network::network::testing::{net, place};
 use sumo_network::network::{Network, Route, VehicleClass};
 use wad_camera::CameraConfig;
-#[cfg(feature = "vision")]
 use wad_camera::Frame;
 use wad_camera::model::ObjectClass;
 use wad_sim::criteria::EgoOnRoute;
@@ -80,7 +78,6 @@ pub fn seen(class: ObjectClass, near: f32, y: f32, breadth: f32, height: f32) ->
 }
 
 /// A picture of a grey road with white lines, a line 0.12 m broad.
-#[cfg(feature = "vision")]
 pub fn picture(camera: &CameraConfig, lines: &[LaneBoundary]) -> Frame {
     let ground = GroundPlane::new(camera);
     let mut rgb = Vec::with_capacity(3 * camera.width * camera.height);

@@ -1,11 +1,10 @@
-//! From the picture to pieces of painted lines, with OpenCV as in the paper: region of interest, Canny
-//! edges, threshold, probabilistic Hough transformation.
+//! From the picture to pieces of painted lines, as in the paper: region of interest, Canny edges, threshold,
+//! probabilistic Hough transformation.
 
 use super::Pieces;
-use crate::perception::{GroundPlane, PerceptionError};
-use opencv::core::{Mat, Vec4i, Vector};
-use opencv::imgproc;
-use opencv::prelude::MatTraitConstManual;
+use super::canny::Canny;
+use super::hough::{Hough, Wanted};
+use crate::perception::GroundPlane;
 use wad_camera::Frame;
 
 /// Finds pieces of lines; keeps its buffers.
@@ -15,42 +14,36 @@ pub struct EdgeFinder {
     /// Pixels of stripes, and the pixels beside them.
     stripes: Vec<u8>,
     kept: Vec<u8>,
-    edges: Mat,
-    lines: Vector<Vec4i>,
+    canny: Canny,
+    edges: Vec<u8>,
+    hough: Hough,
+    lines: Vec<[i32; 4]>,
 }
 
 /// Breadths (m) within which a stripe must be brighter than both sides: a single line, and a double one.
 const SIDES: [f32; 2] = [0.13, 0.36];
 /// By how much: grey levels, and a share of its own brightness.
 const CONTRAST: (i16, i16) = (7, 12);
-/// Canny's thresholds.
-const WEAK_EDGE: f64 = 25.0;
-const STRONG_EDGE: f64 = 70.0;
+/// Canny's thresholds: weak, strong.
+const EDGE: [i16; 2] = [25, 70];
 /// Hough: votes, least length and largest gap of a line (pixels of a picture 512 wide).
-const VOTES: i32 = 14;
+const VOTES: f64 = 14.0;
 const LEAST_LENGTH: f64 = 12.0;
 const LARGEST_GAP: f64 = 4.0;
 
 impl EdgeFinder {
     /// The pieces of lines between `near` and `far` (m ahead of the ego's centre).
-    pub fn find(
-        &mut self,
-        frame: &Frame,
-        ground: &GroundPlane,
-        [near, far]: [f32; 2],
-        pieces: &mut Pieces,
-    ) -> Result<(), PerceptionError> {
+    pub fn find(&mut self, frame: &Frame, ground: &GroundPlane, [near, far]: [f32; 2], pieces: &mut Pieces) {
         pieces.segments.clear();
         pieces.stripes.clear();
         let row = |x: f32| ground.pixel([x, 0.0]).map_or(frame.height as f32, |pixel| pixel[1]);
         let top = row(far).max(0.0) as usize;
         let bottom = (row(near).ceil() as usize).min(frame.height);
         if bottom < top + 8 || frame.rgb.len() != 3 * frame.width * frame.height {
-            return Ok(());
+            return;
         }
         self.find_stripes(frame, ground, top, bottom, pieces);
-        self.find_segments(frame.width, ground, top, pieces)
-            .map_err(|error| PerceptionError::Lanes(format!("OpenCV: {}", error.message)))
+        self.find_segments(frame.width, ground, top, pieces);
     }
 
     /// Grey picture of the region, and its threshold: what is brighter than both sides.
@@ -94,38 +87,25 @@ impl EdgeFinder {
         }
     }
 
-    fn find_segments(
-        &mut self,
-        width: usize,
-        ground: &GroundPlane,
-        top: usize,
-        pieces: &mut Pieces,
-    ) -> opencv::Result<()> {
-        let rows = (self.grey.len() / width) as i32;
-        let grey = Mat::new_rows_cols_with_data(rows, width as i32, &self.grey)?;
-        imgproc::canny(&grey, &mut self.edges, WEAK_EDGE, STRONG_EDGE, 3, false)?;
+    fn find_segments(&mut self, width: usize, ground: &GroundPlane, top: usize, pieces: &mut Pieces) {
+        self.canny.find(&self.grey, width, EDGE, &mut self.edges);
         // Edges of stripes only.
         self.kept.clear();
         self.kept.resize(self.grey.len(), 0);
-        near_stripes(self.edges.data_bytes()?, &self.stripes, width, &mut self.kept);
-        let kept = Mat::new_rows_cols_with_data(rows, width as i32, &self.kept)?;
+        near_stripes(&self.edges, &self.stripes, width, &mut self.kept);
         let scale = width as f64 / 512.0;
-        imgproc::hough_lines_p(
-            &kept,
-            &mut self.lines,
-            1.0,
-            std::f64::consts::PI / 180.0,
-            ((f64::from(VOTES) * scale) as i32).max(6),
-            LEAST_LENGTH * scale,
-            LARGEST_GAP * scale.max(0.5),
-        )?;
+        let wanted = Wanted {
+            votes: ((VOTES * scale) as i16).max(6),
+            length: (LEAST_LENGTH * scale).round_ties_even() as i32,
+            gap: (LARGEST_GAP * scale.max(0.5)).round_ties_even() as i32,
+        };
+        self.hough.find(&self.kept, width, wanted, &mut self.lines);
         let place = |x: i32, y: i32| ground.point([x as f32 + 0.5, (top as i32 + y) as f32 + 0.5]);
         for line in &self.lines {
             if let (Some(a), Some(b)) = (place(line[0], line[1]), place(line[2], line[3])) {
                 pieces.segments.push(if a[0] <= b[0] { [a, b] } else { [b, a] });
             }
         }
-        Ok(())
     }
 }
 

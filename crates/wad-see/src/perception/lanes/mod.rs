@@ -7,14 +7,14 @@
 //! Inside junctions there are no lines to detect (as in the paper), and the region of interest ends at a
 //! stop line. The waypoints say where junctions and stop lines are.
 
-#[cfg(feature = "vision")]
+mod canny;
 mod edges;
-#[cfg_attr(not(feature = "vision"), allow(dead_code))]
 mod fit;
+mod hough;
 #[cfg(test)]
 mod tests;
 
-use super::{EgoFacts, GroundPlane, PerceptionError};
+use super::{EgoFacts, GroundPlane};
 use serde::{Deserialize, Serialize};
 use sumo_network::geometry::{Pose, Vector};
 use wad_camera::Frame;
@@ -78,7 +78,6 @@ const COAST: u32 = 3;
 /// Finds the boundaries, tick by tick.
 #[derive(Debug, Default)]
 pub struct LaneDetector {
-    #[cfg(feature = "vision")]
     finder: edges::EdgeFinder,
     fitter: fit::Fitter,
     pieces: Pieces,
@@ -90,44 +89,23 @@ pub struct LaneDetector {
 type Aged = (LaneBoundary, u32);
 
 impl LaneDetector {
-    /// Whether this build can find lanes.
-    ///
-    /// # Errors
-    /// This build has no OpenCV.
-    pub fn check() -> Result<(), PerceptionError> {
-        if cfg!(feature = "vision") {
-            return Ok(());
-        }
-        Err(PerceptionError::Lanes(
-            "this build has no OpenCV; build wad-cosim with the feature `vision`".to_string(),
-        ))
-    }
-
     /// Forgets what it saw.
     pub fn reset(&mut self) {
         self.last = None;
     }
 
     /// The boundaries in `frame`.
-    ///
-    /// # Errors
-    /// OpenCV fails.
-    pub fn find(
-        &mut self,
-        frame: &Frame,
-        ground: &GroundPlane,
-        facts: &EgoFacts<'_>,
-    ) -> Result<LaneEstimate, PerceptionError> {
+    pub fn find(&mut self, frame: &Frame, ground: &GroundPlane, facts: &EgoFacts<'_>) -> LaneEstimate {
         let far = road_ahead(facts).min(f64::from(FAR)) as f32;
         if far < NEAR + LEAST_ROAD {
             self.last = None;
-            return Ok(LaneEstimate::default());
+            return LaneEstimate::default();
         }
         let pose = facts.on_route.state.pose;
         let before = self.last.take().map(|(was, sides)| {
             sides.map(|side| side.and_then(|(line, age)| Some((moved(&line, &was, &pose)?, age))))
         });
-        self.look(frame, ground, [NEAR, far])?;
+        self.finder.find(frame, ground, [NEAR, far], &mut self.pieces);
         let expected = before.iter().flatten().flatten().next();
         let expected = expected.map(|(line, _)| fit::Course { slope: line.slope, bend: line.bend });
         let seen = self.fitter.fit(&self.pieces, expected, NEAR);
@@ -145,17 +123,7 @@ impl LaneDetector {
         }
         self.last = Some((pose, sides));
         let [left, right] = sides.map(|side| side.map(|(line, _)| line));
-        Ok(LaneEstimate { left, right })
-    }
-
-    #[cfg(feature = "vision")]
-    fn look(&mut self, frame: &Frame, ground: &GroundPlane, range: [f32; 2]) -> Result<(), PerceptionError> {
-        self.finder.find(frame, ground, range, &mut self.pieces)
-    }
-
-    #[cfg(not(feature = "vision"))]
-    fn look(&mut self, _: &Frame, _: &GroundPlane, _: [f32; 2]) -> Result<(), PerceptionError> {
-        Self::check()
+        LaneEstimate { left, right }
     }
 }
 
