@@ -298,6 +298,9 @@ fn json<'py>(py: Python<'py>, value: &impl serde::Serialize) -> PyResult<Bound<'
 /// Numbers of [`Part::Vector`]: the surroundings, then the raw states.
 pub const VECTOR_SIZE: usize = ObservationMode::Vector.latent_size() + RAW_SIZE;
 
+/// Numbers of [`Part::Latent`]: the latent, then the raw states.
+pub const LATENT_AND_RAW_SIZE: usize = LATENT_SIZE + RAW_SIZE;
+
 /// Python's arrays, checked.
 fn arrays(
     found: &Bound<'_, PyDict>,
@@ -311,7 +314,7 @@ fn arrays(
         let (name, row) = match part {
             Part::Raw => ("raw", RAW_SIZE),
             Part::Vector => ("vector", VECTOR_SIZE),
-            Part::Latent => ("latent", LATENT_SIZE),
+            Part::Latent => ("latent", LATENT_AND_RAW_SIZE),
             Part::Image => ("image", camera.width * camera.height * 3),
             Part::Transformed => ("transformed", TRANSFORMED_SIZE * TRANSFORMED_SIZE * 3),
         };

@@ -6,7 +6,6 @@ use wad_cosim::agent::action::{self, Action};
 use wad_cosim::criteria::Event;
 use wad_cosim::env::{Ending, Env, EnvError, Fleet, Info};
 use wad_cosim::eyes::Eyes;
-use wad_cosim::latent::PooledEncoder;
 use wad_cosim::reward::RewardTerms;
 use wad_cosim::session::Act;
 use wad_cosim::tasks::TaskSpec;
@@ -55,7 +54,7 @@ pub struct Episodes {
 impl Episodes {
     /// An environment without an episode.
     pub fn new(tasks: std::sync::Arc<Tasks>, setup: &Setup) -> Result<Self, Failure> {
-        let env = Env::new(tasks.assets.clone(), setup.options.clone(), Box::new(PooledEncoder))?;
+        let env = Env::new(tasks.assets.clone(), setup.options.clone(), setup.encoder()?)?;
         let draws = setup.render || setup.observation.contains(&Part::Image);
         let own = !setup.options.observation.encodes();
         let painter = (draws && own)
@@ -144,8 +143,7 @@ impl Episodes {
 fn write(eyes: &Eyes, part: Part, row: Row<'_>) {
     match (part, row) {
         (Part::Raw, Row::Numbers(row)) => row.copy_from_slice(&eyes.raw().vector()),
-        (Part::Vector, Row::Numbers(row)) => eyes.write_observation(row),
-        (Part::Latent, Row::Numbers(row)) => row.copy_from_slice(eyes.latent()),
+        (Part::Vector | Part::Latent, Row::Numbers(row)) => eyes.write_observation(row),
         (Part::Transformed, Row::Bytes(row)) => {
             if let Some(image) = eyes.image() {
                 row.copy_from_slice(image.bytes());
@@ -164,7 +162,7 @@ pub struct Egos {
 impl Egos {
     /// Egos without an episode.
     pub fn new(tasks: &Tasks, setup: &Setup) -> Result<Self, Failure> {
-        let encoders = (0..setup.egos).map(|_| Box::new(PooledEncoder) as _).collect();
+        let encoders = (0..setup.egos).map(|_| setup.encoder()).collect::<Result<_, _>>()?;
         let fleet = Fleet::new(tasks.assets.clone(), setup.options.clone(), encoders)?;
         Ok(Self { tasks: tasks.all(), fleet })
     }

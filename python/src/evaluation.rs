@@ -10,12 +10,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 use wad_cosim::agent::action::{Action, to_control};
 use wad_cosim::agent::actor::PlainActor;
-use wad_cosim::agent::policy::Policy;
+use wad_cosim::agent::policy::{Policy, find_encoder};
 use wad_cosim::agent::{Agent, AgentError};
 use wad_cosim::camera::CameraConfig;
 use wad_cosim::env::{EnvOptions, ObservationMode};
 use wad_cosim::eval::{self, EvalError, Evaluation, Keep, Made, Order, Results, Selection, Suite, report};
-use wad_cosim::latent::PooledEncoder;
+use wad_cosim::eyes::EyesError;
 use wad_cosim::observation::Observation;
 use wad_cosim::traffic::TrafficSpec;
 use wad_cosim::vehicle::Control;
@@ -26,6 +26,9 @@ pub struct LoadedAgent {
     actor: PlainActor,
     #[pyo3(get)]
     observation: &'static str,
+    /// The encoder that made the latents of its training.
+    #[pyo3(get)]
+    encoder: String,
 }
 
 #[pymethods]
@@ -43,7 +46,7 @@ impl LoadedAgent {
             _ => "latent",
         };
         let actor = policy.actor().map_err(|e| fail(e.to_string()))?;
-        Ok(Self { actor, observation })
+        Ok(Self { actor, observation, encoder: policy.encoder() })
     }
 
     /// Steering, throttle and brake for an observation.
@@ -70,6 +73,7 @@ struct Wanted {
     /// What a driver of Python's gets.
     observation: ObservationMode,
     detector: String,
+    encoder: String,
     jobs: usize,
     out: Option<PathBuf>,
     resume: bool,
@@ -187,13 +191,15 @@ fn drive(
         observation: wanted.observation,
         ..EnvOptions::evaluation()
     };
-    let (mode, camera) = (options.observation, options.camera);
+    let (mode, camera, encoder) = (options.observation, options.camera, wanted.encoder);
     let make_agent = |spec: &eval::DriverSpec| {
         let Some(act) = &act else { return Made::trained(&spec.to_string(), None, &camera) };
         let (act, raised, stop) = (Arc::clone(act), Arc::clone(raised), Arc::clone(stop));
         let agent = PythonAgent { name: spec.to_string(), act, mode, raised, stop };
-        let id = format!("of Python, {spec}");
-        Ok(Made { agent: Box::new(agent), encoder: Box::new(PooledEncoder), id })
+        let encoder =
+            find_encoder(if mode.encodes() { &encoder } else { "pooled" }).map_err(EyesError::from)?;
+        let id = format!("of Python, {spec}, encoder {}", encoder.hash());
+        Ok(Made { agent: Box::new(agent), encoder, id })
     };
     let order = Order {
         suite,

@@ -21,6 +21,7 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("VERSION", wad_cosim::program::version())?;
     module.add("NUMBERS", episode::NUMBERS.to_vec())?;
     module.add("RAW_SIZE", wad_cosim::observation::RAW_SIZE)?;
+    module.add("LATENT_SIZE", wad_cosim::observation::LATENT_SIZE)?;
     module.add("VECTOR_SIZE", environments::VECTOR_SIZE)?;
     module.add("LATENT_SIZE", wad_cosim::observation::LATENT_SIZE)?;
     module.add("TRANSFORMED_SIZE", wad_cosim::perception::TRANSFORMED_SIZE)?;

@@ -7,12 +7,14 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
+use wad_cosim::agent::policy::find_encoder;
 use wad_cosim::assets::Assets;
 use wad_cosim::bridge::DEFAULT_TICK_MS;
 use wad_cosim::camera::Preset;
 use wad_cosim::env::{EnvOptions, ObservationMode};
 use wad_cosim::eval::Suite;
 use wad_cosim::eval::routes::{RouteError, Routes};
+use wad_cosim::latent::Encoder;
 use wad_cosim::seeds;
 use wad_cosim::tasks::{Placement, TaskKind, TaskSpec};
 use wad_cosim::traci::process::SumoInstall;
@@ -26,7 +28,7 @@ pub enum Part {
     Raw,
     /// What is round the ego, from the world itself, and the raw states.
     Vector,
-    /// The latent.
+    /// The latent, and the raw states.
     Latent,
     /// The front camera's picture.
     Image,
@@ -61,6 +63,8 @@ pub struct Setup {
     pub routes: Option<String>,
     /// The environment's options.
     pub options: EnvOptions,
+    /// Makes the latent.
+    pub encoder: String,
     /// The parts to compute.
     pub observation: Vec<Part>,
     /// Pictures are asked for: the camera follows.
@@ -96,6 +100,12 @@ impl Setup {
             return Err(Failure::Input(text.to_string()));
         }
         Ok(setup)
+    }
+
+    /// A new encoder; one without weights where no latent is asked for.
+    pub fn encoder(&self) -> Result<Box<dyn Encoder>, Failure> {
+        let name = if self.observation.contains(&Part::Latent) { &self.encoder } else { "pooled" };
+        find_encoder(name).map_err(|e| Failure::Input(e.to_string()))
     }
 }
 

@@ -92,7 +92,7 @@ def test_an_exception_of_the_agent_comes_through():
         ("tasks", {"agent": "wad-z"}, "wad-z"),
         ("tasks", {"keep": "some"}, "failures"),
         ("tasks", {"agent": 3}, "predict"),
-        ("tasks", {"observation": "lidar"}, "raw, vector"),
+        ("tasks", {"observation": "lidar"}, "raw, vector, latent"),
     ],
 )
 def test_wrong_arguments_say_what_is_expected(suite, kwargs, text):
@@ -110,6 +110,22 @@ def test_bundled_agents_act_without_libtorch():
     for name in ("wad-z", __file__):
         with pytest.raises(wad_cosim.InputError):
             wad_cosim.load_agent(name)
-    # Its latent needs OpenCV and the encoder, which the wheel has not.
-    with pytest.raises(wad_cosim.InputError, match="libtorch"):
-        wad_cosim.evaluate("tasks", "wad-t", **PART)
+
+
+def test_a_bundled_agent_drives_as_from_the_command_line(tmp_path):
+    # The same camera, lanes, encoder and actor, without libtorch and OpenCV: by name, and by its own function.
+    part = {**PART, "task": "straight", "weather": "WetCloudyNoon"}
+    agent = wad_cosim.load_agent("wad-t")
+    wad_cosim.evaluate("tasks", "wad-t", **part, out=tmp_path / "named", keep="none")
+    called = wad_cosim.evaluate("tasks", agent, observation="latent", encoder=agent.encoder, **part, out=tmp_path / "called")
+    assert rows(called)[0]["success"] == 2
+    ours, theirs = ([json.loads(line) for line in (tmp_path / name / "episodes.jsonl").read_text().splitlines()] for name in ("named", "called"))
+    for our, their in zip(ours, theirs, strict=True):
+        assert {k: our[k] for k in ("end", "ticks", "distance")} == {k: their[k] for k in ("end", "ticks", "distance")}
+    if PROGRAM.exists():
+        command = [PROGRAM, "eval", "tasks", "--agent", "wad-t", "--out", tmp_path / "program", "--keep", "none"]
+        for option, value in part.items():
+            command += [f"--{option}", str(value)]
+        assert subprocess.run(command, capture_output=True).returncode == 0
+        theirs = (tmp_path / "program" / "episodes.jsonl").read_bytes()
+        assert theirs == (tmp_path / "named" / "episodes.jsonl").read_bytes()

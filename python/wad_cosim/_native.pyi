@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 VERSION: str
 NUMBERS: list[str]
 RAW_SIZE: int
+LATENT_SIZE: int
 VECTOR_SIZE: int
 LATENT_SIZE: int
 TRANSFORMED_SIZE: int
@@ -51,6 +52,8 @@ class LoadedAgent:
     def __new__(cls, name: str) -> LoadedAgent: ...
     @property
     def observation(self) -> str: ...
+    @property
+    def encoder(self) -> str: ...
     def act(self, observation: NDArray[np.float32]) -> list[float]: ...
 
 def names() -> dict[str, list[str]]: ...

@@ -29,11 +29,14 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
             task's own.
         weather: A name, or several of which each episode draws one from its seed. Default ClearNoon, or the
             condition's.
-        observation: ``raw`` (15 numbers), ``vector`` (187 numbers of the world round the ego), ``image`` (the front camera, 512x512x3), ``dict`` (both by name), or several names
-            in a list.
+        observation: ``raw`` (15 numbers), ``vector`` (187 numbers of the world round the ego), ``latent`` (200
+            numbers of the transformed image, and the raw states), ``image`` (the front camera, 512x512x3), ``transformed``
+            (128x128x3), ``dict`` (raw and image by name), or several names in a list.
         action: ``continuous`` (steering -1 to 1, left positive; throttle 0 to 1; brake 0 to 1), ``pedal`` (steering, and a
             pedal that brakes below 0), ``discrete`` (:data:`wad_cosim.DISCRETE_ACTIONS`), or a table (n, 3).
-        detector: What finds the vehicle in front, as the command line's ``--detector``. Default ``outlines``.
+        detector: What finds road users in the picture, as the command line's ``--detector``. Default ``truth`` for ``latent`` and
+            ``transformed``, else ``outlines``, which draws nothing.
+        encoder: What makes the latent: a bundled encoder's name or a file of ``wad-cosim train encoder``.
         reward: ``wad`` (docs/reward.md), its constants by name, or a function of (observation, action, info).
         mode: ``evaluation`` (a new SUMO for each episode, which depends on its seed alone) or ``training`` (traffic runs
             on between episodes, and standing without a reason ends an episode after 4 s, not 90).

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from . import _native, actions
 from ._native import InputError
 
-_MODES = {"raw": "raw_only", "vector": "vector"}
+_MODES = {"raw": "raw_only", "vector": "vector", "latent": "latent_and_raw"}
 
 
 def evaluate(
@@ -25,6 +25,7 @@ def evaluate(
     observation: str = "raw",
     action: Any = "continuous",
     detector: str = "truth",
+    encoder: str | os.PathLike[str] = "default",
     condition: str | Iterable[str] = (),
     task: str | Iterable[str] = (),
     town: str | Iterable[str] = (),
@@ -44,11 +45,13 @@ def evaluate(
         suite: ``tasks``, ``composite``, ``corl2017``, ``nocrash``, ``infractions``, a suite's JSON file or a scenario.
         agent: A function of an observation that gives an action; an object with ``predict(observation,
             deterministic=True)`` such as a model of Stable-Baselines3; or a driver by name: ``autopilot``, ``random``,
-            ``constant:THROTTLE,STEER,BRAKE``, or the file of a trained agent with the inputs raw or vector. If it has a method ``reset``, that is called at an episode's begin.
+            ``constant:THROTTLE,STEER,BRAKE``, ``wad-t``, ``wad-s``, or the file
+            of a trained agent, which bring their encoder. If it has a method ``reset``, that is called at an episode's begin.
         name: Its name in tables. Default: the function's or the class's.
-        observation: What it gets: ``raw`` or ``vector``, as :class:`DrivingEnv` has them.
+        observation: What it gets: ``raw``, ``vector`` or ``latent``, as :class:`DrivingEnv` has them.
         action: What it gives, as :class:`DrivingEnv`'s ``action``.
         detector: As the command line's ``--detector``.
+        encoder: What makes the latent of ``observation="latent"``.
         condition, task, town, weather, traffic, seed: Only these of the suite; one or several.
         episodes: Episodes per task, town and weather. Default: the suite's.
         jobs: Environments in parallel. Several call the agent from as many threads, one at a time.
@@ -87,6 +90,7 @@ def evaluate(
         "traffic": _list(traffic),
         "observation": _MODES[observation],
         "detector": detector,
+        "encoder": os.fspath(encoder),
         "jobs": jobs,
         "out": None if out is None else os.fspath(out),
         "resume": resume,
@@ -101,9 +105,10 @@ class TrainedAgent:
 
     def __init__(self, name: str | os.PathLike[str]) -> None:
         self._native = _native.LoadedAgent(os.fspath(name))
-        #: What it needs: ``raw``, ``vector``, or ``latent`` (200 numbers, then the raw states), which the wheel's environments do
-        #: not have yet.
+        #: What it needs: ``raw``, ``vector`` or ``latent``.
         self.observation = self._native.observation
+        #: The encoder that made the latents of its training.
+        self.encoder = self._native.encoder
 
     def act(self, observation: Any) -> NDArray[np.float32]:
         """Steering, throttle and brake for an observation."""

@@ -38,6 +38,10 @@ index     what                                                           scaled 
 + 11      its brake lights are on                                                     0 or 1
 172-186   the raw states, here from the same source
 ========= ============================================================== ============ =======
+
+The latent (``observation="latent"``, paper, figure 4): 200 numbers that the encoder makes of the transformed image, each with mean 0
+and deviation 1 over its training's images, then the raw states, 15. The transformed image (``observation="transformed"``):
+128 x 128 x 3 bytes, RGB.
 """
 
 from __future__ import annotations
@@ -71,7 +75,7 @@ RAW_NAMES = (
 )
 
 #: The values of ``observation=``.
-FORMS = ("raw", "vector", "image", "transformed", "dict")
+FORMS = ("raw", "vector", "latent", "image", "transformed", "dict")
 
 _UNIT = (3, 4, 5, 6, 7, 8, 11, 13, 14)
 
@@ -91,6 +95,13 @@ def _vector_space() -> spaces.Box:
     return spaces.Box(np.float32([*low, *raw.low]), np.float32([*high, *raw.high]))
 
 
+def _latent_space() -> spaces.Box:
+    raw = _raw_space()
+    # Far beyond what any picture gives.
+    most = np.full(_native.LATENT_SIZE, 1000, np.float32)
+    return spaces.Box(np.concatenate([-most, raw.low]), np.concatenate([most, raw.high]))
+
+
 def parts_of(form: Any) -> tuple[str, ...]:
     """The parts of an observation: its form, or the names of a dictionary."""
     if form == "dict":
@@ -108,6 +119,8 @@ def space_of(part: str, camera: tuple[int, int]) -> spaces.Box:
         return _raw_space()
     if part == "vector":
         return _vector_space()
+    if part == "latent":
+        return _latent_space()
     side = _native.TRANSFORMED_SIZE
     height, width = camera if part == "image" else (side, side)
     return spaces.Box(0, 255, (height, width, 3), np.uint8)

@@ -27,7 +27,8 @@ class Setup:
         weather: str | Iterable[str] | None = None,
         observation: str | Iterable[str] = "raw",
         action: Any = "continuous",
-        detector: str = "outlines",
+        detector: str | None = None,
+        encoder: str | os.PathLike[str] = "default",
         reward: str | Mapping[str, float] | RewardFunction = "wad",
         mode: str = "evaluation",
         tick_limit: int | None = None,
@@ -37,7 +38,11 @@ class Setup:
     ) -> None:
         if render_mode not in (None, "rgb_array", "human"):
             raise InputError(f"render_mode={render_mode!r}: expected None, 'rgb_array' or 'human' (SUMO's own window)")
-        merged: dict[str, Any] = {"world": "fresh", "detector": detector}
+        self.observation = observation if isinstance(observation, str) else tuple(observation)
+        parts = observations.parts_of(self.observation)
+        # Where the camera draws anyhow, its boxes cost nothing.
+        found_by = detector or ("truth" if {"latent", "transformed"} & set(parts) else "outlines")
+        merged: dict[str, Any] = {"world": "fresh", "detector": found_by}
         made: dict[str, Any] = {
             "town": None,
             "task": task,
@@ -47,6 +52,7 @@ class Setup:
             "endless": False,
             "routes": None,
             "egos": egos,
+            "encoder": os.fspath(encoder),
         }
         if suite is not None:
             _of_suite(suite, task, condition, made, merged)
@@ -79,8 +85,7 @@ class Setup:
         for name, value in dict(options or {}).items():
             both = isinstance(value, Mapping) and isinstance(merged.get(name), dict)
             merged[name] = {**merged[name], **value} if both else value
-        self.observation = observation if isinstance(observation, str) else tuple(observation)
-        made["observation"] = list(observations.parts_of(self.observation))
+        made["observation"] = list(parts)
         made["options"] = merged
         made["render"] = render_mode == "rgb_array"
         made["gui"] = render_mode == "human"

@@ -64,8 +64,7 @@ pub fn is_demonstrated(name: &str, id: &str) -> Option<bool> {
 
 /// The encoder called `name`, by default the bundled one.
 pub fn default_encoder(name: Option<&str>) -> Result<Box<dyn Encoder>, DriverError> {
-    let default = if cfg!(feature = "learn") { "default" } else { "pooled" };
-    Ok(wad_cosim::agent::policy::find_encoder(name.unwrap_or(default))?)
+    Ok(wad_cosim::agent::policy::find_encoder(name.unwrap_or("default"))?)
 }
 
 /// The name of `agent`'s encoder: `asked`, else the agent's own, else the default.

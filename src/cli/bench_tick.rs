@@ -4,6 +4,7 @@ use super::{Exit, answer, run};
 use anyhow::Context;
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressDrawTarget};
+use wad_cosim::agent::policy::find_encoder;
 use wad_cosim::bench_tick::{TickBench, TickBenchError, TickBenchOptions, TickReport};
 use wad_cosim::bundled;
 use wad_cosim::camera::{CameraConfig, Outputs, Preset};
@@ -72,8 +73,7 @@ enum Made {
 pub async fn run(args: Args) -> anyhow::Result<Exit> {
     let config = bundled::resolve(&args.config).map_err(|e| Exit::Input.because(e))?;
     let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
-    // Lane detection needs OpenCV.
-    let detector = (cfg!(feature = "vision") && !args.no_perception)
+    let detector = (!args.no_perception)
         .then(|| perception::detector(&args.detector, MIN_SCORE))
         .transpose()
         .map_err(|e| Exit::Input.because(e))?;
@@ -116,18 +116,11 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
     Ok(if interrupted { Exit::Interrupted } else { Exit::Done })
 }
 
-#[cfg(feature = "learn")]
 fn encoder(name: &str) -> anyhow::Result<Option<Box<dyn Encoder>>> {
     if name == "none" {
         return Ok(None);
     }
-    let encoder = wad_cosim::latent::TchEncoder::find(name).map_err(|e| Exit::Input.because(e))?;
-    Ok(Some(Box::new(encoder)))
-}
-
-#[cfg(not(feature = "learn"))]
-fn encoder(_: &str) -> anyhow::Result<Option<Box<dyn Encoder>>> {
-    Ok(None)
+    find_encoder(name).map(Some).map_err(|e| Exit::Input.because(e))
 }
 
 fn with_exit(error: TickBenchError) -> anyhow::Error {

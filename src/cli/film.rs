@@ -37,8 +37,8 @@ impl Film {
         wanted: &Wanted<'_>,
         decoder: Option<Box<dyn Decoder>>,
     ) -> anyhow::Result<Self> {
-        // The film of all views includes the transformed image if this build can make one.
-        let inset = wanted.path.is_some() && wanted.view == RecordView::All && cfg!(feature = "vision");
+        // The film of all views includes the transformed image.
+        let inset = wanted.path.is_some() && wanted.view == RecordView::All;
         let looks = wanted.perception || inset;
         if looks {
             let detector = perception::detector(wanted.detector, perception::MIN_SCORE)

@@ -164,32 +164,18 @@ pub fn artist(
 ) -> anyhow::Result<Artist> {
     let detector =
         perception::detector(detector, perception::MIN_SCORE).map_err(|e| Exit::Input.because(e))?;
-    // Without OpenCV everything works but the stages.
-    let mut eyes = match Eyes::new(assets.town(), CameraConfig::default(), detector) {
-        Ok(eyes) => eyes,
-        Err(error) => {
-            tracing::info!("the view shows no stages: {error}");
-            Eyes::camera(assets.town(), CameraConfig::default())?
-        }
-    };
+    let mut eyes = Eyes::new(assets.town(), CameraConfig::default(), detector)?;
     eyes.reset(Preset::default(), seed);
-    let decoder =
-        eyes.perception().is_some().then(|| agents::decoder(encoder.unwrap_or("default"))).flatten();
+    let decoder = agents::decoder(encoder.unwrap_or("default"));
     Ok(Artist::new(assets.town(), eyes, Arc::clone(assets.network()), length, decoder)?)
 }
 
-#[cfg(feature = "learn")]
 fn bundled_agents() -> Vec<String> {
     ["wad-t", "wad-s"]
         .into_iter()
         .filter(|name| wad_cosim::agent::policy::Policy::find(name).is_ok())
         .map(str::to_string)
         .collect()
-}
-
-#[cfg(not(feature = "learn"))]
-fn bundled_agents() -> Vec<String> {
-    Vec::new()
 }
 
 fn maker(about: &About<'_>, assets: &Arc<Assets>) -> MakeDriver {

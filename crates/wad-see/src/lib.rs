@@ -9,7 +9,7 @@
 //! | [`observation`] | an agent's inputs of each tick |
 //! | [`surroundings`] | the same from the world itself, without a camera |
 //! | [`record`] | a drive as a film |
-//! | `weights` | files of weights |
+//! | [`weights`] | files of weights |
 
 pub mod eyes;
 pub mod latent;
@@ -19,7 +19,6 @@ pub mod record;
 pub mod surroundings;
 #[cfg(feature = "learn")]
 pub mod torch;
-#[cfg(feature = "learn")]
 pub mod weights;
 
 #[cfg(doctest)]

@@ -16,7 +16,6 @@ use wad_cosim::agent::td3::Td3Params;
 use wad_cosim::env::Assets;
 use wad_cosim::eyes::EyesError;
 use wad_cosim::folder_lock::LockError;
-use wad_cosim::latent::TchEncoder;
 use wad_cosim::tasks::Curriculum;
 use wad_cosim::train::agent::{Limits, Maker, Progress, TrainConfig, TrainError, Trained, train};
 
@@ -395,7 +394,7 @@ fn saved_config(args: &Args) -> anyhow::Result<TrainConfig> {
         )));
     }
     // A bundled encoder may have been renamed since.
-    if let Some(name) = TchEncoder::bundled_with(&config.encoder_hash) {
+    if let Some(name) = wad_cosim::latent::bundled_with(&config.encoder_hash) {
         config.encoder = name;
     }
     let found = find_encoder(&config.encoder).map_err(|e| Exit::Input.because(e))?.hash().to_string();

@@ -15,9 +15,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use wad_camera::CameraConfig;
-#[cfg(feature = "learn")]
-use wad_see::latent::TchEncoder;
-use wad_see::latent::{Encoder, LatentError, PooledEncoder};
+use wad_see::latent::{self, Encoder, LatentError, PlainEncoder, PooledEncoder};
 use wad_see::observation::{self, Observation, ObservationMode};
 use wad_sim::bundled;
 use wad_vehicle::Control;
@@ -262,7 +260,7 @@ impl Policy {
     /// its training's configuration.
     pub fn encoder(&self) -> String {
         let called = || self.card.config.get("encoder")?.as_str().map(str::to_string);
-        bundled_encoder(&self.card.encoder_hash).or_else(called).unwrap_or_else(|| "default".into())
+        latent::bundled_with(&self.card.encoder_hash).or_else(called).unwrap_or_else(|| "default".into())
     }
 
     /// Refuses another encoder or camera than the agent was trained with, and raw states of another meaning.
@@ -350,30 +348,8 @@ impl Agent for PolicyAgent {
 pub fn find_encoder(name: &str) -> Result<Box<dyn Encoder>, LatentError> {
     match name {
         "pooled" => Ok(Box::new(PooledEncoder)),
-        name => trained_encoder(name),
+        name => Ok(Box::new(PlainEncoder::find(name)?)),
     }
-}
-
-#[cfg(feature = "learn")]
-fn trained_encoder(name: &str) -> Result<Box<dyn Encoder>, LatentError> {
-    Ok(Box::new(TchEncoder::find(name)?))
-}
-
-#[cfg(not(feature = "learn"))]
-fn trained_encoder(name: &str) -> Result<Box<dyn Encoder>, LatentError> {
-    let why = format!("`{name}` is a trained one, and this build has no libtorch; only `pooled` works in it");
-    Err(LatentError::Encoder(why))
-}
-
-/// The name of the bundled encoder with these weights.
-#[cfg(feature = "learn")]
-fn bundled_encoder(hash: &str) -> Option<String> {
-    TchEncoder::bundled_with(hash)
-}
-
-#[cfg(not(feature = "learn"))]
-fn bundled_encoder(_: &str) -> Option<String> {
-    None
 }
 
 /// The name of the encoder of agent `name`; None if it is not a trained agent of this program.
@@ -391,14 +367,6 @@ pub type Opened = (Box<dyn Agent>, Box<dyn Encoder>);
 /// The agent or encoder does not exist, or they do not fit together or this camera.
 pub fn open(name: &str, encoder: Option<&str>, camera: &CameraConfig) -> Result<Opened, PolicyError> {
     let (policy, path) = Policy::find(name)?;
-    // Without libtorch there are no trained encoders; an agent that does not use the latent needs none.
-    let blind = !policy.card.inputs.observation().encodes();
-    if cfg!(not(feature = "learn")) && encoder.is_none() && blind {
-        policy.check(&path, &policy.card.encoder_hash, &camera.hash())?;
-        let agent = PolicyAgent::new(name, &policy);
-        let misfit = |e: Misfit| PolicyError::Format { path: path.clone(), why: e.to_string() };
-        return Ok((Box::new(agent.map_err(misfit)?), Box::new(PooledEncoder)));
-    }
     let encoder = match encoder {
         Some(encoder) => find_encoder(encoder)?,
         // The encoder's file may have moved since: the hash decides.
@@ -427,7 +395,7 @@ mod tests {
             let error = open(name, Some("pooled"), &camera).err().unwrap().to_string();
             assert!(error.contains(encoder.hash()) && error.contains("pooled"), "{error}");
         }
-        assert_eq!((encoder_of("autopilot"), TchEncoder::bundled_with("nobody's")), (None, None));
+        assert_eq!((encoder_of("autopilot"), latent::bundled_with("nobody's")), (None, None));
     }
 
     fn policy() -> Policy {

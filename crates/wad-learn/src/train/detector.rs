@@ -23,7 +23,7 @@ use wad_see::perception::centernet_weights;
 use wad_see::perception::coco::{class_index, class_name};
 use wad_see::perception::metrics::{Found, Scored, average_precision, mean};
 use wad_see::perception::score::{SMALL, TALL};
-use wad_see::weights::{Weights, WeightsError};
+use wad_see::weights::{Stored, Weights, WeightsError};
 
 /// Options of a detector's training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -402,6 +402,7 @@ impl Training for Trainer<'_> {
         }
         tensors.extend(self.adam.tensors());
         let path = run::checkpoint(&self.options.out);
+        let tensors = Stored::all(&tensors)?;
         Ok(Weights { path: path.clone(), tensors, metadata }.save(&path)?)
     }
 

@@ -26,11 +26,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 use sumo_network::seeds;
 use tch::{Device, Kind, TchError, Tensor};
+use wad_see::latent::architecture::{Architecture, Slot};
 use wad_see::latent::chance;
-use wad_see::latent::encoder::{keys, to_pictures, weights_of};
-use wad_see::latent::network::{Architecture, Autoencoder, Slot};
+use wad_see::latent::encoder::{to_pictures, weights_of};
+use wad_see::latent::file::keys;
+use wad_see::latent::network::Autoencoder;
 use wad_see::perception::TransformedImage;
-use wad_see::weights::{Weights, WeightsError};
+use wad_see::weights::{Stored, Weights, WeightsError};
 
 /// Most images used for validation, and for standardising the latent.
 const VALIDATION_IMAGES: usize = 2000;
@@ -422,6 +424,7 @@ impl Training for Trainer<'_> {
         let reached = serde_json::to_string(&self.reached).unwrap_or_default();
         let metadata = HashMap::from([(run::REACHED.to_string(), reached)]);
         let path = run::checkpoint(&self.options.out);
+        let tensors = Stored::all(&tensors)?;
         Ok(Weights { path: path.clone(), tensors, metadata }.save(&path)?)
     }
 

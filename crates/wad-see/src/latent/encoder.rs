@@ -1,37 +1,18 @@
 //! The frozen encoder as the agents use it, and the decoder for pictures.
 
-use super::network::{Architecture, Autoencoder, Slot, Views};
+use super::architecture::Slot;
+use super::file::{self, KIND, keys};
+use super::network::{Autoencoder, Views};
 use super::packed::{Packed, Scratch};
 use super::{Decoder, Encoder, LatentError};
 use crate::observation::LATENT_SIZE;
 use crate::perception::{TRANSFORMED_SIZE, TransformedImage};
-use crate::weights::{Weights, WeightsError, half};
+use crate::weights::{Stored, Weights, WeightsError, half};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use tch::{Device, Kind, TchError, Tensor};
 use wad_camera::CameraConfig;
-use wad_sim::bundled;
-
-/// Metadata keys of an encoder's file.
-pub mod keys {
-    /// The kind of file; always [`super::KIND`].
-    pub const KIND: &str = "kind";
-    /// JSON of [`super::Architecture`].
-    pub const ARCHITECTURE: &str = "architecture";
-    /// JSON of what it was trained with.
-    pub const CONFIG: &str = "config";
-    /// [`wad_camera::CameraConfig::hash`].
-    pub const CAMERA: &str = "camera";
-    /// JSON of the dataset's manifest.
-    pub const DATASET: &str = "dataset";
-    /// JSON of what it scored.
-    pub const SCORES: &str = "scores";
-    /// Content hash of all tensors: the encoder's name to agents.
-    pub const HASH: &str = "hash";
-}
-
-/// The metadata of an encoder's file.
-pub const KIND: &str = "wad-cosim encoder 1";
 
 /// The encoder-decoder, frozen. Its latent is standardised: over the training images each number has mean
 /// 0 and standard deviation 1.
@@ -39,8 +20,8 @@ pub struct TchEncoder {
     network: Autoencoder,
     /// Batch norm and standardisation folded in: weight and bias of each layer.
     layers: Vec<(Tensor, Tensor)>,
-    /// For one image at a time, if the processor has AVX-512.
-    packed: Option<Packed>,
+    /// For one image at a time; None of weights in single precision.
+    packed: Option<Arc<Packed>>,
     scratch: Scratch,
     /// Mean and deviation of the raw latent (200).
     mean: Tensor,
@@ -64,27 +45,7 @@ impl TchEncoder {
     /// # Errors
     /// There is none of that name, or the file does not fit this program.
     pub fn find(name: &str) -> Result<Self, LatentError> {
-        let path = Path::new(name);
-        if path.is_dir() {
-            return Ok(Self::load(&path.join("encoder.safetensors"), Device::Cpu)?);
-        }
-        if path.is_file() {
-            return Ok(Self::load(path, Device::Cpu)?);
-        }
-        let Some(bytes) = bundled::encoder(name) else {
-            return Err(LatentError::Unknown { name: name.to_string(), bundled: bundled::encoders() });
-        };
-        let path = PathBuf::from(format!("bundled encoder {name}"));
-        Ok(Self::of(Weights::parse(&path, bytes)?, Device::Cpu)?)
-    }
-
-    /// The name of the bundled encoder with these weights ([`Encoder::hash`]).
-    pub fn bundled_with(hash: &str) -> Option<String> {
-        bundled::encoders().into_iter().find(|name| {
-            let weights = bundled::encoder(name).map(|bytes| Weights::parse(Path::new(name), bytes));
-            let said = weights.and_then(Result::ok).and_then(|w| w.metadata.get(keys::HASH).cloned());
-            said.as_deref() == Some(hash)
-        })
+        Ok(Self::of(file::find(name)?, Device::Cpu)?)
     }
 
     /// Reads a file.
@@ -101,25 +62,7 @@ impl TchEncoder {
     /// They are of another network or of another camera.
     pub fn of(weights: Weights, device: Device) -> Result<Self, WeightsError> {
         crate::torch::one_thread();
-        let said = |key: &str| weights.metadata.get(key).cloned().unwrap_or_else(|| "nothing known".into());
-        let expect = |key: &str, expected: String| match said(key) {
-            found if found == expected => Ok(()),
-            found => Err(WeightsError::Mismatch {
-                path: weights.path.clone(),
-                found: format!("{key} {found}"),
-                expected: format!("{key} {expected}"),
-            }),
-        };
-        expect(keys::KIND, KIND.to_string())?;
-        expect(keys::CAMERA, CameraConfig::default().hash())?;
-        let format = |why: String| WeightsError::Format { path: weights.path.clone(), why };
-        let architecture: Architecture = serde_json::from_str(&said(keys::ARCHITECTURE))
-            .map_err(|e| format(format!("its architecture cannot be read ({e})")))?;
-        if !architecture.is_possible() || architecture.latent != LATENT_SIZE as i64 {
-            return Err(format(format!("no network can be made of {architecture:?}")));
-        }
-        let hash = weights.hash()?;
-        expect(keys::HASH, hash.clone())?;
+        let (architecture, hash) = file::check(&weights)?;
         let find = |slot: &Slot| weights.get(&slot.name, &slot.shape);
         let network = Autoencoder::from_named(architecture, device, find)?;
         let latent = [LATENT_SIZE as i64];
@@ -137,7 +80,7 @@ impl TchEncoder {
             *weight = channels_last(weight)?;
         }
         let packed = match device {
-            Device::Cpu => Packed::new(&network, &weights, &mean, &deviation)?,
+            Device::Cpu => Packed::new(&weights, &network.architecture)?.map(Arc::new),
             _ => None,
         };
         let views = network.views(&network.theta)?;
@@ -314,8 +257,8 @@ pub fn weights_of(
     metadata.insert(keys::KIND.to_string(), KIND.to_string());
     metadata.insert(keys::ARCHITECTURE.to_string(), architecture);
     metadata.insert(keys::CAMERA.to_string(), CameraConfig::default().hash());
-    let mut weights = Weights { path: PathBuf::new(), tensors, metadata };
-    let hash = weights.hash()?;
+    let mut weights = Weights { path: PathBuf::new(), tensors: Stored::all(&tensors)?, metadata };
+    let hash = weights.hash();
     weights.metadata.insert(keys::HASH.to_string(), hash);
     Ok(weights)
 }

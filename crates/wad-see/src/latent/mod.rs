@@ -1,17 +1,21 @@
 //! The encoder-decoder that turns the transformed image into 200 numbers (paper, figure 4).
 
+pub mod architecture;
 #[cfg(feature = "learn")]
 pub mod chance;
 #[cfg(feature = "learn")]
 pub mod encoder;
+pub mod file;
 #[cfg(feature = "learn")]
 pub mod network;
-#[cfg(feature = "learn")]
 pub mod packed;
+mod plain;
 mod pooled;
 
 #[cfg(feature = "learn")]
 pub use encoder::TchEncoder;
+pub use file::bundled_with;
+pub use plain::PlainEncoder;
 pub use pooled::PooledEncoder;
 
 use crate::perception::TransformedImage;
@@ -35,7 +39,6 @@ pub enum LatentError {
         bundled: Vec<String>,
     },
     /// The weights cannot be read, or are of another network.
-    #[cfg(feature = "learn")]
     #[error(transparent)]
     Weights(#[from] crate::weights::WeightsError),
     /// libtorch fails.

@@ -4,7 +4,7 @@
 use super::layer::{Conv, Kernel};
 use super::light::{self, Light};
 use super::resnet::{self, Resnet50V2};
-use crate::weights::{Weights, WeightsError, half};
+use crate::weights::{Stored, Weights, WeightsError, half};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::path::PathBuf;
@@ -152,7 +152,7 @@ impl CenterNet {
             ("camera".to_string(), CameraConfig::default().hash()),
         ]);
         metadata.extend(more.iter().map(|(key, value)| ((*key).to_string(), value.clone())));
-        Ok(Weights { path: PathBuf::new(), tensors, metadata })
+        Ok(Weights { path: PathBuf::new(), tensors: Stored::all(&tensors)?, metadata })
     }
 
     /// The network of some weights.
