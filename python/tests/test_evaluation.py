@@ -118,7 +118,7 @@ def test_a_bundled_agent_drives_as_from_the_command_line(tmp_path):
     agent = wad_cosim.load_agent("wad-t")
     wad_cosim.evaluate("tasks", "wad-t", **part, out=tmp_path / "named", keep="none")
     called = wad_cosim.evaluate("tasks", agent, observation="latent", encoder=agent.encoder, **part, out=tmp_path / "called")
-    assert rows(called)[0]["success"] == 2
+    assert rows(called)[0]["successes"] == 2
     ours, theirs = ([json.loads(line) for line in (tmp_path / name / "episodes.jsonl").read_text().splitlines()] for name in ("named", "called"))
     for our, their in zip(ours, theirs, strict=True):
         assert {k: our[k] for k in ("end", "ticks", "distance")} == {k: their[k] for k in ("end", "ticks", "distance")}

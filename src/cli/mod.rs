@@ -22,12 +22,13 @@ mod replay_view;
 mod report;
 mod run;
 mod scenario;
+mod shell;
 mod snapshot;
 mod train;
 mod view;
 
 use anyhow::Context;
-use clap::{ArgAction, Parser, Subcommand};
+use clap::{ArgAction, CommandFactory, Parser, Subcommand};
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
 use tracing_subscriber::EnvFilter;
@@ -78,6 +79,10 @@ enum Command {
     Net(Box<net::Args>),
     /// Check this machine for everything that wad-cosim needs, and say how to install what is missing.
     Doctor(doctor::Args),
+    /// Print a script that completes commands and options in a shell.
+    Completions(shell::Completions),
+    /// Write the manual pages, one for each command.
+    Man(shell::Man),
 }
 
 /// Parse the command line, run the command, and turn its result into an exit code.
@@ -97,6 +102,8 @@ pub fn main() -> ExitCode {
         Command::Scenario(args) => scenario::run(*args),
         Command::Net(args) => net::run(*args),
         Command::Doctor(args) => doctor::run(args),
+        Command::Completions(args) => shell::completions(&args, &mut Cli::command()),
+        Command::Man(args) => shell::man(&args, Cli::command()),
     };
     match result {
         Ok(exit) => exit.into(),
@@ -177,7 +184,6 @@ pub fn print(text: &str) -> anyhow::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::CommandFactory;
 
     #[test]
     fn seconds_that_no_clock_holds_are_refused() {

@@ -308,7 +308,8 @@ fn wad_s_learns_from_demonstrations_and_is_validated() {
         "stages": [{ "task": "obstacle", "threshold": 0.9, "window": 20 }] }"#;
     std::fs::write(&curriculum, text).unwrap();
     let mut command = train(&out, &["--algo", "sac", "--steps", "200", "--demonstrations", "400"]);
-    command.args(["--pretrain", "50", "--validate-every", "1000", "--validation-episodes", "1"]);
+    command.args(["--clone", "64", "--pretrain", "50"]);
+    command.args(["--validate-every", "1000", "--validation-episodes", "1"]);
     let output = command.arg("--curriculum").arg(&curriculum).args(SMALL).output().unwrap();
     assert!(output.status.success(), "{}", stderr(&output));
     let trained = json(&output);
@@ -316,7 +317,9 @@ fn wad_s_learns_from_demonstrations_and_is_validated() {
     let (steps, updates) = (trained["steps"].as_u64().unwrap(), trained["updates"].as_u64().unwrap());
     assert_eq!(updates, steps + 50, "updates on the demonstrations, then one per step");
     assert!(trained["best"]["success_rate"].is_number(), "{trained}");
-    assert_eq!(lines(&out.join("validation.jsonl")).len(), 1);
+    let validated: Vec<_> =
+        lines(&out.join("validation.jsonl")).iter().map(|line| line["global_step"].clone()).collect();
+    assert_eq!(validated, [0.into(), steps.into()] as [Value; 2], "as cloned, and at the end");
     assert!(out.join("best.safetensors").exists());
     let log = lines(&out.join("train.jsonl"));
     assert!(log.iter().any(|line| line["by"] == "autopilot"), "reported apart");

@@ -190,6 +190,11 @@ impl Squash {
         Self { half: pick(1.0, 0.5), offset: pick(0.0, 0.5) }
     }
 
+    /// 0 where an output is within [`UNSATURATED`], then rising as a square, `[B, A]`.
+    fn saturation(&self, x: &Tensor) -> Tensor {
+        ((x * &self.half).abs() - UNSATURATED).relu().square()
+    }
+
     fn sigmoid_form(&self, x: &Tensor) -> Tensor {
         (x * &self.half).tanh() * &self.half + &self.offset
     }
@@ -199,6 +204,9 @@ impl Squash {
         t * &self.half + &self.offset
     }
 }
+
+/// Arguments of tanh up to this size pass 7 % of the gradient or more; the action is then at 98 % of its limit.
+const UNSATURATED: f64 = 2.0;
 
 /// WAD-T's actor.
 #[derive(Debug)]
@@ -235,6 +243,17 @@ impl ActorT {
 
     /// Actions [B, A] for observations [B, latent + raw].
     pub fn forward(&self, observation: &Tensor) -> Tensor {
+        self.squash.sigmoid_form(&self.outputs(observation))
+    }
+
+    /// Actions [B, A], and how far each lies in the flat part of its sigmoid [B, A], 0 where it does not.
+    pub fn forward_with_saturation(&self, observation: &Tensor) -> (Tensor, Tensor) {
+        let outputs = self.outputs(observation);
+        (self.squash.sigmoid_form(&outputs), self.squash.saturation(&outputs))
+    }
+
+    /// What goes into the sigmoids.
+    fn outputs(&self, observation: &Tensor) -> Tensor {
         let p = &self.params;
         let mut layers = 0..;
         let mut linear = |x: &Tensor| p.linear(layers.next().unwrap_or_default(), x);
@@ -248,7 +267,7 @@ impl ActorT {
         }
         let joined = linear(&Tensor::cat(&branches, 1)).relu();
         let joined = linear(&joined).relu();
-        self.squash.sigmoid_form(&linear(&joined))
+        linear(&joined)
     }
 }
 

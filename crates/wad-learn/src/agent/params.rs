@@ -191,6 +191,9 @@ pub struct Td3Params {
     pub noise_clip: f64,
     /// Critic updates per actor update.
     pub policy_frequency: u64,
+    /// Weight of the penalty on actions in the flat ends of their sigmoids, where no gradient is left to leave
+    /// them (beyond the paper).
+    pub saturation: f64,
     /// Hidden layers of the critics.
     pub critic_hidden: Vec<i64>,
     /// The critics' last layer.
@@ -209,6 +212,7 @@ impl Default for Td3Params {
             policy_noise: 0.1,
             noise_clip: 0.25,
             policy_frequency: 2,
+            saturation: 0.01,
             critic_hidden: vec![256, 128],
             critic_end: CriticEnd::Sigmoid { low: -60.0, high: 100.0 },
             imitation: Imitation::default(),

@@ -114,18 +114,19 @@ impl Td3 {
         })
     }
 
-    /// -mean Q1(s, pi(s)), plus imitation if it is on.
+    /// -mean Q1(s, pi(s)), plus imitation if it is on, plus what keeps actions off the flat ends of their sigmoids.
     fn actor_loss(&self, batch: &Batch) -> Tensor {
         let p = &self.params;
-        let action = self.actor.forward(&batch.observation);
+        let (action, saturation) = self.actor.forward_with_saturation(&batch.observation);
         let q = self.end(&self.critics.first(&batch.observation, &action));
         let weight = p.imitation.at(self.updates);
         if weight == 0.0 {
-            return -q.mean(Kind::Float);
+            return saturation.mean(Kind::Float) * p.saturation - q.mean(Kind::Float);
         }
         // In units of the return: the sigmoid's own size says nothing about the return's.
         let shown = || self.meaning(&self.end(&self.critics.first(&batch.observation, &batch.shown)));
         p.imitation.loss(weight, batch, &action, &self.half, &self.meaning(&q), shown)
+            + saturation.mean(Kind::Float) * p.saturation
     }
 
     /// What the critics expect, the lower of both (scaled rewards), `[B]`.

@@ -144,6 +144,8 @@ struct Learning<'a> {
     best: Option<Best>,
     validated_at: u64,
     saved_at: u64,
+    /// The actor that the training begins with was trained before or is cloned, and is still to be validated.
+    begins_trained: bool,
     validation: Option<Validation>,
     /// The schedule of the resumed checkpoint.
     resumed: Option<super::schedule::ScheduleState>,
@@ -212,6 +214,7 @@ impl<'a> Learning<'a> {
             best: None,
             validated_at: 0,
             saved_at: 0,
+            begins_trained: config.validation.every > 0 && (config.init.is_some() || config.cloning > 0),
             validation: None,
             resumed: None,
             returns: VecDeque::new(),
@@ -236,6 +239,7 @@ impl<'a> Learning<'a> {
             });
             learning.best = state.best;
             learning.validated_at = state.validated_at;
+            learning.begins_trained = false;
             learning.before_seconds = state.wall_seconds;
             learning.published_at = learning.learner.updates();
             learning.resumed = Some(state.schedule);
@@ -290,6 +294,10 @@ impl<'a> Learning<'a> {
                 self.clone_expert(shared)?;
                 self.now_and_then(shared, progress)?;
                 continue;
+            }
+            // Validated before it learns: the others show what learning added.
+            if self.cloned >= self.config.cloning && std::mem::take(&mut self.begins_trained) {
+                self.start_validation(shared);
             }
             let over = self.steps >= self.limits.steps;
             let behind = if self.ready() { self.due().saturating_sub(self.learner.updates()) } else { 0 };
