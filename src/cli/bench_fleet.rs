@@ -6,6 +6,7 @@ use std::time::Instant;
 use wad_cosim::assets::Assets;
 use wad_cosim::bench::peak_memory_mb;
 use wad_cosim::bridge::Fetch;
+use wad_cosim::cores::workers;
 use wad_cosim::env::{EnvOptions, Fleet, ObservationMode, Stages};
 use wad_cosim::latent::{Encoder, PooledEncoder};
 use wad_cosim::observation::{LEAD_NEARNESS, LIGHT_NEARNESS, RAW_SIZE};
@@ -186,7 +187,7 @@ fn measure(args: &Args, assets: &std::sync::Arc<Assets>, egos: u32) -> anyhow::R
     let looks =
         [after.camera - before.camera, after.perception - before.perception, after.encoder - before.encoder];
     // Summed over the egos, which look on all cores.
-    let cores = std::thread::available_parallelism().map_or(1, usize::from).min(fleet.egos()) as f64;
+    let cores = workers(fleet.egos()) as f64;
     let [camera_ms, perception_ms, encoder_ms] = looks.map(|total| per_tick(total) / cores);
     let tick_ms = per_tick(seconds);
     let row = Row {

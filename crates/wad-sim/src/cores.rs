@@ -20,6 +20,11 @@ pub fn free_workers() {
 /// With this many items or more, [`each`] uses all cores.
 pub const PARALLEL_FROM: usize = 4;
 
+/// The threads that [`each`] uses for so many items.
+pub fn workers(items: usize) -> usize {
+    if items < PARALLEL_FROM { 1 } else { rayon::current_num_threads().min(items) }
+}
+
 /// `what` for each item, in their order; on all cores where there are many.
 pub fn each<T: Send, R: Send>(items: Vec<T>, what: impl Fn(T) -> R + Sync + Send) -> Vec<R> {
     if items.len() < PARALLEL_FROM {

@@ -161,7 +161,7 @@ pub fn collision(p: &RewardParams, impulse: Option<f64>) -> f64 {
 /// r_lane: `p.lane (1 - (offset / t)^2)` times `way` (0..1, the share of the wanted speed, see [`way`]) within
 /// the threshold t = `p.lane_threshold` (m), `-p.lane_outside (offset - t)` beyond it, down to `-p.lane_most`, and
 /// `-p.lane_exit` more once when leaving the lane or the road ends the episode: hard termination pays at once
-/// what would have added up. The lane's middle is earned by driving along it: paid to an ego that stands, it
+/// what would have added up, and leaving the road is no cheap way out of a collision. The lane's middle is earned by driving along it: paid to an ego that stands, it
 /// was worth as much as driving badly, and agents that learn by reward alone stood still for ever.
 pub fn lane(p: &RewardParams, offset: f64, left_road: bool, way: f64) -> f64 {
     let t = p.lane_threshold;

@@ -96,7 +96,7 @@ impl Default for RewardParams {
             lane_threshold: 0.9,
             lane_outside: 1.0,
             lane_most: 10.0,
-            lane_exit: 10.0,
+            lane_exit: 25.0,
             speed: 1.0,
             idle: 1.0,
             excess: 0.35,
