@@ -23,7 +23,6 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("RAW_SIZE", wad_cosim::observation::RAW_SIZE)?;
     module.add("LATENT_SIZE", wad_cosim::observation::LATENT_SIZE)?;
     module.add("VECTOR_SIZE", environments::VECTOR_SIZE)?;
-    module.add("LATENT_SIZE", wad_cosim::observation::LATENT_SIZE)?;
     module.add("TRANSFORMED_SIZE", wad_cosim::perception::TRANSFORMED_SIZE)?;
     module.add_class::<environments::Environments>()?;
     module.add_class::<evaluation::LoadedAgent>()?;

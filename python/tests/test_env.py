@@ -27,7 +27,14 @@ def test_every_id_passes_gymnasiums_check(id):
 
 @pytest.mark.parametrize(
     ("action", "observation"),
-    [("continuous", "image"), ("pedal", "dict"), ("discrete", "vector"), ("continuous", "latent"), ("pedal", "transformed"), ([[0, 0.5, 0], [0, 0, 1]], ["image", "latent"])],
+    [
+        ("continuous", "image"),
+        ("pedal", "dict"),
+        ("discrete", "vector"),
+        ("continuous", "latent"),
+        ("pedal", "transformed"),
+        ([[0, 0.5, 0], [0, 0, 1]], ["image", "latent"]),
+    ],
 )
 def test_every_form_passes_gymnasiums_check(make, action, observation):
     check_env(make(action=action, observation=observation, traffic=(5, 5)).unwrapped)

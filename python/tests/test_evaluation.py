@@ -117,11 +117,15 @@ def test_a_bundled_agent_drives_as_from_the_command_line(tmp_path):
     part = {**PART, "task": "straight", "weather": "WetCloudyNoon"}
     agent = wad_cosim.load_agent("wad-t")
     wad_cosim.evaluate("tasks", "wad-t", **part, out=tmp_path / "named", keep="none")
-    called = wad_cosim.evaluate("tasks", agent, observation="latent", encoder=agent.encoder, **part, out=tmp_path / "called")
+    sight = {"observation": "latent", "encoder": agent.encoder}
+    called = wad_cosim.evaluate("tasks", agent, **sight, **part, out=tmp_path / "called")
     assert rows(called)[0]["successes"] == 2
-    ours, theirs = ([json.loads(line) for line in (tmp_path / name / "episodes.jsonl").read_text().splitlines()] for name in ("named", "called"))
-    for our, their in zip(ours, theirs, strict=True):
-        assert {k: our[k] for k in ("end", "ticks", "distance")} == {k: their[k] for k in ("end", "ticks", "distance")}
+
+    def drives(name):
+        lines = (tmp_path / name / "episodes.jsonl").read_text().splitlines()
+        return [{key: json.loads(line)[key] for key in ("end", "ticks", "distance_m")} for line in lines]
+
+    assert drives("named") == drives("called") and len(drives("named")) == 2
     if PROGRAM.exists():
         command = [PROGRAM, "eval", "tasks", "--agent", "wad-t", "--out", tmp_path / "program", "--keep", "none"]
         for option, value in part.items():

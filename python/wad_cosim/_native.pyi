@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 VERSION: str
 NUMBERS: list[str]
 RAW_SIZE: int
-LATENT_SIZE: int
 VECTOR_SIZE: int
 LATENT_SIZE: int
 TRANSFORMED_SIZE: int

@@ -34,9 +34,9 @@ def of(form: Any) -> tuple[spaces.Space[Any], Callable[[Any, int], NDArray[np.fl
     """The space of one action, and what turns n of them into an array (n, 3)."""
     if isinstance(form, str):
         if form == "continuous":
-            return spaces.Box(np.float32([-1, 0, 0]), np.float32([1, 1, 1])), _continuous
+            return spaces.Box(np.array([-1, 0, 0], np.float32), np.array([1, 1, 1], np.float32)), _continuous
         if form == "pedal":
-            return spaces.Box(np.float32([-1, -1]), np.float32([1, 1])), _pedal
+            return spaces.Box(np.array([-1, -1], np.float32), np.array([1, 1], np.float32)), _pedal
         if form == "discrete":
             return _discrete(DISCRETE_ACTIONS)
         raise InputError(f"action={form!r}: expected one of {', '.join(FORMS)}, or a table (n, 3) of actions")
@@ -80,6 +80,7 @@ def _discrete(table: NDArray[np.float32]) -> tuple[spaces.Space[Any], Callable[[
             raise InputError(f"an action is a number from 0 to {len(table) - 1}, found {actions!r}")
         if (indices < 0).any() or (indices >= len(table)).any():
             raise InputError(f"an action is a number from 0 to {len(table) - 1}, found {actions!r}")
-        return table[indices]
+        chosen: NDArray[np.float32] = table[indices]
+        return chosen
 
     return spaces.Discrete(len(table)), look_up

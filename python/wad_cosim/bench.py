@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from .vector import DrivingVectorEnv
 
 def _one(observation: str, seed: int, steps: int) -> tuple[float, float]:
     """Seconds a step, without Python and with it: the least of three drives each, one after the other."""
-    kwargs = {"task": "composite", "observation": observation}
+    kwargs: dict[str, Any] = {"task": "composite", "observation": observation}
     setup = Setup(**kwargs)
     without, within = [], []
     for _ in range(3):
@@ -43,7 +44,7 @@ def _many(egos: int, sumos: int, steps: int) -> float:
         egos * sumos, egos=egos, task="composite", observation="vector", mode="training", traffic="empty", copy=False
     )
     env.reset(seed=1)
-    actions = np.tile(np.float32([0, 0.4, 0]), (egos * sumos, 1))
+    actions = np.tile(np.array([0, 0.4, 0], np.float32), (egos * sumos, 1))
     for _ in range(20):
         env.step(actions)
     begin = time.perf_counter()

@@ -92,7 +92,7 @@ def _vector_space() -> spaces.Box:
     raw = _raw_space()
     low = [-2] * 20 + [0] * 8 + user_low * users
     high = [2] * 22 + [1] * 6 + user_high * users
-    return spaces.Box(np.float32([*low, *raw.low]), np.float32([*high, *raw.high]))
+    return spaces.Box(np.array([*low, *raw.low], np.float32), np.array([*high, *raw.high], np.float32))
 
 
 def _latent_space() -> spaces.Box:
@@ -133,10 +133,10 @@ class Arrays:
         self.parts = parts_of(form)
         #: Whether an observation is a dictionary.
         self.named = not isinstance(form, str) or form == "dict"
-        boxes = {part: space_of(part, camera) for part in self.parts}
+        boxes: dict[str, spaces.Space[Any]] = {part: space_of(part, camera) for part in self.parts}
         self.space: spaces.Space[Any] = spaces.Dict(boxes) if self.named else boxes[self.parts[0]]
         self.arrays: dict[str, NDArray[Any]] = {
-            part: np.zeros((count, *box.shape), box.dtype) for part, box in boxes.items()
+            part: np.zeros((count, *(box.shape or ())), box.dtype) for part, box in boxes.items()
         }
         self.numbers = np.zeros((count, len(_native.NUMBERS)))
 

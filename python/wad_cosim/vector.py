@@ -102,7 +102,7 @@ class DrivingVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             else:
                 self._generators[i] = seeding.np_random(own)[0]
                 wanted[i] = own % 2**64
-            self._seeds[i] = self._drawn(i)
+            self._seeds[i] = self._drawn(int(i))
         self._sumos.reset(wanted, route_of(options))
         self._over &= ~chosen
         return self._arrays.all(self._copy), infos.of_all(self._arrays.numbers, chosen)
