@@ -12,6 +12,12 @@ const BETA1: f64 = 0.9;
 const BETA2: f64 = 0.999;
 const EPSILON: f64 = 1e-8;
 
+/// Moments below this are 0. They change no parameter: beside [`EPSILON`] they are nothing.
+const NOTHING: f64 = 1e-30;
+
+/// Steps between two looks for moments that are nothing. In them a mean of gradients that have become 0 shrinks to 0.43.
+const FLUSH_EVERY: i64 = 8;
+
 /// What the moments fall short by after `t` steps, since they began at 0: 1 - b1^t and 1 - b2^t.
 fn shortfalls(t: i64) -> (f64, f64) {
     (1.0 - BETA1.powi(t as i32), 1.0 - BETA2.powi(t as i32))
@@ -41,6 +47,17 @@ impl Adam {
         [("first", &mut self.m), ("second", &mut self.v)]
     }
 
+    /// Sets moments that are [`NOTHING`] to 0. Behind a unit that is switched off gradients are 0 and moments fade to
+    /// subnormal numbers and stay there (0.9 times the smallest number rounds to itself); processors compute with those about a
+    /// hundred times slower. A sixth of the critics' moments were subnormal after 150,000 steps of a training, and
+    /// Adam took two fifths of its time.
+    fn flush(&mut self) -> Result<(), TchError> {
+        for moment in [&mut self.m, &mut self.v] {
+            let _ = moment.f_masked_fill_(&moment.f_abs()?.f_lt(NOTHING)?, 0.0)?;
+        }
+        Ok(())
+    }
+
     /// Moves `parameters` against `gradient`; both are flat and of one length.
     ///
     /// # Panics
@@ -66,7 +83,7 @@ impl Adam {
             let root = self.v.f_sqrt()?.f_mul_scalar(1.0 / second.sqrt())?;
             let change = self.m.f_mul_scalar(-self.learning_rate / first)?;
             let _ = parameters.f_addcdiv_(&change, &root.f_add_scalar(EPSILON)?)?;
-            Ok(())
+            if self.t % FLUSH_EVERY == 0 { self.flush() } else { Ok(()) }
         })
     }
 }
@@ -138,6 +155,11 @@ impl AdamW {
                 let step = m.f_div(&root)?.f_mul_scalar_(-rate / first)?;
                 let _ = variable.f_add_(&step)?;
             }
+            if i64::from(self.steps) % FLUSH_EVERY == 0 {
+                for (_, _, adam) in &mut self.parts {
+                    adam.flush()?;
+                }
+            }
             Ok(true)
         })
     }
@@ -202,6 +224,20 @@ mod tests {
         }
         let apart = f64::try_from((&ours - &theirs).abs().max()).unwrap();
         assert!(apart < 2e-6, "{apart} apart after 50 steps");
+    }
+
+    #[test]
+    fn moments_of_a_unit_that_is_off_become_zero_not_subnormal() {
+        let mut parameters = Tensor::from_slice(&[1.0_f32, 1.0]);
+        let mut adam = Adam::new(&parameters, 1e-3);
+        adam.step(&mut parameters, &Tensor::from_slice(&[1e-3_f32, 1e-3]));
+        for _ in 0..2000 {
+            adam.step(&mut parameters, &Tensor::from_slice(&[0.0_f32, 1e-3]));
+        }
+        let first = Vec::<f32>::try_from(&adam.m).unwrap();
+        assert_eq!(first[0], 0.0);
+        assert!((first[1] - 1e-3).abs() < 1e-8, "{first:?}");
+        assert!(Vec::<f32>::try_from(&adam.v).unwrap().iter().all(|v| v.is_normal()));
     }
 
     #[test]

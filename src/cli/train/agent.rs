@@ -71,7 +71,7 @@ pub struct Args {
     #[arg(long, value_name = "NAME")]
     detector: Option<String>,
     /// Updates per environment step.
-    #[arg(long, value_name = "R", default_value_t = 0.5)]
+    #[arg(long, value_name = "R", default_value_t = 1.0)]
     update_ratio: f64,
     /// Transitions per update.
     #[arg(long, value_name = "N", default_value_t = 128)]

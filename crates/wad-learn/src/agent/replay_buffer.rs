@@ -18,6 +18,7 @@ use super::networks::Dims;
 use half::f16;
 use half::slice::HalfFloatSliceExt;
 use rand::{Rng, RngExt};
+use std::collections::VecDeque;
 
 /// Transitions of one episode in a row.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -100,7 +101,12 @@ pub struct Sampling {
     pub gamma: f64,
     /// Factor on the rewards.
     pub reward_scale: f64,
+    /// Share of the transitions drawn from the last [`NEAR`] before terminations, 0 to 1; the others are drawn uniformly.
+    pub near_ends: f64,
 }
+
+/// How many transitions before a termination are near it: about seven seconds, in which it can still be averted.
+pub const NEAR: usize = 40;
 
 /// A sample of the buffer.
 #[derive(Clone, Debug, Default)]
@@ -130,6 +136,8 @@ pub struct ReplayBuffer {
     capacity: usize,
     /// Entries ever written.
     pub(crate) written: u64,
+    /// The entries that are terminations, oldest first.
+    terminations: VecDeque<usize>,
 }
 
 /// Smallest buffer (transitions).
@@ -172,6 +180,7 @@ impl ReplayBuffer {
             flags: vec![flag::END; capacity],
             capacity,
             written: 0,
+            terminations: VecDeque::new(),
         })
     }
 
@@ -208,6 +217,9 @@ impl ReplayBuffer {
             let observation = &segment.observations[i];
             self.latents[at * latent..][..latent].convert_from_f32_slice(&observation[..latent]);
             self.raw[at * raw..][..raw].copy_from_slice(&observation[latent..latent + raw]);
+            if self.terminations.front() == Some(&at) {
+                self.terminations.pop_front();
+            }
             self.flags[at] = flag::END;
             if i < n {
                 let a = self.dims.actions as usize;
@@ -222,13 +234,26 @@ impl ReplayBuffer {
                 if i + 1 == n {
                     self.flags[at] |= if segment.terminated { flag::TERMINATED } else { 0 };
                     self.flags[at] |= if segment.truncated { flag::TRUNCATED } else { 0 };
+                    if segment.terminated {
+                        self.terminations.push_back(at);
+                    }
                 }
             }
             self.written += 1;
         }
     }
 
-    /// Draws `batches` batches, uniformly over the transitions, with the noise of their updates.
+    /// Finds the terminations among entries that were written from outside.
+    pub(crate) fn find_terminations(&mut self) {
+        let oldest = (self.written % self.capacity as u64) as usize;
+        let oldest = if self.len() == self.capacity { oldest } else { 0 };
+        self.terminations = (0..self.len())
+            .map(|i| (oldest + i) % self.capacity)
+            .filter(|at| self.flags[*at] & flag::TERMINATED != 0)
+            .collect();
+    }
+
+    /// Draws `batches` batches with the noise of their updates.
     ///
     /// # Panics
     /// The buffer holds no transition.
@@ -245,7 +270,7 @@ impl ReplayBuffer {
         out.rest.resize(batches * b * width, 0.0);
         for k in 0..batches {
             for i in 0..b {
-                let at = self.draw(rng);
+                let at = self.draw(rng, sampling.near_ends);
                 let (reward, discount, next) = self.ahead(at, sampling);
                 for (half, entry) in [at, next].into_iter().enumerate() {
                     let row = (k * 2 + half) * b + i;
@@ -265,9 +290,17 @@ impl ReplayBuffer {
     }
 
     /// An entry with an action.
-    fn draw(&self, rng: &mut impl Rng) -> usize {
+    fn draw(&self, rng: &mut impl Rng, near_ends: f64) -> usize {
+        let ends = &self.terminations;
+        let near = near_ends > 0.0 && !ends.is_empty() && rng.random_bool(near_ends);
         loop {
-            let at = rng.random_range(0..self.len());
+            let at = if near {
+                // Where that is before the episode's begin it is a neighbour's transition, which does no harm.
+                let back = rng.random_range(0..NEAR.min(self.len()));
+                (ends[rng.random_range(0..ends.len())] + self.len() - back) % self.len()
+            } else {
+                rng.random_range(0..self.len())
+            };
             if self.flags[at] & flag::END == 0 {
                 return at;
             }
@@ -341,7 +374,8 @@ mod tests {
     use sumo_network::seeds;
 
     const DIMS: Dims = Dims { latent: 2, raw: 1, actions: 3 };
-    const PLAIN: Sampling = Sampling { batch_size: 512, n_step: 1, gamma: 0.5, reward_scale: 1.0 };
+    const PLAIN: Sampling =
+        Sampling { batch_size: 512, n_step: 1, gamma: 0.5, reward_scale: 1.0, near_ends: 0.0 };
 
     /// Observation k is [k, -k, k / 2], its action [k / 1000, 0, 0], its reward k.
     fn segment(from: usize, n: usize, terminated: bool) -> Segment {
@@ -421,6 +455,22 @@ mod tests {
             let terminated = next == 10.0;
             assert_eq!(discount, if terminated { 0.0 } else { 0.5_f32.powi(n) });
         }
+    }
+
+    #[test]
+    fn the_share_near_terminations_is_drawn_there_also_after_the_ring_went_round() {
+        let mut buffer = ReplayBuffer::new(DIMS, 1024).unwrap();
+        for episode in 0..100 {
+            buffer.push(&segment(20 * episode + 1, 17, episode % 10 == 0));
+        }
+        let rows = rows(&buffer, Sampling { near_ends: 0.5, ..PLAIN });
+        // A terminated episode and the two before it hold the forty entries before its end.
+        let near = |row: &&[f32; 5]| matches!(row[0] as usize / 20 % 10, 0 | 8 | 9);
+        let share = rows.iter().filter(near).count() as f64 / rows.len() as f64;
+        assert!((0.57..0.73).contains(&share), "expected 0.5 + 0.5 * 0.3, found {share}");
+        let found = buffer.terminations.clone();
+        buffer.find_terminations();
+        assert_eq!(found, buffer.terminations);
     }
 
     #[test]

@@ -91,6 +91,7 @@ impl ReplayBuffer {
             }
             self.take_chunk(chunk, &data)?;
         }
+        self.find_terminations();
         Ok(())
     }
 

@@ -55,7 +55,8 @@ fn learn(algorithm: &Algorithm, steps: usize) -> f64 {
     let on_device = scale.tensors(Device::Cpu);
     let mut actor = Actor::new(algorithm, DIMS, &scale);
     let mut buffer = ReplayBuffer::new(DIMS, 50_000).unwrap();
-    let sampling = Sampling { batch_size: 128, n_step: 1, gamma: algorithm.gamma(), reward_scale: 0.1 };
+    let sampling =
+        Sampling { batch_size: 128, n_step: 1, gamma: algorithm.gamma(), reward_scale: 0.1, near_ends: 0.0 };
     let (mut sampled, mut metrics) = (Sampled::default(), Metrics::default());
     let mut done = 0;
     while done < steps {

@@ -53,6 +53,9 @@ pub struct TrainConfig {
     pub n_step: usize,
     /// Factor on the rewards.
     pub reward_scale: f64,
+    /// Share of each batch that is drawn from the last ticks before terminations; 0: drawn uniformly.
+    #[serde(default)]
+    pub near_ends: f64,
     /// Capacity of the replay buffer (transitions).
     pub buffer: usize,
     /// Environment steps before the first update.
@@ -128,10 +131,11 @@ impl TrainConfig {
             encoder: encoder.to_string(),
             encoder_hash: encoder_hash.to_string(),
             exploration: ExplorationParams::default(),
-            update_ratio: 0.5,
+            update_ratio: 1.0,
             batch_size: 128,
             n_step: 3,
             reward_scale: 1.0,
+            near_ends: 0.3,
             buffer: 1_000_000,
             learning_starts: 5_000,
             demonstrations: 0,
@@ -177,6 +181,7 @@ impl TrainConfig {
             n_step: self.n_step,
             gamma: self.algorithm.gamma(),
             reward_scale: self.reward_scale,
+            near_ends: self.near_ends,
         }
     }
 
@@ -189,6 +194,8 @@ impl TrainConfig {
             Some("expected a batch size and a number of steps of 1 or more, found 0".to_string())
         } else if !(0.0..=64.0).contains(&self.update_ratio) {
             Some(format!("expected an update ratio from 0 to 64, found {}", self.update_ratio))
+        } else if !(0.0..=1.0).contains(&self.near_ends) {
+            Some(format!("expected a share of transitions near ends from 0 to 1, found {}", self.near_ends))
         } else if !(0.0..=1.0).contains(&self.other_days) {
             Some(format!("expected a share of other days from 0 to 1, found {}", self.other_days))
         } else if !(0.0..=1.0).contains(&self.latent_mixing) {

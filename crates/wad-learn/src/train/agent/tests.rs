@@ -18,7 +18,8 @@ use tch::Device;
 use wad_sim::tasks::{Curriculum, TaskKind};
 
 const DIMS: Dims = Dims { latent: 6, raw: 4, actions: 3 };
-const SAMPLING: Sampling = Sampling { batch_size: 32, n_step: 2, gamma: 0.97, reward_scale: 1.0 };
+const SAMPLING: Sampling =
+    Sampling { batch_size: 32, n_step: 2, gamma: 0.97, reward_scale: 1.0, near_ends: 0.0 };
 
 fn config() -> TrainConfig {
     let text = include_str!("../../../../../scenarios/curriculum.json");
