@@ -16,7 +16,7 @@ use wad_cosim::assets::{Assets, AssetsError};
 use wad_cosim::bridge::{BridgeError, BridgeOptions};
 use wad_cosim::camera::Preset;
 use wad_cosim::drive::{Drive, DriveError, DriveOptions, Status, Summary};
-use wad_cosim::driver::DriverSpec;
+use wad_cosim::driver::{DriverSpec, Pilot};
 use wad_cosim::interrupt::Interrupt;
 use wad_cosim::latent::Decoder;
 use wad_cosim::perception;
@@ -33,6 +33,7 @@ Examples:
   wad-cosim run town3 --traffic 40,80 --seed 7 --gui        watch it in sumo-gui
   wad-cosim run town5 --view                                watch it in the browser, and drive
   wad-cosim run town5 --agent wad-t                         the trained agent drives
+  wad-cosim run town5 --egos 20 --agent wad-t --view        twenty of it; the page follows any of them
   wad-cosim run town5 --perception --record see.mp4         film the camera, detections and reconstruction
   wad-cosim run my.sumocfg --route -E12,E7 --json           own net, from edge -E12 to edge E7, machine-readable
   wad-cosim run my.net.xml --attach 127.0.0.1:8813          join a running SUMO
@@ -51,6 +52,10 @@ pub struct Args {
     /// --view), or exec:COMMAND (docs/evaluate.md).
     #[arg(long, default_value = "autopilot", value_name = "NAME|FILE|exec:CMD", value_hint = ValueHint::FilePath)]
     agent: DriverSpec,
+    /// Number of egos, each with a driver of that kind and a route of its own (with manual: the autopilot drives the others).
+    /// Film, --perception and status line show the first one.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=200))]
+    egos: u16,
     /// The agent's encoder [default: the one that it was trained with], and the encoder whose
     /// reconstruction --perception shows [default: the bundled one].
     #[arg(long, value_name = "NAME", value_hint = ValueHint::AnyPath)]
@@ -68,7 +73,7 @@ pub struct Args {
     /// [default: as-is, or the scenario's].
     #[arg(long, value_name = "T")]
     traffic: Option<TrafficSpec>,
-    /// First route, from one edge (or lane) to another; later destinations are random.
+    /// First route (of the first ego), from one edge (or lane) to another; later destinations are random.
     #[arg(long, value_name = "FROM,TO", allow_hyphen_values = true)]
     route: Option<String>,
     /// Folder for the results.
@@ -134,11 +139,11 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
             "--agent manual needs the live view to drive in: add --view, or choose another driver"
         )));
     }
-    let pilot = pilot(&args, &assets)?;
+    let pilots = pilots(&args, &assets)?;
     let options = args.options(config, &out, assets.scenario().is_some());
     let mut interrupt = super::interrupt()?;
     let started = tokio::select! {
-        started = Drive::start_in(&assets, options, pilot, args.weather.unwrap_or_default()) => started,
+        started = Drive::start_in(&assets, options, pilots, args.weather.unwrap_or_default()) => started,
         () = interrupt.wait() => {
             eprintln!("interrupted before the first tick");
             return Ok(Exit::Interrupted);
@@ -284,13 +289,21 @@ fn town(args: &Args, config: &Path) -> anyhow::Result<Arc<Assets>> {
     Assets::open(config, plays).map_err(|e| with_exit(e.into()))
 }
 
-/// The driver. The live view shows the same camera frames that it gets.
-fn pilot(args: &Args, assets: &Assets) -> anyhow::Result<wad_cosim::driver::Pilot> {
-    let mut pilot = agents::pilot(assets, &args.agent, args.encoder.as_deref(), &args.detector)?;
-    if let Some(decoder) = decoder(args).filter(|_| pilot.driver.looks()) {
-        pilot.eyes = pilot.eyes.with_decoder(decoder);
+/// The drivers. The live view shows the same camera frames that they get.
+fn pilots(args: &Args, assets: &Assets) -> anyhow::Result<Vec<Pilot>> {
+    let mut first = agents::pilot(assets, &args.agent, args.encoder.as_deref(), &args.detector)?;
+    if let Some(decoder) = decoder(args).filter(|_| first.driver.looks()) {
+        first.eyes = first.eyes.with_decoder(decoder);
     }
-    Ok(pilot)
+    let mut pilots = vec![first];
+    for _ in 1..args.egos {
+        pilots.push(match &args.agent {
+            // A person has one wheel.
+            DriverSpec::Manual => Pilot::autopilot(),
+            spec => agents::pilot(assets, spec, args.encoder.as_deref(), &args.detector)?,
+        });
+    }
+    Ok(pilots)
 }
 
 /// With --perception: the decoder for the reconstruction, of the agent's encoder.
@@ -331,6 +344,7 @@ impl Args {
                 ..BridgeOptions::new(config, out.join("sumo"))
             },
             route: self.route.clone(),
+            egos: usize::from(self.egos),
             out: out.to_path_buf(),
             ego: Default::default(),
             autopilot: Default::default(),
@@ -393,7 +407,10 @@ pub fn with_exit(error: DriveError) -> anyhow::Error {
         DriveError::Assets(AssetsError::Install(_)) => Exit::Sumo,
         DriveError::Assets(_) => Exit::Input,
         DriveError::Agent(_) | DriveError::Eyes(_) => Exit::Other,
-        DriveError::Destination(_) | DriveError::Folder(FolderError::Taken { .. }) => Exit::Input,
+        DriveError::Destination(_)
+        | DriveError::Crowded { .. }
+        | DriveError::Scenario { .. }
+        | DriveError::Folder(FolderError::Taken { .. }) => Exit::Input,
         DriveError::Folder(FolderError::Write(_)) => Exit::Other,
     };
     exit.because(error)
@@ -407,7 +424,7 @@ fn report(summary: &Summary, json: bool) -> anyhow::Result<()> {
          collisions: {} vehicle, {} pedestrian, {} static (caused: {}, {}, {}); red lights run {}; \
          outside lane {} ticks; blocked {}\n\
          traffic: {:.1} vehicles, {:.1} pedestrians on average\n\
-         {}results in {}\n",
+         {}{}results in {}\n",
         s.town,
         s.ticks,
         s.sim_seconds,
@@ -428,6 +445,15 @@ fn report(summary: &Summary, json: bool) -> anyhow::Result<()> {
         s.vehicle_blocked,
         s.vehicles_mean,
         s.pedestrians_mean,
+        if s.egos.is_empty() {
+            String::new()
+        } else {
+            format!(
+                "all of that for {} egos together; {} of the collisions were with each other\n",
+                s.egos.len(),
+                s.collisions_among_egos
+            )
+        },
         s.success.map_or(String::new(), |success| format!(
             "scenario: {}, ended by {}: {}\n",
             if success { "success" } else { "failure" },

@@ -76,6 +76,11 @@ pub enum Request {
         /// True: begin.
         on: bool,
     },
+    /// Follow another ego: camera, gauges, reward and requests are then about it.
+    Follow {
+        /// Its number among the state's egos.
+        ego: usize,
+    },
     /// The pictures that this viewer wants beside the front camera.
     Look {
         /// The view from behind.
@@ -189,6 +194,11 @@ pub struct State {
     pub wanted_traffic: Option<(usize, usize)>,
     pub traffic: (usize, usize),
     pub ego: EgoNow,
+    /// Number of the ego that is followed.
+    pub followed: usize,
+    /// Where there are several: all egos, `(x, y, heading, speed, length, width)`.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub egos: Vec<[f64; 6]>,
     pub control: Control,
     pub limit: f64,
     pub light: Option<LightRecord>,

@@ -17,7 +17,7 @@ use crate::telemetry::Wish;
 use crate::traffic::Counts;
 use crate::vehicle::Control;
 use serde_json::json;
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
 use std::sync::Arc;
 use std::thread::JoinHandle;
@@ -89,6 +89,8 @@ pub struct RunView {
     wheel: Option<Wheel>,
     astray_until: u64,
     loading: Option<Loading>,
+    /// The drivers of the egos that were followed before, by number.
+    drivers: BTreeMap<usize, String>,
     /// A trained agent that does not drive at present.
     parked: Option<(String, Pilot)>,
     due: Instant,
@@ -162,6 +164,7 @@ impl RunView {
             wheel: None,
             astray_until: 0,
             loading: None,
+            drivers: BTreeMap::new(),
             parked: None,
             due: Instant::now(),
             step: false,
@@ -299,6 +302,14 @@ impl RunView {
         let route = self.follow_route(ego);
         let state = &mut self.state;
         state.ego = ego_now(ego);
+        state.followed = drive.followed();
+        state.egos.clear();
+        if drive.egos().nth(1).is_some() {
+            state.egos.extend(drive.egos().map(|ego| {
+                let now = ego_now(ego);
+                [now.x, now.y, now.heading, now.speed, now.length, now.width]
+            }));
+        }
         state.route = (at.s, at.d, route.length());
         state.seq += 1;
         state.viewers = self.hub.viewers();
@@ -402,11 +413,42 @@ impl RunView {
                 self.give_back(drive).await?;
             }
             Request::Driver { name } => self.load(name, drive).await?,
+            Request::Follow { ego } => self.follow(ego, viewer, drive).await?,
             Request::Refresh => {}
             Request::Seek { .. } | Request::Open { .. } => self.say("not a replay".to_string()),
             Request::Drive { .. } | Request::Look { .. } | Request::Shown { .. } => return Ok(()),
         }
         self.show_ego(drive);
+        Ok(())
+    }
+
+    /// Follows another ego. Who drives by hand would otherwise find themselves in another car.
+    async fn follow(&mut self, ego: usize, viewer: u64, drive: &mut Drive) -> Result<(), DriveError> {
+        match self.state.holder {
+            Some(holder) if holder != viewer => {
+                self.say(format!("viewer {viewer} asks for ego {}, but viewer {holder} is driving", ego + 1));
+                return Ok(());
+            }
+            Some(_) => self.give_back(drive).await?,
+            None => {}
+        }
+        let name = std::mem::take(&mut self.state.driver);
+        self.drivers.insert(drive.followed(), name);
+        let found = drive.follow(ego);
+        // A person has one wheel.
+        let own = || {
+            if self.setting.driver == MANUAL { AUTOPILOT.to_string() } else { self.setting.driver.clone() }
+        };
+        self.state.driver = self.drivers.remove(&drive.followed()).unwrap_or_else(own);
+        if found {
+            self.loading = None;
+            self.state.loading = None;
+            self.score.reset();
+            self.hub.forget_history();
+            self.say(format!("following ego {}; the sums start again", ego + 1));
+        } else {
+            self.say(format!("there is no ego {}", ego + 1));
+        }
         Ok(())
     }
 

@@ -157,6 +157,37 @@ fn same_seed_gives_the_same_bytes_and_another_seed_does_not() {
 }
 
 #[test]
+fn several_egos_drive_in_one_sumo_and_each_has_its_lines_and_its_sums() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let args = ["town3", "--egos", "5", "--ticks", "120", "--traffic", "20,10", "--seed", "3"];
+    let (summary, out) = run(dir.path(), "a", &args);
+    let (_, again) = run(dir.path(), "b", &args);
+    assert!(telemetry(&out) == telemetry(&again), "equal seeds gave different telemetry");
+    let lines = String::from_utf8(telemetry(&out)).expect("text");
+    let lines: Vec<Value> = lines.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
+    assert_eq!(lines.len(), 5 * 120);
+    let place =
+        |line: &Value| [0, 1].map(|axis| line["ego"]["pose"]["position"][axis].as_f64().expect("a place"));
+    let egos = summary["egos"].as_array().expect("the egos' own sums");
+    let mut sum = 0.0;
+    for (index, ego) in egos.iter().enumerate() {
+        let own: Vec<&Value> = lines.iter().filter(|line| line["id"] == ego["id"]).collect();
+        assert_eq!(own.len(), 120, "{ego}");
+        assert_eq!(own[119]["tick"], 120);
+        let way = ego["distance_m"].as_f64().expect("a way");
+        assert!(way > 5.0, "the autopilot drives each: {ego}");
+        sum += way;
+        for other in &lines[..index] {
+            let ([x, y], [there_x, there_y]) = (place(&lines[index]), place(other));
+            assert!((x - there_x).hypot(y - there_y) > 20.0, "they begin apart");
+        }
+    }
+    assert_eq!(egos.len(), 5);
+    assert!((summary["distance_m"].as_f64().expect("a way") - sum).abs() < 1e-6);
+    assert_eq!(summary["ticks"], 120);
+}
+
+#[test]
 fn wrong_input_is_refused_with_exit_code_2_and_a_reason() {
     let dir = tempfile::tempdir().expect("a folder");
     let file = |name: &str, text: &str| {
@@ -170,7 +201,7 @@ fn wrong_input_is_refused_with_exit_code_2_and_a_reason() {
         "empty.net.xml",
         r#"<net version="1.20"><location netOffset="0,0" convBoundary="0,0,9,9" origBoundary="0,0,9,9" projParameter="!"/></net>"#,
     );
-    let cases: [(&[&str], &str); 8] = [
+    let cases: [(&[&str], &str); 9] = [
         (&["atlantis"], "atlantis"),
         (&[&not_xml], "not a SUMO configuration"),
         (&[&no_net], "gone.net.xml"),
@@ -179,6 +210,7 @@ fn wrong_input_is_refused_with_exit_code_2_and_a_reason() {
         (&["town5", "--route", "-1"], "FROM,TO"),
         (&["town5", "--traffic", "heavy"], "as-is, empty, regular, dense"),
         (&["town5", "--tick-ms", "0"], "1 to 1000 ms"),
+        (&["leader_brakes", "--egos", "2"], "a scenario has one ego, found 2"),
     ];
     for (i, (args, reason)) in cases.iter().enumerate() {
         let mut command = wad(&["run"]);

@@ -1,11 +1,13 @@
-//! `run`: the autopilot or a trained agent drives one ego from destination to destination.
+//! `run`: the autopilot or a trained agent drives an ego, or many, from destination to destination.
 
 mod summary;
 
-pub use summary::{CollisionCounts, Summary};
+pub use summary::{CollisionCounts, EgoSummary, Summary};
 
 use crate::agent::AgentError;
 use crate::driver::{Driver, Pilot, PilotRecord};
+use crate::env::ego_id;
+use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -19,6 +21,7 @@ use wad_see::perception::EgoFacts;
 use wad_sim::assets::{Assets, AssetsError};
 use wad_sim::autopilot::{AutopilotParams, Decision};
 use wad_sim::bridge::{Bridge, BridgeError, BridgeOptions, Ego};
+use wad_sim::cores;
 use wad_sim::criteria::{CriteriaParams, Event};
 use wad_sim::destination::{self, DestinationError};
 use wad_sim::end::{self, End, Ending, Termination};
@@ -35,8 +38,11 @@ use wad_vehicle::{Control, EgoParams};
 pub struct DriveOptions {
     /// SUMO, town, traffic and ticks.
     pub bridge: BridgeOptions,
-    /// `FROM,TO` of the first route; None: drawn from the seed.
+    /// `FROM,TO` of the first ego's first route; None: drawn from the seed.
     pub route: Option<String>,
+    /// The number of egos; set by [`Drive::start_in`].
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    pub egos: usize,
     /// The ego's physics.
     pub ego: EgoParams,
     /// The autopilot's constants.
@@ -53,6 +59,7 @@ impl DriveOptions {
         Self {
             bridge,
             route: None,
+            egos: one(),
             ego: Default::default(),
             autopilot: Default::default(),
             criteria: Default::default(),
@@ -65,6 +72,15 @@ impl DriveOptions {
         let bridge = BridgeOptions { seed, traffic, ..BridgeOptions::new(config, scratch.join("sumo")) };
         Self::new(bridge, scratch.join("run"))
     }
+}
+
+fn one() -> usize {
+    1
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes it so")]
+fn is_one(egos: &usize) -> bool {
+    *egos == 1
 }
 
 /// Why a run could not start or go on.
@@ -91,6 +107,24 @@ pub enum DriveError {
     /// Camera or perception fail.
     #[error(transparent)]
     Eyes(#[from] EyesError),
+    /// More egos than the town has room for.
+    #[error(
+        "{town} has room for {fit} egos, {APART} m apart, not for {egos}: ask for {fit} or fewer, or for a larger town"
+    )]
+    Crowded {
+        /// The town.
+        town: String,
+        /// How many were placed.
+        fit: usize,
+        /// How many were asked for.
+        egos: usize,
+    },
+    /// A scenario is written for one ego.
+    #[error("a scenario has one ego, found {egos}: leave the number of egos out, or drive in a town")]
+    Scenario {
+        /// How many were asked for.
+        egos: usize,
+    },
 }
 
 impl From<ItineraryError> for DriveError {
@@ -115,33 +149,42 @@ struct RunConfig<'a> {
 /// The facts of the status line.
 #[derive(Clone, Debug)]
 pub struct Status {
-    /// The tick's telemetry.
+    /// The tick's telemetry of the ego that is followed.
     pub record: TickRecord,
     /// Ticks per second of wall time, lately.
     pub ticks_per_second: f64,
 }
 
-/// A running drive: a session of one ego that goes from destination to destination.
+/// An ego of a drive with its driver.
+struct Car {
+    pilot: Pilot,
+    /// Its driver's seed.
+    seed: u64,
+    itinerary: Itinerary,
+    totals: Totals,
+    /// The viewer or agent that replaced the run's own driver.
+    guest: Option<String>,
+    /// Requests since the last tick.
+    wishes: Vec<Wish>,
+    /// Whether its eyes have processed the current tick.
+    looked: bool,
+}
+
+/// A running drive: a session whose egos go from destination to destination. One of them is *followed*: films, the live
+/// view and requests are about it.
 pub struct Drive {
     session: Session,
-    pilot: Pilot,
-    /// Camera and perception for the live view, if the driver has none.
+    cars: Vec<Car>,
+    followed: usize,
+    /// Camera and perception for film and live view, if the driver of the followed ego has none.
     spare: Eyes,
-    /// Whether the eyes have processed the current tick.
-    looked: bool,
-    itinerary: Itinerary,
     folder: RunFolder,
     options: DriveOptions,
     scenario: Option<Arc<Scenario>>,
     weather: Preset,
-    totals: Totals,
     /// Wall time of the drivers, including camera and perception (s).
     piloting: f64,
     began: Instant,
-    /// Requests since the last tick.
-    wishes: Vec<Wish>,
-    /// The viewer or agent that replaced the run's own driver.
-    guest: Option<String>,
     /// The scenario's time limit (ticks), and how it ended.
     limit: Option<u64>,
     ending: Option<Ending>,
@@ -171,59 +214,89 @@ impl Drive {
     pub async fn start(options: DriveOptions) -> Result<Self, DriveError> {
         let plays = options.bridge.scenario;
         let assets = Assets::open(&options.bridge.config, plays)?;
-        Self::start_in(&assets, options, Pilot::autopilot(), Preset::default()).await
+        Self::start_in(&assets, options, vec![Pilot::autopilot()], Preset::default()).await
     }
 
-    /// The same in a loaded town, driven by `pilot` in `weather`. The autopilot
-    /// then only reports what held the ego. The town's scenario is played, if it has one.
+    /// The same in a loaded town in `weather`, with an ego for each of `pilots`. The autopilot then only reports what held
+    /// an ego. The town's scenario is played, if it has one. `options.route` is the first ego's.
     ///
     /// # Errors
-    /// As [`Drive::start`].
+    /// As [`Drive::start`]; the town has no room for so many egos, or plays a scenario, which has one.
+    ///
+    /// # Panics
+    /// `pilots` is empty.
     pub async fn start_in(
         assets: &Arc<Assets>,
         mut options: DriveOptions,
-        mut pilot: Pilot,
+        mut pilots: Vec<Pilot>,
         weather: Preset,
     ) -> Result<Self, DriveError> {
+        assert!(!pilots.is_empty(), "a drive has one ego or more");
         options.ego.check().map_err(BridgeError::from)?;
-        pilot.reset(weather, options.bridge.seed);
-        let record = (!pilot.driver.is_autopilot()).then_some(&pilot.record);
-        let folder = RunFolder::create(&options.out, &RunConfig { options: &options, driver: record })?;
+        options.egos = pilots.len();
         let scenario = assets.scenario().cloned();
         if let Some(scenario) = &scenario {
+            if pilots.len() > 1 {
+                return Err(DriveError::Scenario { egos: pilots.len() });
+            }
             options.bridge.scenario = true;
             options.bridge.closed_lanes.clone_from(&scenario.closed_lanes);
         }
         let network = assets.network();
         network.require_drivable(destination::EGO_CLASS).map_err(BridgeError::from)?;
-        let mut itinerary = Itinerary::new(network, seeds::rng(options.bridge.seed, "route"))?;
-        let route = match (&options.route, &scenario) {
-            (None, Some(scenario)) => scenario.route.clone(),
-            (Some(text), _) => {
-                let (from, to) = destination::parse_route(network, text)?;
-                network.route(from, to, destination::EGO_CLASS).map_err(DestinationError::from)?
-            }
-            (None, None) => itinerary.first_route(network)?,
+        let seed = |index: usize| match index {
+            0 => options.bridge.seed,
+            _ => seeds::derive(options.bridge.seed, &ego_id(index)),
         };
-        let (ego, autopilot, criteria) = (options.ego.clone(), options.autopilot, options.criteria);
-        let seat = Seat::new(assets, "ego", ego, autopilot, criteria, route);
-        let session = Session::start(assets, &options.bridge, vec![seat]).await?;
+        for (index, pilot) in pilots.iter_mut().enumerate() {
+            pilot.reset(weather, seed(index));
+        }
+        let record = (!pilots[EGO].driver.is_autopilot()).then_some(&pilots[EGO].record);
+        let folder = RunFolder::create(&options.out, &RunConfig { options: &options, driver: record })?;
+        let (mut cars, mut seats) = (Vec::with_capacity(pilots.len()), Vec::with_capacity(pilots.len()));
+        let mut starts: Vec<Point2<f64>> = Vec::with_capacity(pilots.len());
+        for (index, pilot) in pilots.into_iter().enumerate() {
+            let mut itinerary = Itinerary::new(network, seeds::rng(seed(index), "route"))?;
+            let route = match (&options.route, &scenario) {
+                (None, Some(scenario)) => scenario.route.clone(),
+                (Some(text), _) if index == EGO => {
+                    let (from, to) = destination::parse_route(network, text)?;
+                    network.route(from, to, destination::EGO_CLASS).map_err(DestinationError::from)?
+                }
+                _ => match itinerary.route_apart(network, &starts, APART)? {
+                    Some(route) => route,
+                    None => {
+                        let town = options.bridge.config.display().to_string();
+                        return Err(DriveError::Crowded { town, fit: index, egos: options.egos });
+                    }
+                },
+            };
+            starts.push(route.at(0.0).pose.xy());
+            let (ego, autopilot, criteria) = (options.ego.clone(), options.autopilot, options.criteria);
+            seats.push(Seat::new(assets, &ego_id(index), ego, autopilot, criteria, route));
+            cars.push(Car {
+                pilot,
+                seed: seed(index),
+                itinerary,
+                totals: Totals::default(),
+                guest: None,
+                wishes: Vec::new(),
+                looked: false,
+            });
+        }
+        let session = Session::start(assets, &options.bridge, seats).await?;
         let limit = scenario.as_ref().map(|scenario| scenario.tick_limit(session.bridge().tick()));
         Ok(Self {
             session,
-            pilot,
+            cars,
+            followed: EGO,
             spare: Eyes::blind(),
-            looked: false,
-            itinerary,
             folder,
             options,
             scenario,
             weather,
-            totals: Totals::default(),
             piloting: 0.0,
             began: Instant::now(),
-            wishes: Vec::new(),
-            guest: None,
             limit,
             ending: None,
         })
@@ -244,14 +317,40 @@ impl Drive {
         self.session.assets()
     }
 
-    /// The ego.
+    /// The ego that is followed.
     pub fn ego(&self) -> &Ego {
-        self.session.ego(EGO)
+        self.session.ego(self.followed)
     }
 
-    /// Times that the ego was moved to another place.
+    /// All egos.
+    pub fn egos(&self) -> impl Iterator<Item = &Ego> {
+        self.session.seats().iter().map(Seat::ego)
+    }
+
+    /// The number of the ego that is followed, among [`Drive::egos`].
+    pub fn followed(&self) -> usize {
+        self.followed
+    }
+
+    /// Follows another ego from now on; false if there is none of that number.
+    pub fn follow(&mut self, index: usize) -> bool {
+        if index >= self.cars.len() {
+            return false;
+        }
+        self.followed = index;
+        self.spare.reset(self.weather, self.cars[index].seed);
+        let blind = !self.cars[index].pilot.driver.looks();
+        self.cars[index].looked &= !blind;
+        true
+    }
+
+    fn car(&self) -> &Car {
+        &self.cars[self.followed]
+    }
+
+    /// Times that the followed ego was moved to another place.
     pub fn respawns(&self) -> u64 {
-        self.totals.respawns
+        self.car().totals.respawns
     }
 
     /// How the scenario ended; None without a scenario or before its end.
@@ -279,36 +378,38 @@ impl Drive {
         Ok(self.bridge_mut().save_state(file).await?)
     }
 
-    /// The driver's eyes after this tick; if it has none, the eyes of [`Drive::watch_with`]. Renders once a
-    /// tick, however often it is called.
+    /// The eyes of the followed ego's driver after this tick; if it has none, the eyes of [`Drive::watch_with`]. Renders
+    /// once a tick, however often it is called.
     ///
     /// # Errors
     /// A stage of perception fails.
     pub fn look(&mut self) -> Result<&Eyes, DriveError> {
-        let (ego, bridge) = (self.session.ego(EGO), self.session.bridge());
-        let eyes = if self.pilot.driver.looks() { &mut self.pilot.eyes } else { &mut self.spare };
-        if !self.looked {
-            eyes.follow(ego.world());
-            eyes.look(&EgoFacts::of(bridge.network(), ego, bridge.tick()))?;
-            self.looked = true;
+        let (ego, bridge) = (self.session.ego(self.followed), self.session.bridge());
+        let car = &mut self.cars[self.followed];
+        let eyes = if car.pilot.driver.looks() { &mut car.pilot.eyes } else { &mut self.spare };
+        if !car.looked {
+            look(eyes, ego, bridge.network(), bridge.tick())?;
+            car.looked = true;
         }
         Ok(eyes)
     }
 
-    /// The eyes as of their last frame.
+    /// The eyes of the followed ego as of their last frame.
     pub fn eyes(&self) -> &Eyes {
-        if self.pilot.driver.looks() { &self.pilot.eyes } else { &self.spare }
+        let pilot = &self.car().pilot;
+        if pilot.driver.looks() { &pilot.eyes } else { &self.spare }
     }
 
-    /// The driver's last frame and percept; None if it is blind.
+    /// The last frame and percept of the followed ego's driver; None if it is blind.
     pub fn last_look(&self) -> Option<Look> {
-        if self.pilot.driver.looks() { self.pilot.eyes.last_look() } else { None }
+        let pilot = &self.car().pilot;
+        if pilot.driver.looks() { pilot.eyes.last_look() } else { None }
     }
 
     /// Sets camera and perception for the live view while a blind driver drives (autopilot, manual, constant,
     /// random).
     pub fn watch_with(&mut self, mut eyes: Eyes) {
-        eyes.reset(self.weather, self.options.bridge.seed);
+        eyes.reset(self.weather, self.car().seed);
         self.spare = eyes;
     }
 
@@ -320,48 +421,68 @@ impl Drive {
         self.tick_with(None).await
     }
 
-    /// The same with a given control in place of the driver's: a viewer's, or a recorded one.
+    /// The same with a given control for the followed ego in place of its driver's: a viewer's, or a recorded one.
     ///
     /// # Errors
     /// As [`Drive::tick`].
     pub async fn tick_with(&mut self, given: Option<Control>) -> Result<Status, DriveError> {
+        // Every tick records what held an ego, for any driver.
+        let decisions: Vec<Decision> = (0..self.cars.len()).map(|i| self.session.plan(i)).collect();
+        let clock = Instant::now();
+        let acts = self.acts(given, &decisions)?;
+        self.piloting += clock.elapsed().as_secs_f64();
         let tick = self.session.bridge().tick();
-        // Every tick records what held the ego, for any driver.
-        let decision = self.session.plan(EGO);
-        let act = match given {
-            // A control read back from text may differ in its last digit from the one that was driven.
-            Some(given) if is_close(&given, &decision.control) => Act::Expert,
-            Some(given) => Act::Control(given),
-            None => {
-                let clock = Instant::now();
-                if self.pilot.driver.looks() {
-                    self.look()?;
-                }
-                let act = self.pilot.driver.act(&self.pilot.eyes)?;
-                self.piloting += clock.elapsed().as_secs_f64();
-                act
+        let done = self.session.step(&acts).await?;
+        let (counts, network) = (self.session.bridge().counts(), self.session.network().clone());
+        let mut shown = None;
+        for (index, (decision, done)) in decisions.iter().zip(done).enumerate() {
+            let car = &mut self.cars[index];
+            car.looked = false;
+            car.totals.add(decision, &done.before.state, &done.after.state, tick, counts);
+            car.totals.judge(&done.events);
+            let outside = self.session.seats()[index].criteria().is_outside_lane();
+            car.totals.outside_ticks += u64::from(outside);
+            let record = self.record(index, &network, decision, done.control, done.events);
+            self.folder.record(&record)?;
+            match self.scenario.clone() {
+                Some(scenario) => self.judge(&scenario, &network, &record.events),
+                None => self.go_on(index, &record.events).await?,
             }
-        };
-        let done = self.session.step_one(act).await?;
-        self.looked = false;
-        self.totals.add(
-            &decision,
-            &done.before.state,
-            &done.after.state,
-            tick,
-            self.session.bridge().counts(),
-        );
-        self.totals.judge(&done.events);
-        self.totals.outside_ticks += u64::from(self.session.seats()[EGO].criteria().is_outside_lane());
-        let network = self.session.network().clone();
-        let record = self.record(&network, &decision, done.control, done.events);
-        self.folder.record(&record)?;
-        match self.scenario.clone() {
-            Some(scenario) => self.judge(&scenario, &network, &record.events),
-            None => self.go_on(&record.events).await?,
+            if index == self.followed {
+                shown = Some(record);
+            }
         }
         let elapsed = self.began.elapsed().as_secs_f64().max(1e-9);
-        Ok(Status { record, ticks_per_second: self.totals.ticks as f64 / elapsed })
+        let ticks_per_second = self.ticks() as f64 / elapsed;
+        let record = shown.expect("the followed ego is one of those that were driven");
+        Ok(Status { record, ticks_per_second })
+    }
+
+    /// What each ego does: its driver's act, or `given` for the followed one.
+    fn acts(&mut self, given: Option<Control>, decisions: &[Decision]) -> Result<Vec<Act>, DriveError> {
+        let (followed, network, tick) = (self.followed, self.session.network(), self.session.bridge().tick());
+        let given = |index: usize| given.filter(|_| index == followed);
+        let looking: Vec<(&mut Car, &Ego)> = (self.cars.iter_mut().zip(self.session.seats()).enumerate())
+            .filter(|(index, (car, _))| given(*index).is_none() && car.pilot.driver.looks() && !car.looked)
+            .map(|(_, (car, seat))| (car, seat.ego()))
+            .collect();
+        let looked = cores::each(looking, |(car, ego)| {
+            car.looked = true;
+            look(&mut car.pilot.eyes, ego, network, tick)
+        });
+        looked.into_iter().collect::<Result<(), EyesError>>()?;
+        let act = |(index, car): (usize, &mut Car)| match given(index) {
+            // A control read back from text may differ in its last digit from the one that was driven.
+            Some(given) if is_close(&given, &decisions[index].control) => Ok(Act::Expert),
+            Some(given) => Ok(Act::Control(given)),
+            None => Ok(car.pilot.driver.act(&car.pilot.eyes)?),
+        };
+        self.cars.iter_mut().enumerate().map(act).collect()
+    }
+
+    /// Ticks so far.
+    fn ticks(&self) -> u64 {
+        self.cars[EGO].totals.ticks
     }
 
     /// Whether the scenario has ended with this tick.
@@ -369,7 +490,7 @@ impl Drive {
         if self.ending.is_some() {
             return;
         }
-        let ticks = self.totals.ticks;
+        let ticks = self.ticks();
         self.ending = match Termination::default().decide(events) {
             Some((end, cause)) => Some(end::ending(scenario.task, end, cause)),
             None if self.limit.is_some_and(|limit| ticks >= limit) => {
@@ -381,18 +502,21 @@ impl Drive {
 
     fn record(
         &mut self,
+        index: usize,
         network: &Network,
         decision: &Decision,
         control: Control,
         events: Vec<Event>,
     ) -> TickRecord {
-        let ego = self.session.ego(EGO);
+        let car = &mut self.cars[index];
+        let ego = self.session.ego(index);
         let on_route = ego.on_route();
         let at = ego.route().at(on_route.s);
         let (vehicles, pedestrians) = self.session.bridge().counts();
-        let autopilot_drives = self.pilot.driver.is_autopilot() && self.guest.is_none();
+        let autopilot_drives = car.pilot.driver.is_autopilot() && car.guest.is_none();
         TickRecord {
-            tick: self.totals.ticks,
+            tick: car.totals.ticks,
+            id: (self.options.egos > 1).then(|| ego.id.to_string()),
             time: self.session.bridge().time(),
             control,
             ego: on_route.state,
@@ -410,32 +534,35 @@ impl Drive {
             events,
             vehicles,
             pedestrians,
-            wishes: std::mem::take(&mut self.wishes),
-            driver: self.guest.clone(),
+            wishes: std::mem::take(&mut car.wishes),
+            driver: car.guest.clone(),
         }
     }
 
     /// Draws a new destination on arrival, and a new start if the ego is blocked or no way leads on.
-    async fn go_on(&mut self, events: &[Event]) -> Result<(), DriveError> {
+    async fn go_on(&mut self, index: usize, events: &[Event]) -> Result<(), DriveError> {
         let arrived = events.contains(&Event::Arrival);
         let goes_on = if arrived {
-            self.itinerary.go_on(&mut self.session, EGO)
+            self.cars[index].itinerary.go_on(&mut self.session, index)
         } else {
             !events.contains(&Event::VehicleBlocked)
         };
-        if goes_on { Ok(()) } else { self.start_elsewhere().await }
+        if goes_on { Ok(()) } else { self.start_elsewhere(index).await }
     }
 
-    async fn start_elsewhere(&mut self) -> Result<(), DriveError> {
-        self.itinerary.start_elsewhere(&mut self.session, EGO).await?;
-        self.pilot.reset(self.weather, self.options.bridge.seed);
-        self.spare.reset(self.weather, self.options.bridge.seed);
-        self.looked = false;
-        self.totals.respawns += 1;
+    async fn start_elsewhere(&mut self, index: usize) -> Result<(), DriveError> {
+        let car = &mut self.cars[index];
+        car.itinerary.start_elsewhere(&mut self.session, index).await?;
+        car.pilot.reset(self.weather, car.seed);
+        car.looked = false;
+        car.totals.respawns += 1;
+        if index == self.followed {
+            self.spare.reset(self.weather, car.seed);
+        }
         Ok(())
     }
 
-    /// Grants a viewer's request before the next tick, which records it. False if it is impossible; nothing
+    /// Grants a viewer's request about the followed ego before the next tick, which records it. False if it is impossible; nothing
     /// changes then.
     ///
     /// # Errors
@@ -443,7 +570,7 @@ impl Drive {
     pub async fn grant(&mut self, wish: Wish) -> Result<bool, DriveError> {
         let granted = match wish {
             Wish::Respawn => {
-                self.start_elsewhere().await?;
+                self.start_elsewhere(self.followed).await?;
                 true
             }
             Wish::NewRoute => self.leave_for(None),
@@ -457,41 +584,45 @@ impl Drive {
             }
         };
         if granted {
-            self.wishes.push(wish);
+            self.cars[self.followed].wishes.push(wish);
         }
         Ok(granted)
     }
 
-    /// Routes the ego from its position to `to` or to a random place; false if no way leads there.
+    /// Routes the followed ego from its position to `to` or to a random place; false if no way leads there.
     fn leave_for(&mut self, to: Option<LanePosition>) -> bool {
-        self.looked = false;
-        self.itinerary.leave_for(&mut self.session, EGO, to)
+        let car = &mut self.cars[self.followed];
+        car.looked = false;
+        car.itinerary.leave_for(&mut self.session, self.followed, to)
     }
 
-    /// Puts another driver at the wheel from the next tick on, and returns the one before. `guest` is what
+    /// Puts another driver at the followed ego's wheel from the next tick on, and returns the one before. `guest` is what
     /// its name in telemetry, None for the run's own driver. It starts without memory, in the current
     /// weather.
     pub fn hand_over(&mut self, mut pilot: Pilot, guest: Option<String>) -> Pilot {
-        self.guest = guest;
-        pilot.reset(self.weather, self.options.bridge.seed);
-        self.looked = false;
-        std::mem::replace(&mut self.pilot, pilot)
+        let car = &mut self.cars[self.followed];
+        car.guest = guest;
+        pilot.reset(self.weather, car.seed);
+        car.looked = false;
+        std::mem::replace(&mut car.pilot, pilot)
     }
 
-    /// The current driver.
+    /// The followed ego's current driver.
     pub fn driver(&self) -> &Driver {
-        &self.pilot.driver
+        &self.car().pilot.driver
     }
 
-    /// Changes the camera's weather from the next tick on.
+    /// Changes the cameras' weather from the next tick on.
     pub fn set_weather(&mut self, weather: Preset) {
         self.weather = weather;
-        self.pilot.eyes.set_weather(weather);
+        for car in &mut self.cars {
+            car.pilot.eyes.set_weather(weather);
+            car.looked = false;
+        }
         self.spare.set_weather(weather);
-        self.looked = false;
     }
 
-    /// The camera's weather.
+    /// The cameras' weather.
     pub fn weather(&self) -> Preset {
         self.weather
     }
@@ -503,18 +634,23 @@ impl Drive {
 
     /// `end` is that of a run without a scenario that ended one.
     fn summary_of(&self, end: End, interrupted: bool) -> Summary {
-        let t = &self.totals;
+        let mut sum = Totals::default();
+        for car in &self.cars {
+            sum.add_all(&car.totals);
+        }
+        let (t, ticks) = (&sum, self.ticks());
+        // Of all egos.
         let per_tick = |sum: f64| if t.ticks == 0 { 0.0 } else { sum / t.ticks as f64 };
         let tick = self.session.bridge().tick();
         let wall_seconds = self.began.elapsed().as_secs_f64();
         Summary {
             town: self.session.bridge().config().name(),
             seed: self.options.bridge.seed,
-            ticks: t.ticks,
+            ticks,
             tick_ms: tick * 1000.0,
-            sim_seconds: t.ticks as f64 * tick,
+            sim_seconds: ticks as f64 * tick,
             wall_seconds,
-            ticks_per_second: t.ticks as f64 / wall_seconds.max(1e-9),
+            ticks_per_second: ticks as f64 / wall_seconds.max(1e-9),
             distance_m: t.distance,
             mean_speed_mps: per_tick(t.distance / tick),
             mean_free_speed_mps: if t.free.0 == 0 { 0.0 } else { t.free.1 / t.free.0 as f64 },
@@ -534,8 +670,17 @@ impl Drive {
             success: self.ending.as_ref().map(|ending| ending.success),
             cause: self.ending.as_ref().map(|ending| ending.cause.clone()),
             interrupted,
+            collisions_among_egos: t.among_egos,
+            egos: self.ego_summaries(),
             out: self.folder.path().to_path_buf(),
         }
+    }
+
+    /// Where there are several: each ego's own.
+    fn ego_summaries(&self) -> Vec<EgoSummary> {
+        let of = |(car, ego): (&Car, &Ego)| car.totals.of_ego(&ego.id, self.session.bridge().tick());
+        let all = || self.cars.iter().zip(self.egos()).map(of).collect();
+        if self.cars.len() > 1 { all() } else { Vec::new() }
     }
 
     /// After an error: writes a summary with the end `error`, and ends SUMO.
@@ -561,8 +706,17 @@ impl Drive {
     }
 }
 
-/// The run's only ego.
+/// The first ego; the only one of most runs.
 const EGO: usize = 0;
+
+/// Least distance between the starts of two egos (m).
+const APART: f64 = 25.0;
+
+/// `tick` in s.
+fn look(eyes: &mut Eyes, ego: &Ego, network: &Network, tick: f64) -> Result<(), EyesError> {
+    eyes.follow(ego.world());
+    eyes.look(&EgoFacts::of(network, ego, tick))
+}
 
 /// Equal but for the last digits that text loses.
 fn is_close(a: &Control, b: &Control) -> bool {

@@ -76,6 +76,9 @@ pub struct LeaderRecord {
 pub struct TickRecord {
     /// Number of the tick.
     pub tick: u64,
+    /// SUMO's id of the ego, in a run of several: then each tick has a line for each.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub id: Option<String>,
     /// Simulation time after the tick (s).
     pub time: f64,
     /// The control of the tick.

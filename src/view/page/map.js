@@ -4,11 +4,12 @@ const COLOURS = ["road", "junction", "walk", "grass", "house", "water", "mark", 
 const LIGHTS = { r: "#e5342b", u: "#e5342b", y: "#f0b400", Y: "#f0b400", g: "#27b463", G: "#27b463", s: "#e5342b" };
 
 export class StreetMap {
-  constructor(canvas, scale, onView) {
+  constructor(canvas, scale, onView, onPick) {
     this.canvas = canvas;
     this.context = canvas.getContext("2d");
     this.scaleBar = scale;
     this.onView = onView;
+    this.onPick = onPick;
     this.centre = [0, 0];
     this.zoom = 4;
     this.follow = true;
@@ -150,6 +151,7 @@ export class StreetMap {
     if (s) {
       this.drawLights(thin);
       for (const actor of s.actors) this.drawActor(actor, t, thin);
+      this.fellows(t).forEach((fellow) => this.drawEgo(fellow, thin, true));
       this.drawEgo(ego, thin);
     }
     this.drawScale();
@@ -244,14 +246,20 @@ export class StreetMap {
     c.restore();
   }
 
-  drawEgo(ego, thin) {
+  // The egos that are not followed.
+  fellows(t) {
+    const s = this.state;
+    return (s.egos || []).map(([x, y, heading, speed, length, width], index) => ({ x: x + speed * t * Math.cos(heading), y: y + speed * t * Math.sin(heading), heading, length, width, index })).filter((e) => e.index !== s.followed);
+  }
+
+  drawEgo(ego, thin, fellow) {
     const c = this.context, grow = Math.max(1, thin(9) / ego.width);
     const [l, w] = [ego.length * Math.min(grow, 2.2), ego.width * grow];
     c.save();
     c.translate(ego.x, ego.y);
     c.rotate(ego.heading);
-    c.fillStyle = this.colour.ego;
-    c.strokeStyle = this.colour.card;
+    c.fillStyle = fellow ? this.colour.card : this.colour.ego;
+    c.strokeStyle = fellow ? this.colour.ego : this.colour.card;
     c.lineWidth = thin(1.6);
     c.beginPath();
     c.moveTo(l / 2, 0);
@@ -259,7 +267,7 @@ export class StreetMap {
     c.closePath();
     c.fill();
     c.stroke();
-    if (this.state.control.brake > 0.05) { c.fillStyle = "#fff"; c.fillRect(-l / 2, -w / 2, l * 0.1, w); }
+    if (!fellow && this.state.control.brake > 0.05) { c.fillStyle = "#fff"; c.fillRect(-l / 2, -w / 2, l * 0.1, w); }
     c.restore();
   }
 
@@ -322,6 +330,13 @@ export class StreetMap {
 
   listen() {
     const canvas = this.canvas, fingers = new Map();
+    canvas.addEventListener("click", (e) => {
+      if (!this.state?.egos || !this.matrix) return;
+      const box = canvas.getBoundingClientRect(), ratio = canvas.width / box.width, [m, n, o, p, x0, y0] = this.matrix;
+      const far = (f) => Math.hypot(m * f.x + o * f.y + x0 - (e.clientX - box.left) * ratio, n * f.x + p * f.y + y0 - (e.clientY - box.top) * ratio) / ratio;
+      const nearest = this.fellows(0).map((f) => [far(f), f.index]).sort((a, b) => a[0] - b[0])[0];
+      if (nearest && nearest[0] < 24) this.onPick(nearest[1]);
+    });
     canvas.addEventListener("pointerdown", (e) => { canvas.setPointerCapture(e.pointerId); fingers.set(e.pointerId, [e.clientX, e.clientY]); });
     const up = (e) => fingers.delete(e.pointerId);
     canvas.addEventListener("pointerup", up);

@@ -33,7 +33,7 @@ dark.addEventListener("change", () => setTheme());
 map = new StreetMap($("map"), $("map-scale"), (m) => {
   $("map-follow").setAttribute("aria-pressed", m.follow);
   $("map-turn").setAttribute("aria-pressed", m.turn);
-});
+}, (ego) => follow(ego));
 const send = (message) => { if (socket?.readyState === 1) socket.send(typeof message === "string" ? message : JSON.stringify(message)); };
 wad.send = send;
 const hands = new Hands(send, $("pads"));
@@ -125,6 +125,15 @@ const words = (name) => name.replace(/([a-z])([A-Z])/g, "$1 $2").toLowerCase().r
 function options(select, list) {
   select.replaceChildren(...list.map(([value, text]) => Object.assign(document.createElement("option"), { value, textContent: text })));
 }
+
+/// Where there are several egos: which of them is followed.
+function egos(s) {
+  const count = s.egos?.length || 0, select = $("egos");
+  $("egos-label").hidden = count < 2;
+  if (select.options.length !== count) options(select, Array.from({ length: count }, (_, i) => [String(i), `ego ${i + 1} of ${count}`]));
+  if (document.activeElement !== select) select.value = String(s.followed);
+}
+const follow = (ego) => send({ do: "follow", ego });
 
 function drivers() {
   const names = ["autopilot", ...hello.agents, "manual"];
@@ -247,6 +256,7 @@ function paint() {
   if (document.activeElement !== $("speed")) $("speed").value = String(s.speed_factor);
   if (document.activeElement !== $("weather")) $("weather").value = s.weather;
   traffic(s.wanted_traffic);
+  egos(s);
   for (const b of $("drivers").children) {
     const mine = b.dataset.name;
     b.setAttribute("aria-checked", mine === s.driver);
@@ -406,6 +416,7 @@ $("step").onclick = step;
 $("speed").onchange = () => send({ do: "speed", factor: Number($("speed").value) });
 $("weather").onchange = () => send({ do: "weather", name: $("weather").value });
 $("traffic").onchange = () => { const [vehicles, pedestrians] = $("traffic").value.split(",").map(Number); send({ do: "traffic", vehicles, pedestrians }); };
+$("egos").onchange = () => { follow(Number($("egos").value)); $("egos").blur(); };
 $("respawn").onclick = () => send({ do: "respawn" });
 $("new-route").onclick = () => send({ do: "new_route" });
 $("record").onclick = () => send({ do: "record", on: state?.recording === null });
@@ -422,6 +433,7 @@ const SHORT = {
   p: pause, ".": step, t: otherTheme, "?": () => $("help").showModal(),
   m: () => pick(state?.holder === hello?.you ? "autopilot" : "manual"),
   r: () => $("respawn").click(), n: () => $("new-route").click(),
+  e: () => { if (state?.egos) follow((state.followed + 1) % state.egos.length); },
   c: () => setLook(look === "front" ? "chase" : "front"), b: () => $("boxes").click(),
   "+": () => map.zoomBy(1.35), "=": () => map.zoomBy(1.35), "-": () => map.zoomBy(1 / 1.35), 0: () => map.showAll(),
   f: () => map.setFollow(!map.follow), u: () => map.setTurn(!map.turn),

@@ -301,6 +301,34 @@ fn who_does_not_belong_is_refused_and_the_run_goes_on() {
 }
 
 #[test]
+fn any_of_several_egos_is_followed() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = run_in(folder.path(), &["--view-speed", "2", "--egos", "3"]);
+    let mut viewer = Viewer::join(&run.address);
+    let place = |state: &Value| ["x", "y"].map(|axis| state["ego"][axis].as_f64().unwrap());
+    let (first, _) = viewer.tick();
+    assert_eq!((first["followed"].as_u64(), first["egos"].as_array().map(Vec::len)), (Some(0), Some(3)));
+    viewer.send(json!({ "do": "pause", "on": true }));
+    for ego in [2, 1, 0] {
+        viewer.send(json!({ "do": "follow", "ego": ego }));
+        let state =
+            viewer.until("the other ego", |state| state["followed"] == ego && state["paused"] == true);
+        let shown = &state["egos"][ego as usize];
+        assert_eq!(place(&state), [0, 1].map(|axis| shown[axis].as_f64().unwrap()), "{state}");
+    }
+    // Who drives goes along with the ego: the wheel is given back first.
+    viewer.send(json!({ "do": "driver", "name": "manual" }));
+    let own = viewer.hello["you"].clone();
+    viewer.until("at the wheel", |state| state["holder"] == own);
+    viewer.send(json!({ "do": "follow", "ego": 1 }));
+    let state = viewer.until("followed", |state| state["followed"] == 1);
+    assert!(state["holder"].is_null() && state["driver"] == "autopilot", "{state}");
+    viewer.send(json!({ "do": "follow", "ego": 7 }));
+    viewer.until("refused", |state| state["notes"].to_string().contains("there is no ego 8"));
+    assert_eq!(run.stop(), Some(4));
+}
+
+#[test]
 fn a_person_drives_goes_and_the_drive_can_be_driven_again() {
     let folder = tempfile::tempdir().unwrap();
     let run = run_in(folder.path(), &["--view-speed", "2"]);

@@ -42,6 +42,10 @@ impl RecordedRun {
                 "it was driven with --attach in a foreign SUMO, so it cannot be driven again".to_string()
             ));
         }
+        if options.egos > 1 {
+            let egos = options.egos;
+            return Err(not(format!("it has {egos} egos, and only the drive of one can be driven again")));
+        }
         let text = read("telemetry.jsonl")?;
         let lines: Vec<&str> = text.lines().collect();
         let mut ticks = Vec::with_capacity(lines.len());

@@ -1,5 +1,6 @@
 //! The result of a run: counts during the run, the summary at its end.
 
+use crate::env::is_ego;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use wad_sim::autopilot::Decision;
@@ -20,6 +21,12 @@ pub struct CollisionCounts {
 }
 
 impl CollisionCounts {
+    fn add_all(&mut self, other: &Self) {
+        self.vehicle += other.vehicle;
+        self.pedestrian += other.pedestrian;
+        self.fixed += other.fixed;
+    }
+
     fn add(&mut self, kind: PartnerKind) {
         match kind {
             PartnerKind::Vehicle => self.vehicle += 1,
@@ -86,8 +93,44 @@ pub struct Summary {
     pub cause: Option<String>,
     /// The user interrupted the run.
     pub interrupted: bool,
+    /// Of several egos: collisions with each other; a crash of two counts once for each.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub collisions_among_egos: u64,
+    /// Of several egos: each one's own. The counts above are then their sums, the means those over all.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub egos: Vec<EgoSummary>,
     /// The run's folder.
     pub out: PathBuf,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes it so")]
+fn is_zero(count: &u64) -> bool {
+    *count == 0
+}
+
+/// One ego of a run with several.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct EgoSummary {
+    /// SUMO's id of it.
+    pub id: String,
+    /// Its way (m).
+    pub distance_m: f64,
+    /// Its mean speed (m/s).
+    pub mean_speed_mps: f64,
+    /// Destinations reached.
+    pub destinations_reached: u64,
+    /// All its collisions.
+    pub collisions: CollisionCounts,
+    /// Collisions that it caused.
+    pub collisions_caused: CollisionCounts,
+    /// Its collisions with other egos.
+    pub collisions_among_egos: u64,
+    /// Red lights run.
+    pub red_lights_run: u64,
+    /// Ticks outside the lane.
+    pub outside_lane_ticks: u64,
+    /// Times moved to another place.
+    pub respawns: u64,
 }
 
 /// What is counted while driving.
@@ -100,6 +143,7 @@ pub(super) struct Totals {
     pub destinations: u64,
     pub collisions: CollisionCounts,
     pub caused: CollisionCounts,
+    pub among_egos: u64,
     pub red_lights: u64,
     pub outside_ticks: u64,
     pub sidewalk: u64,
@@ -130,11 +174,48 @@ impl Totals {
         self.pedestrians += counts.1 as u64;
     }
 
+    /// Adds another ego's: its ticks are further ones.
+    pub fn add_all(&mut self, other: &Self) {
+        self.ticks += other.ticks;
+        self.distance += other.distance;
+        self.free.0 += other.free.0;
+        self.free.1 += other.free.1;
+        self.top_speed = self.top_speed.max(other.top_speed);
+        self.destinations += other.destinations;
+        self.collisions.add_all(&other.collisions);
+        self.caused.add_all(&other.caused);
+        self.among_egos += other.among_egos;
+        self.red_lights += other.red_lights;
+        self.outside_ticks += other.outside_ticks;
+        self.sidewalk += other.sidewalk;
+        self.blocked += other.blocked;
+        self.respawns += other.respawns;
+        self.vehicles += other.vehicles;
+        self.pedestrians += other.pedestrians;
+    }
+
+    /// As the summary of the ego of that name; `tick` in s.
+    pub fn of_ego(&self, id: &str, tick: f64) -> EgoSummary {
+        EgoSummary {
+            id: id.to_string(),
+            distance_m: self.distance,
+            mean_speed_mps: self.distance / (self.ticks.max(1) as f64 * tick),
+            destinations_reached: self.destinations,
+            collisions: self.collisions,
+            collisions_caused: self.caused,
+            collisions_among_egos: self.among_egos,
+            red_lights_run: self.red_lights,
+            outside_lane_ticks: self.outside_ticks,
+            respawns: self.respawns,
+        }
+    }
+
     pub fn judge(&mut self, events: &[Event]) {
         for event in events {
             match event {
-                Event::Collision { kind, cause, .. } => {
+                Event::Collision { kind, cause, partner, .. } => {
                     self.collisions.add(*kind);
+                    self.among_egos += u64::from(*kind == PartnerKind::Vehicle && is_ego(partner));
                     if *cause == Cause::Ego {
                         self.caused.add(*kind);
                     }

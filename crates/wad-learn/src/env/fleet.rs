@@ -87,6 +87,12 @@ impl FleetStep {
     }
 }
 
+/// SUMO's id of ego number `index`: `ego`, `ego2`, ...
+pub fn ego_id(index: usize) -> String {
+    let first = super::slot::FIRST;
+    if index == 0 { first.to_string() } else { format!("{first}{}", index + 1) }
+}
+
 /// Whether SUMO's vehicle `id` is an ego of a fleet.
 pub fn is_ego(id: &str) -> bool {
     id.strip_prefix(super::slot::FIRST).is_some_and(|number| number.bytes().all(|b| b.is_ascii_digit()))

@@ -46,7 +46,7 @@ mod slot;
 mod world;
 
 pub use error::EnvError;
-pub use fleet::{Fleet, FleetStep, is_ego};
+pub use fleet::{Fleet, FleetStep, ego_id, is_ego};
 pub use options::{EnvOptions, StartOffset, WorldMode};
 pub use wad_see::observation::ObservationMode;
 pub use wad_sim::assets::Assets;

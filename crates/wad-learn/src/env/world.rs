@@ -1,10 +1,11 @@
 //! One SUMO with its egos, from episode to episode.
 
 use super::episode::Episode;
+use super::fleet::ego_id;
 use super::green;
 use super::obstacle;
 use super::scratch::Scratch;
-use super::slot::{FIRST, Judge, Outcome, Slot};
+use super::slot::{Judge, Outcome, Slot};
 use super::{EnvError, EnvOptions, Stages, WorldMode};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -298,7 +299,7 @@ impl World {
                 }
                 None => {
                     let (ego, criteria) = (self.options.ego.clone(), self.options.criteria);
-                    let id = if index == 0 { FIRST.to_string() } else { format!("{FIRST}{}", index + 1) };
+                    let id = ego_id(index);
                     Seat::new(&self.assets, &id, ego, AutopilotParams::default(), criteria, route.clone())
                 }
             };

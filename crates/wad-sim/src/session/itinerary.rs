@@ -3,6 +3,7 @@
 use super::Session;
 use crate::bridge::BridgeError;
 use crate::destination::{self, DestinationError, Destinations};
+use nalgebra::Point2;
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::FRAC_PI_2;
 use sumo_network::geometry;
@@ -57,6 +58,26 @@ impl Itinerary {
             }
         }
         best
+    }
+
+    /// The same, with a begin at least `apart` (m) from each of `others`; None if none was found.
+    ///
+    /// # Errors
+    /// No place leads to another.
+    pub fn route_apart(
+        &mut self,
+        network: &Network,
+        others: &[Point2<f64>],
+        apart: f64,
+    ) -> Result<Option<Route>, DestinationError> {
+        for _ in 0..DRAWS {
+            let route = self.first_route(network)?;
+            let start = route.at(0.0).pose.xy();
+            if others.iter().all(|other| nalgebra::distance(&start, other) >= apart) {
+                return Ok(Some(route));
+            }
+        }
+        Ok(None)
     }
 
     /// Gives ego `index`, which has arrived, a route to another destination. False if no route leads on.
