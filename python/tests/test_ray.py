@@ -1,0 +1,229 @@
+"""Evaluation on Ray: the table of one machine, whatever dies on the way."""
+
+import json
+import os
+import pathlib
+import random
+import resource
+import signal
+import subprocess
+import sys
+import uuid
+
+import pytest
+from conftest import until
+
+import wad_cosim
+
+# Before Ray is imported: on loopback, and with a token of its own.
+os.environ.update(
+    RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER="0", RAY_AUTH_MODE="token", RAY_AUTH_TOKEN=uuid.uuid4().hex, RAY_USAGE_STATS_ENABLED="0"
+)
+pytest.importorskip("ray")
+from ray.cluster_utils import Cluster  # noqa: E402
+
+PART = {"condition": "development", "task": "obstacle", "weather": "ClearNoon", "seed": 3, "episodes": 6}
+AGENT = "constant:0.3,0,0"
+EPISODES = PART["episodes"]
+#: Which of the nodes dies, and after how many episodes: the same in every run.
+SCHEDULE = random.Random(22)
+#: In the environment of every process of these tests.
+MARK = f"WAD_COSIM_TEST={uuid.uuid4()}"
+
+
+def processes(name):
+    """Processes of these tests whose command begins with ``name``."""
+    found = []
+    for pid in filter(str.isdigit, os.listdir("/proc")):
+        try:
+            command = pathlib.Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")[0].decode()
+            marked = MARK.encode() in pathlib.Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
+        except OSError:
+            continue
+        if marked and os.path.basename(command).startswith(name):
+            found.append(int(pid))
+    return found
+
+
+def lines(out):
+    """The episodes' lines, in no order: they come as episodes end."""
+    file = out / "episodes.jsonl"
+    return sorted(file.read_bytes().splitlines(keepends=True)) if file.exists() else []
+
+
+def assert_same(out, one_machine):
+    """Nothing lost, nothing twice, the same table; and nothing left running."""
+    assert lines(out) == lines(one_machine) and len(lines(out)) == EPISODES
+    for name in ("config.json", "summary.json"):
+        assert (out / name).read_bytes() == (one_machine / name).read_bytes()
+    assert until(lambda: not processes("sumo")), "a SUMO is left"
+
+
+@pytest.fixture(scope="module")
+def one_machine(tmp_path_factory):
+    out = tmp_path_factory.mktemp("one") / "machine"
+    wad_cosim.evaluate("tasks", AGENT, **PART, out=out, keep="all")
+    return out
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    name, value = MARK.split("=")
+    os.environ[name] = value
+    # A node that does not answer counts as dead after three seconds, not after half a minute.
+    health = {"health_check_initial_delay_ms": 0, "health_check_period_ms": 500, "health_check_timeout_ms": 500}
+    config = {**health, "health_check_failure_threshold": 5}
+    head = {"num_cpus": 0, "include_dashboard": False, "node_ip_address": "127.0.0.1", "_system_config": config}
+    cluster = Cluster(initialize_head=True, head_node_args=head)
+    yield cluster
+    cluster.shutdown()
+    del os.environ[name]
+    assert until(lambda: not processes("ray")), "a worker is left"
+
+
+@pytest.fixture
+def nodes(cluster):
+    """Two nodes of one core each."""
+    nodes = [cluster.add_node(num_cpus=1, node_ip_address="127.0.0.1") for _ in range(2)]
+    yield nodes
+    for node in nodes:
+        if node in cluster.worker_nodes:
+            cluster.remove_node(node, allow_graceful=False)
+
+
+@pytest.fixture
+def drive(cluster):
+    """Starts the command."""
+    drivers = []
+
+    def drive(out, *more, limit=None):
+        options = [text for name, value in PART.items() for text in (f"--{name}", str(value))]
+        command = [sys.executable, "-m", "wad_cosim.ray", "eval", "tasks", "--agent", AGENT, *options]
+        command += ["--keep", "all", "--address", cluster.address, "--out", str(out), *more]
+        before = (lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))) if limit else None
+        drivers.append(subprocess.Popen(command, stdout=-1, stderr=-1, text=True, preexec_fn=before))
+        return drivers[-1]
+
+    yield drive
+    for driver in drivers:
+        driver.kill()
+        driver.communicate()
+
+
+def finish(driver, code=0):
+    """The driver's words, when it has ended as expected."""
+    said = "\n".join(driver.communicate(timeout=100))
+    assert driver.returncode == code, said
+    return said
+
+
+def children(pid, name):
+    """Processes called ``name`` below ``pid``."""
+    parents = {}
+    for other in processes(name):
+        parent = other
+        while parent > 1 and parent != pid:
+            parent = int(pathlib.Path(f"/proc/{parent}/stat").read_text().rsplit(")", 1)[1].split()[1])
+        parents[other] = parent
+    return [other for other, parent in parents.items() if parent == pid]
+
+
+def raylet(node):
+    return node.all_processes["raylet"][0].process.pid
+
+
+def kill_worker(cluster, node):
+    assert until(lambda: children(raylet(node), "sumo"))
+    for worker in children(raylet(node), "ray::Worker"):
+        os.kill(worker, signal.SIGKILL)
+
+
+def kill_sumo(cluster, node):
+    assert until(lambda: children(raylet(node), "sumo"))
+    for sumo in children(raylet(node), "sumo"):
+        os.kill(sumo, signal.SIGKILL)
+
+
+def kill_node(cluster, node):
+    cluster.remove_node(node, allow_graceful=False)
+
+
+def stop_node(cluster, node):
+    """It hangs until it counts as dead, and comes back."""
+    stopped = [raylet(node), *children(raylet(node), "ray::Worker"), *children(raylet(node), "sumo")]
+    for pid in stopped:
+        os.kill(pid, signal.SIGSTOP)
+    import ray
+
+    ray.init(cluster.address, log_to_driver=False)
+    try:
+        assert until(lambda: sum(found["Alive"] for found in ray.nodes()) == 2)
+    finally:
+        ray.shutdown()
+        for pid in stopped:
+            os.kill(pid, signal.SIGCONT)
+
+
+@pytest.mark.parametrize("fault", [kill_worker, kill_sumo, kill_node, stop_node])
+def test_a_death_on_the_way_changes_nothing(cluster, nodes, drive, one_machine, tmp_path, fault):
+    out = tmp_path / "out"
+    victim, after = SCHEDULE.choice(nodes), SCHEDULE.randrange(1, 4)
+    driver = drive(out)
+    assert until(lambda: len(lines(out)) >= after or driver.poll() is not None, 60)
+    assert driver.poll() is None, finish(driver)
+    fault(cluster, victim)
+    finish(driver)
+    assert_same(out, one_machine)
+
+
+def test_a_driver_that_dies_is_resumed_and_another_is_refused(nodes, drive, one_machine, tmp_path):
+    out = tmp_path / "out"
+    first = drive(out)
+    assert until(lambda: len(lines(out)) >= 1, 60)
+    assert "another process" in finish(drive(out, "--resume"), 2)
+    first.kill()
+    first.wait()
+    assert until(lambda: not processes("sumo")), "a SUMO outlives the driver"
+    second = drive(out, "--resume")
+    assert until(lambda: len(lines(out)) >= 3, 60)
+    second.send_signal(signal.SIGINT)
+    assert "--resume goes on" in finish(second, 4)
+    done = len(lines(out))
+    assert json.loads((out / "summary.json").read_text())["episodes"] == done >= 3
+    finish(drive(out, "--resume"))
+    assert_same(out, one_machine)
+
+
+def test_a_full_disk_at_the_driver_costs_the_rest_only(nodes, drive, one_machine, tmp_path):
+    out = tmp_path / "out"
+    whole = (one_machine / "episodes.jsonl").stat().st_size
+    said = finish(drive(out, "--keep", "none", limit=whole // 2), 1)
+    assert "episodes.jsonl" in said
+    kept = lines(out)
+    assert 0 < len(kept) < EPISODES and all(line.endswith(b"\n") for line in kept)
+    finish(drive(out, "--resume", "--keep", "all"))
+
+    def results(folder):
+        return sorted(str({**json.loads(line), "recording": None}) for line in lines(folder))
+
+    assert results(out) == results(one_machine)
+    assert (out / "summary.json").read_bytes() == (one_machine / "summary.json").read_bytes()
+
+
+def test_python_asks_for_ray(cluster, nodes, one_machine, tmp_path):
+    out = tmp_path / "out"
+    table = wad_cosim.evaluate("tasks", AGENT, **PART, out=out, keep="all", ray=cluster.address)
+    assert len(table) == 1
+    assert_same(out, one_machine)
+    recordings = sorted(path.relative_to(out) for path in (out / "episodes").rglob("*") if path.is_file())
+    assert len(recordings) == 2 * EPISODES
+    for name in recordings:
+        assert (out / name).read_bytes() == (one_machine / name).read_bytes()
+    with pytest.raises(wad_cosim.InputError, match="holds results already"):
+        wad_cosim.evaluate("tasks", AGENT, **PART, out=out, ray=cluster.address)
+
+    def broken(_):
+        raise ZeroDivisionError("by hand")
+
+    with pytest.raises(ZeroDivisionError, match="by hand"):
+        wad_cosim.evaluate("tasks", broken, detector="outlines", **PART, ray=cluster.address)
