@@ -22,11 +22,13 @@ os.environ.update(
 pytest.importorskip("ray")
 from ray.cluster_utils import Cluster  # noqa: E402
 
-PART = {"condition": "development", "task": "obstacle", "weather": "ClearNoon", "seed": 3, "episodes": 6}
+PART = {"condition": "development", "task": "obstacle", "weather": "ClearNoon", "seed": 3, "episodes": 8}
 AGENT = "constant:0.3,0,0"
 EPISODES = PART["episodes"]
 #: Which of the nodes dies, and after how many episodes: the same in every run.
 SCHEDULE = random.Random(22)
+#: What a full disk is in these tests (bytes): the settings and some episodes fit.
+LIMIT = 6000
 #: In the environment of every process of these tests.
 MARK = f"WAD_COSIM_TEST={uuid.uuid4()}"
 
@@ -162,6 +164,8 @@ def stop_node(cluster, node):
         ray.shutdown()
         for pid in stopped:
             os.kill(pid, signal.SIGCONT)
+    # Ray's part of it ends itself, since the cluster goes on without it; its workers look for it, and a zombie would do.
+    node.all_processes["raylet"][0].process.wait(30)
 
 
 @pytest.mark.parametrize("fault", [kill_worker, kill_sumo, kill_node, stop_node])
@@ -184,20 +188,21 @@ def test_a_driver_that_dies_is_resumed_and_another_is_refused(nodes, drive, one_
     first.kill()
     first.wait()
     assert until(lambda: not processes("sumo")), "a SUMO outlives the driver"
+    before = len(lines(out))
     second = drive(out, "--resume")
-    assert until(lambda: len(lines(out)) >= 3, 60)
+    assert until(lambda: len(lines(out)) > before, 60)
     second.send_signal(signal.SIGINT)
     assert "--resume goes on" in finish(second, 4)
     done = len(lines(out))
-    assert json.loads((out / "summary.json").read_text())["episodes"] == done >= 3
+    assert json.loads((out / "summary.json").read_text())["episodes"] == done > before
     finish(drive(out, "--resume"))
     assert_same(out, one_machine)
 
 
 def test_a_full_disk_at_the_driver_costs_the_rest_only(nodes, drive, one_machine, tmp_path):
     out = tmp_path / "out"
-    whole = (one_machine / "episodes.jsonl").stat().st_size
-    said = finish(drive(out, "--keep", "none", limit=whole // 2), 1)
+    # Recordings are larger than some lines: without them it is a line that does not fit.
+    said = finish(drive(out, "--keep", "none", limit=LIMIT), 1)
     assert "episodes.jsonl" in said
     kept = lines(out)
     assert 0 < len(kept) < EPISODES and all(line.endswith(b"\n") for line in kept)
