@@ -14,6 +14,7 @@ import pytest
 from conftest import until
 
 import wad_cosim
+from wad_cosim import _native
 
 # Before Ray is imported: on loopback, and with a token of its own.
 os.environ.update(
@@ -85,31 +86,35 @@ def cluster():
 
 @pytest.fixture
 def nodes(cluster):
-    """Two nodes of one core each."""
-    nodes = [cluster.add_node(num_cpus=1, node_ip_address="127.0.0.1") for _ in range(2)]
-    yield nodes
-    for node in nodes:
-        if node in cluster.worker_nodes:
-            cluster.remove_node(node, allow_graceful=False)
+    """Two nodes of one core each; those of the test before, if they live."""
+    while len(cluster.worker_nodes) < 2:
+        cluster.add_node(num_cpus=1, node_ip_address="127.0.0.1")
+    return sorted(cluster.worker_nodes, key=lambda node: raylet(node))
 
 
 @pytest.fixture
-def drive(cluster):
-    """Starts the command."""
+def start(cluster):
+    """Starts a command of ``python -m wad_cosim.ray`` on the cluster; ``limit``: the longest file that it can write."""
     drivers = []
 
-    def drive(out, *more, limit=None):
-        options = [text for name, value in PART.items() for text in (f"--{name}", str(value))]
-        command = [sys.executable, "-m", "wad_cosim.ray", "eval", "tasks", "--agent", AGENT, *options]
-        command += ["--keep", "all", "--address", cluster.address, "--out", str(out), *more]
+    def start(command, out, *more, limit=None):
+        whole = [sys.executable, "-m", "wad_cosim.ray", *command, "--address", cluster.address, "--out", str(out), *more]
         before = (lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))) if limit else None
-        drivers.append(subprocess.Popen(command, stdout=-1, stderr=-1, text=True, preexec_fn=before))
+        drivers.append(subprocess.Popen(whole, stdout=-1, stderr=-1, text=True, preexec_fn=before))
         return drivers[-1]
 
-    yield drive
+    yield start
     for driver in drivers:
         driver.kill()
         driver.communicate()
+
+
+@pytest.fixture
+def drive(start):
+    """Starts the evaluation."""
+    options = [text for name, value in PART.items() for text in (f"--{name}", str(value))]
+    command = ["eval", "tasks", "--agent", AGENT, "--keep", "all", *options]
+    return lambda out, *more, limit=None: start(command, out, *more, limit=limit)
 
 
 def finish(driver, code=0):
@@ -164,8 +169,9 @@ def stop_node(cluster, node):
         ray.shutdown()
         for pid in stopped:
             os.kill(pid, signal.SIGCONT)
-    # Ray's part of it ends itself, since the cluster goes on without it; its workers look for it, and a zombie would do.
+    # Ray's part of it ends itself, since the cluster goes on without it. Its workers end when it is gone; a zombie is not.
     node.all_processes["raylet"][0].process.wait(30)
+    cluster.remove_node(node, allow_graceful=False)
 
 
 @pytest.mark.parametrize("fault", [kill_worker, kill_sumo, kill_node, stop_node])
@@ -232,3 +238,33 @@ def test_python_asks_for_ray(cluster, nodes, one_machine, tmp_path):
 
     with pytest.raises(ZeroDivisionError, match="by hand"):
         wad_cosim.evaluate("tasks", broken, detector="outlines", **PART, ray=cluster.address)
+
+
+def test_shards_are_collected_once_whatever_dies(cluster, nodes, start, tmp_path):
+    wanted = {"town": "town3", "frames": 12, "per_shard": 3, "seed": 5, "every": 0.5, "camera": False}
+    wanted |= {"weathers": [], "noise_pause": None, "out": str(tmp_path / "one")}
+    one = _native.Collection(json.dumps(wanted))
+    collector = _native.Collector(json.dumps(wanted), one.identity)
+    for segment in one.missing()[0]:
+        shard = collector.drive(segment)
+        assert one.put(segment, shard) and not one.put(segment, shard)
+    with pytest.raises(wad_cosim.InputError, match="segment"):
+        other = json.loads(segment) | {"index": 4}
+        one.put(json.dumps(other), shard)
+    assert json.loads(one.finish(False))["complete"]
+
+    out = tmp_path / "out"
+    options = [text for name in ("frames", "seed") for text in (f"--{name}", str(wanted[name]))]
+    command = ["collect", "--per-shard", "3", *options]
+    driver = start(command, out)
+    assert until(lambda: list(out.glob("*.wads")) or driver.poll() is not None, 60)
+    assert driver.poll() is None, finish(driver)
+    kill_worker(cluster, SCHEDULE.choice(nodes))
+    driver.send_signal(signal.SIGINT)
+    assert "continues from here" in finish(driver, 4)
+    assert until(lambda: not processes("sumo")), "a SUMO is left"
+    assert "12 frames in 4 shards" in finish(start(command, out))
+    files = sorted(path.name for path in out.glob("[!.]*"))
+    assert files == sorted(path.name for path in (tmp_path / "one").glob("[!.]*")) and len(files) == 5
+    for name in files:
+        assert (out / name).read_bytes() == (tmp_path / "one" / name).read_bytes()
