@@ -15,16 +15,21 @@ from conftest import until
 
 import wad_cosim
 from wad_cosim import _native
+from wad_cosim.evaluation import wanted_by
 
 # Before Ray is imported: on loopback, and with a token of its own.
 os.environ.update(
-    RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER="0", RAY_AUTH_MODE="token", RAY_AUTH_TOKEN=uuid.uuid4().hex, RAY_USAGE_STATS_ENABLED="0"
+    RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER="0",
+    RAY_AUTH_MODE="token",
+    RAY_AUTH_TOKEN=uuid.uuid4().hex,
+    RAY_USAGE_STATS_ENABLED="0",
 )
 pytest.importorskip("ray")
 from ray.cluster_utils import Cluster  # noqa: E402
 
 PART = {"condition": "development", "task": "obstacle", "weather": "ClearNoon", "seed": 3, "episodes": 8}
 AGENT = "constant:0.3,0,0"
+NO_MORE = {"town": (), "traffic": (), "resume": False}
 EPISODES = PART["episodes"]
 #: Which of the nodes dies, and after how many episodes: the same in every run.
 SCHEDULE = random.Random(22)
@@ -238,6 +243,27 @@ def test_python_asks_for_ray(cluster, nodes, one_machine, tmp_path):
 
     with pytest.raises(ZeroDivisionError, match="by hand"):
         wad_cosim.evaluate("tasks", broken, detector="outlines", **PART, ray=cluster.address)
+
+
+def test_an_episode_counts_once_and_is_driven_by_the_same_build(tmp_path):
+    part = {**PART, **NO_MORE, "episodes": 1}
+    wanted = wanted_by("tasks", [AGENT], **part, detector="truth", out=tmp_path / "a", keep="all")
+    ledger = _native.Ledger(json.dumps(wanted), None)
+    (case,) = ledger.left()
+    worker = _native.Worker(ledger.manifest, "default", "all", None)
+    driven = worker.drive(case)
+    assert driven == worker.drive(case), "equal cases give equal bytes"
+    assert [ledger.add(*driven), ledger.add(*driven)] == [True, False] and not ledger.left()
+    assert len(lines(tmp_path / "a")) == 1
+    foreign = json.loads(driven[0]) | {"episode": 7}
+    with pytest.raises(wad_cosim.Error, match="not in this evaluation's plan"):
+        ledger.add(json.dumps(foreign).encode(), None)
+    manifest = json.loads(ledger.manifest) | {"build": "0.0.1 (elsewhere)"}
+    with pytest.raises(wad_cosim.InputError, match=r"build: expected \"0.0.1 \(elsewhere\)"):
+        _native.Worker(json.dumps(manifest), "default", "all", None).drive(case)
+    ledger.finish()
+    with pytest.raises(wad_cosim.Error, match="finished"):
+        ledger.left()
 
 
 def test_shards_are_collected_once_whatever_dies(cluster, nodes, start, tmp_path):

@@ -1,4 +1,4 @@
-"""``python -m wad_cosim.ray eval SUITE`` and ``collect``: the command line's ``eval`` and ``dataset collect`` on a Ray cluster."""
+"""The command line's ``eval`` and ``dataset collect`` on a Ray cluster."""
 
 from __future__ import annotations
 

@@ -108,7 +108,6 @@ def share(
     """
     # A core for each; a dead one comes back, here or on another node, and does its task again.
     actor: Any = ray.remote(num_cpus=1, max_restarts=-1, max_task_retries=-1)(Worker)
-    shared = ray.put(given)
     pool, waiting, made = ActorPool([]), len(tasks), 0
     for task in tasks:
         pool.submit(lambda worker, task: worker.do.remote(task), task)
@@ -118,7 +117,7 @@ def share(
             # Nodes may join: then there are more cores.
             cores = workers or int(ray.cluster_resources().get("CPU", 1))
             while made < min(cores, waiting):
-                pool.push(actor.remote(made, make, shared))
+                pool.push(actor.remote(made, make, given))
                 made += 1
         # A worker without a task gives its core to those that wait for one after their node's death.
         while pool.pop_idle() is not None:
