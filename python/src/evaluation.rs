@@ -3,7 +3,9 @@
 use crate::errors::{Error, Failure, InputError};
 use numpy::{PyArray1, PyReadonlyArray1};
 use pyo3::prelude::*;
-use serde::Deserialize;
+use pyo3::types::PyBytes;
+use serde::{Deserialize, Serialize};
+use std::collections::HashSet;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -12,10 +14,15 @@ use wad_cosim::agent::action::{Action, to_control};
 use wad_cosim::agent::actor::PlainActor;
 use wad_cosim::agent::policy::{Policy, find_encoder};
 use wad_cosim::agent::{Agent, AgentError};
+use wad_cosim::assets::Assets;
 use wad_cosim::camera::CameraConfig;
 use wad_cosim::env::{EnvOptions, ObservationMode};
-use wad_cosim::eval::{self, EvalError, Evaluation, Keep, Made, Order, Results, Selection, Suite, report};
+use wad_cosim::eval::{
+    self, Case, Driven, DriverError, DriverSpec, EvalError, Evaluation, Keep, Made, Manifest, Order, Packed,
+    Results, Selection, StoreError, Suite, Towns, report,
+};
 use wad_cosim::eyes::EyesError;
+use wad_cosim::folder_lock::LockError;
 use wad_cosim::observation::Observation;
 use wad_cosim::traffic::TrafficSpec;
 use wad_cosim::vehicle::Control;
@@ -137,8 +144,95 @@ fn failure(error: EvalError) -> Failure {
         EvalError::Env(error) => error.into(),
         EvalError::Assets(error) => error.into(),
         EvalError::Sumo(_) => Failure::Sumo(text),
-        EvalError::Suite(_) | EvalError::Store(_) | EvalError::Driver(_) => Failure::Input(text),
+        EvalError::Store(StoreError::File { .. } | StoreError::Lock(LockError::Make { .. })) => {
+            Failure::Other(text)
+        }
+        EvalError::Suite(_) | EvalError::Store(_) | EvalError::Driver(_) | EvalError::Elsewhere { .. } => {
+            Failure::Input(text)
+        }
         _ => Failure::Other(text),
+    }
+}
+
+/// Makes an evaluation's drivers: `act` is Python's, if it is one.
+struct Drivers {
+    act: Option<Arc<Py<PyAny>>>,
+    /// What a driver of Python's gets, and the encoder of it.
+    mode: ObservationMode,
+    encoder: String,
+    raised: Raised,
+    stop: Arc<AtomicBool>,
+}
+
+impl Drivers {
+    fn new(act: Option<Py<PyAny>>, mode: ObservationMode, encoder: &str) -> Self {
+        Self {
+            act: act.map(Arc::new),
+            mode,
+            encoder: encoder.to_string(),
+            raised: Raised::default(),
+            stop: Arc::new(AtomicBool::new(false)),
+        }
+    }
+
+    fn make(&self, spec: &DriverSpec) -> Result<Made, DriverError> {
+        let Some(act) = &self.act else {
+            return Made::trained(&spec.to_string(), None, &CameraConfig::default());
+        };
+        let (act, raised, stop) = (Arc::clone(act), Arc::clone(&self.raised), Arc::clone(&self.stop));
+        let agent = PythonAgent { name: spec.to_string(), act, mode: self.mode, raised, stop };
+        let encoder = if self.mode.encodes() { &self.encoder } else { "pooled" };
+        let encoder = find_encoder(encoder).map_err(EyesError::from)?;
+        let id = format!("of Python, {spec}, encoder {}", encoder.hash());
+        Ok(Made { agent: Box::new(agent), encoder, id })
+    }
+
+    /// The exception of Python's driver, if it raised one.
+    fn raised(&self) -> Option<PyErr> {
+        self.stop.store(false, Ordering::Relaxed);
+        self.raised.lock().unwrap_or_else(PoisonError::into_inner).take()
+    }
+
+    fn raise(&self, error: PyErr) {
+        self.stop.store(true, Ordering::Relaxed);
+        self.raised.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
+    }
+}
+
+impl Wanted {
+    fn parse(text: &str) -> Result<Self, Failure> {
+        serde_json::from_str(text).map_err(|e| Failure::Input(e.to_string()))
+    }
+
+    /// Calls `then` with the evaluation.
+    fn with_order<T>(
+        self,
+        drivers: &Drivers,
+        then: impl FnOnce(Order<'_>) -> Result<T, EvalError>,
+    ) -> Result<T, Failure> {
+        let suite = Suite::find(&self.suite).map_err(|e| Failure::Input(e.to_string()))?;
+        let options = EnvOptions {
+            termination: suite.termination,
+            detector: self.detector,
+            observation: self.observation,
+            ..EnvOptions::evaluation()
+        };
+        let order = Order {
+            selection: self.selection.in_traffic(&suite, &self.traffic),
+            suite,
+            shard: None,
+            resume: self.resume,
+            evaluation: Evaluation {
+                options,
+                jobs: self.jobs,
+                make_agent: &|spec| drivers.make(spec),
+                keep: if self.out.is_some() { self.keep } else { Keep::None },
+                build: wad_cosim::program::version(),
+                stop: &drivers.stop,
+            },
+            out: self.out,
+        };
+        then(order).map_err(failure)
     }
 }
 
@@ -151,83 +245,182 @@ pub fn evaluate(
     act: Option<Py<PyAny>>,
     watch: Option<Py<PyAny>>,
 ) -> PyResult<String> {
-    let wanted: Wanted = serde_json::from_str(wanted).map_err(|e| Failure::Input(e.to_string()))?;
-    let stop = Arc::new(AtomicBool::new(false));
-    let raised = Raised::default();
+    let wanted = Wanted::parse(wanted)?;
+    let drivers = Arc::new(Drivers::new(act, wanted.observation, &wanted.encoder));
     let thread = {
-        let (stop, raised) = (Arc::clone(&stop), Arc::clone(&raised));
+        let drivers = Arc::clone(&drivers);
         let spawned = std::thread::Builder::new().name("evaluation".to_string());
-        spawned.spawn(move || drive(wanted, act.map(Arc::new), watch, &stop, &raised))
+        spawned.spawn(move || drive(wanted, watch, &drivers))
     };
     let thread = thread.map_err(|e| Error::new_err(format!("cannot start a thread: {e}")))?;
     let mut interrupted = None;
     while !thread.is_finished() {
         py.detach(|| std::thread::sleep(Duration::from_millis(20)));
         if let Err(signal) = py.check_signals() {
-            stop.store(true, Ordering::Relaxed);
+            drivers.stop.store(true, Ordering::Relaxed);
             interrupted = Some(signal);
         }
     }
     let result = thread.join().unwrap_or_else(|_| Err(Failure::Other("the evaluation failed".to_string())));
-    let raised = raised.lock().unwrap_or_else(PoisonError::into_inner).take();
-    match interrupted.or(raised) {
+    match interrupted.or(drivers.raised()) {
         Some(error) => Err(error),
         None => Ok(result?),
     }
 }
 
-fn drive(
-    wanted: Wanted,
-    act: Option<Arc<Py<PyAny>>>,
-    watch: Option<Py<PyAny>>,
-    stop: &Arc<AtomicBool>,
-    raised: &Raised,
-) -> Result<String, Failure> {
-    let suite = Suite::find(&wanted.suite).map_err(|e| Failure::Input(e.to_string()))?;
-    let selection = wanted.selection.in_traffic(&suite, &wanted.traffic);
-    let options = EnvOptions {
-        termination: suite.termination,
-        detector: wanted.detector,
-        observation: wanted.observation,
-        ..EnvOptions::evaluation()
-    };
-    let (mode, camera, encoder) = (options.observation, options.camera, wanted.encoder);
-    let make_agent = |spec: &eval::DriverSpec| {
-        let Some(act) = &act else { return Made::trained(&spec.to_string(), None, &camera) };
-        let (act, raised, stop) = (Arc::clone(act), Arc::clone(raised), Arc::clone(stop));
-        let agent = PythonAgent { name: spec.to_string(), act, mode, raised, stop };
-        let encoder =
-            find_encoder(if mode.encodes() { &encoder } else { "pooled" }).map_err(EyesError::from)?;
-        let id = format!("of Python, {spec}, encoder {}", encoder.hash());
-        Ok(Made { agent: Box::new(agent), encoder, id })
-    };
-    let order = Order {
-        suite,
-        selection,
-        shard: None,
-        out: wanted.out.clone(),
-        resume: wanted.resume,
-        evaluation: Evaluation {
-            options,
-            jobs: wanted.jobs,
-            make_agent: &make_agent,
-            keep: wanted.out.map(|out| (out, wanted.keep)),
-            build: wad_cosim::program::version(),
-            stop,
-        },
-    };
-    let outcome = eval::evaluate(order, |progress| {
-        if let Some(watch) = &watch {
-            Python::attach(|py| {
-                if let Err(error) = watch.call1(py, (progress.done, progress.planned)) {
-                    stop.store(true, Ordering::Relaxed);
-                    raised.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
-                }
-            });
+fn drive(wanted: Wanted, watch: Option<Py<PyAny>>, drivers: &Drivers) -> Result<String, Failure> {
+    let outcome = wanted.with_order(drivers, |order| {
+        eval::evaluate(order, |progress| {
+            if let Some(watch) = &watch {
+                Python::attach(|py| {
+                    if let Err(error) = watch.call1(py, (progress.done, progress.planned)) {
+                        drivers.raise(error);
+                    }
+                });
+            }
+        })
+    })?;
+    json(&outcome.summary)
+}
+
+fn json(value: &impl Serialize) -> Result<String, Failure> {
+    serde_json::to_string(value).map_err(|e| Failure::Other(e.to_string()))
+}
+
+/// An evaluation's folder with its plan, for episodes that are driven elsewhere. It holds the folder's lock.
+#[pyclass(frozen)]
+pub struct Ledger(Mutex<Option<eval::Ledger>>);
+
+impl Ledger {
+    /// With the ledger, unless it is finished.
+    fn with<T>(&self, then: impl FnOnce(&mut eval::Ledger) -> Result<T, Failure>) -> PyResult<T> {
+        let mut ledger = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let finished = || Failure::Other("the evaluation is finished".to_string());
+        Ok(then(ledger.as_mut().ok_or_else(finished)?)?)
+    }
+}
+
+#[pymethods]
+impl Ledger {
+    /// Opens the folder; `act` is Python's driver, if it is one.
+    #[new]
+    fn new(py: Python<'_>, wanted: &str, act: Option<Py<PyAny>>) -> PyResult<Self> {
+        let wanted = Wanted::parse(wanted)?;
+        let drivers = Drivers::new(act, wanted.observation, &wanted.encoder);
+        let opened = py.detach(|| wanted.with_order(&drivers, |order| eval::Ledger::open(&order)));
+        Ok(Self(Mutex::new(Some(opened?.0))))
+    }
+
+    /// What the results are made by, in JSON: a [`Worker`] drives by it.
+    #[getter]
+    fn manifest(&self) -> PyResult<String> {
+        self.with(|ledger| json(ledger.manifest()))
+    }
+
+    /// Episodes of the plan.
+    #[getter]
+    fn planned(&self) -> PyResult<u64> {
+        self.with(|ledger| Ok(ledger.planned()))
+    }
+
+    /// Episodes with a result.
+    #[getter]
+    fn done(&self) -> PyResult<u64> {
+        self.with(|ledger| Ok(ledger.done()))
+    }
+
+    /// The episodes without a result, each in JSON.
+    fn left(&self) -> PyResult<Vec<String>> {
+        self.with(|ledger| ledger.left().iter().map(json).collect())
+    }
+
+    /// Takes what a [`Worker`] drove. False: the episode has a result already.
+    fn add(&self, py: Python<'_>, line: &[u8], recording: Option<(Vec<u8>, Vec<u8>)>) -> PyResult<bool> {
+        let record = serde_json::from_slice(line).map_err(|e| Failure::Other(e.to_string()))?;
+        let recording = recording.map(|(episode, states)| Packed { episode, states });
+        py.detach(|| self.with(|ledger| ledger.add(Driven { record, recording }).map_err(failure)))
+    }
+
+    /// Writes the table, gives summary.json's text, and frees the folder.
+    fn finish(&self) -> PyResult<String> {
+        let ledger = self.0.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let finished = || Failure::Other("the evaluation is finished".to_string());
+        Ok(json(&ledger.ok_or_else(finished)?.finish().map_err(failure)?)?)
+    }
+}
+
+/// Drives episodes of a [`Ledger`], wherever that is. Town and driver stay while they are the same.
+#[pyclass(frozen)]
+pub struct Worker {
+    manifest: Manifest,
+    keep: Keep,
+    drivers: Drivers,
+    warm: Mutex<Warm>,
+}
+
+/// What stays between episodes.
+#[derive(Default)]
+struct Warm {
+    worker: eval::Worker,
+    towns: Towns,
+    /// Towns and drivers that are those of the manifest.
+    checked: HashSet<(String, String)>,
+}
+
+#[pymethods]
+impl Worker {
+    /// For the evaluation of `manifest`; `act` is Python's driver, if it is one.
+    #[new]
+    fn new(manifest: &str, encoder: &str, keep: &str, act: Option<Py<PyAny>>) -> PyResult<Self> {
+        let input = |e: serde_json::Error| Failure::Input(format!("the evaluation's manifest: {e}"));
+        let manifest: Manifest = serde_json::from_str(manifest).map_err(input)?;
+        let keep = keep.parse().map_err(Failure::Input)?;
+        let drivers = Drivers::new(act, manifest.options.observation, encoder);
+        Ok(Self { manifest, keep, drivers, warm: Mutex::default() })
+    }
+
+    /// Drives an episode: its line in episodes.jsonl, and the recording's files if it is one to keep.
+    fn drive<'py>(&self, py: Python<'py>, case: &str) -> PyResult<Packet<'py>> {
+        let input = |e: serde_json::Error| Failure::Input(format!("an episode's case: {e}"));
+        let case: Case = serde_json::from_str(case).map_err(input)?;
+        let driven = py.detach(|| self.drive_case(&case).map_err(failure));
+        if let Some(error) = self.drivers.raised() {
+            return Err(error);
         }
-    });
-    let outcome = outcome.map_err(failure)?;
-    serde_json::to_string(&outcome.summary).map_err(|e| Failure::Other(e.to_string()))
+        let Driven { record, recording } = driven?;
+        let bytes = |bytes: &[u8]| PyBytes::new(py, bytes);
+        let recording = recording.map(|packed| (bytes(&packed.episode), bytes(&packed.states)));
+        Ok((bytes(json(&record)?.as_bytes()), recording))
+    }
+}
+
+/// A line, and the files of a recording.
+type Packet<'py> = (Bound<'py, PyBytes>, Option<(Bound<'py, PyBytes>, Bound<'py, PyBytes>)>);
+
+impl Worker {
+    fn drive_case(&self, case: &Case) -> Result<Driven, EvalError> {
+        let mut warm = self.warm.lock().unwrap_or_else(PoisonError::into_inner);
+        let Warm { worker, towns, checked } = &mut *warm;
+        let evaluation = Evaluation {
+            options: self.manifest.options.clone(),
+            jobs: 1,
+            make_agent: &|spec| self.drivers.make(spec),
+            keep: self.keep,
+            build: wad_cosim::program::version(),
+            stop: &self.drivers.stop,
+        };
+        let town = match towns.get(&case.town) {
+            Some(town) => Arc::clone(town),
+            None => Assets::load(&case.town)?,
+        };
+        towns.insert(case.town.clone(), Arc::clone(&town));
+        let pair = (case.town.clone(), case.agent.to_string());
+        if !checked.contains(&pair) {
+            self.manifest.require_here(&evaluation, &case.agent, &case.town, &town)?;
+            checked.insert(pair);
+        }
+        worker.drive(&evaluation, case, &town)
+    }
 }
 
 /// The tables of evaluations' folders as Markdown.

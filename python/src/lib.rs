@@ -4,6 +4,7 @@
 //! thread drives each environment, so that Python's lock is free meanwhile, signals are heard during long
 //! resets, and many environments run at once.
 
+mod collection;
 mod environments;
 mod episode;
 mod errors;
@@ -25,7 +26,11 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("VECTOR_SIZE", environments::VECTOR_SIZE)?;
     module.add("TRANSFORMED_SIZE", wad_cosim::perception::TRANSFORMED_SIZE)?;
     module.add_class::<environments::Environments>()?;
+    module.add_class::<collection::Collection>()?;
+    module.add_class::<collection::Collector>()?;
     module.add_class::<evaluation::LoadedAgent>()?;
+    module.add_class::<evaluation::Ledger>()?;
+    module.add_class::<evaluation::Worker>()?;
     module.add_function(wrap_pyfunction!(setup::bench, module)?)?;
     module.add_function(wrap_pyfunction!(setup::names, module)?)?;
     module.add_function(wrap_pyfunction!(setup::suites, module)?)?;

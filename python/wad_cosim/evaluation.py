@@ -33,11 +33,12 @@ def evaluate(
     traffic: str | Iterable[str] = (),
     episodes: int | None = None,
     seed: int | Iterable[int] = (),
-    jobs: int = 1,
+    jobs: int | None = None,
     out: str | os.PathLike[str] | None = None,
     resume: bool = False,
     keep: str = "failures",
     progress: bool = False,
+    ray: bool | str = False,
 ) -> Any:
     """Drives the episodes of a benchmark, as ``wad-cosim eval`` does.
 
@@ -54,11 +55,14 @@ def evaluate(
         encoder: What makes the latent of ``observation="latent"``.
         condition, task, town, weather, traffic, seed: Only these of the suite; one or several.
         episodes: Episodes per task, town and weather. Default: the suite's.
-        jobs: Environments in parallel. Several call the agent from as many threads, one at a time.
+        jobs: Environments in parallel. Several call the agent from as many threads, one at a time. Default: 1; with
+            ``ray`` as many as the cluster has cores.
         out: A folder for config.json, episodes.jsonl, summary.json and recordings.
         resume: Go on with the evaluation in ``out``.
         keep: Which episodes to record in ``out``: ``none``, ``failures`` or ``all``.
         progress: Say on stderr how far it is.
+        ray: Drive the episodes on a Ray cluster: ``True`` for the one that this process or machine is part of, ``local`` for one
+            of this machine alone, or an address. Each worker has a copy of the agent. Needs ``wad-cosim[ray]``.
 
     Returns:
         A row for each agent, condition, town and task: a pandas DataFrame where pandas is installed, else a list of
@@ -76,10 +80,61 @@ def evaluate(
     else:
         called = name or getattr(agent, "__name__", None) or type(agent).__name__
         act = _driver(agent, action)
-    wanted = {
+    wanted = wanted_by(
+        suite,
+        [called],
+        condition=condition,
+        task=task,
+        town=town,
+        weather=weather,
+        traffic=traffic,
+        seed=seed,
+        episodes=episodes,
+        observation=observation,
+        detector=detector,
+        encoder=encoder,
+        jobs=jobs,
+        out=out,
+        resume=resume,
+        keep=keep,
+    )
+    if ray:
+        from .ray import prepare
+
+        address = "auto" if ray is True else ray
+        prepare(address)
+        from .ray import evaluation as on_ray
+
+        summary = on_ray.evaluate(wanted, act, address=address, workers=jobs, progress=progress)
+    else:
+        summary = json.loads(_native.evaluate(json.dumps(wanted), act, _say if progress else None))
+    return _table(summary["totals"])
+
+
+def wanted_by(
+    suite: str,
+    agents: list[str],
+    *,
+    condition: str | Iterable[str],
+    task: str | Iterable[str],
+    town: str | Iterable[str],
+    weather: str | Iterable[str],
+    traffic: str | Iterable[str],
+    seed: int | Iterable[int],
+    episodes: int | None,
+    detector: str,
+    out: str | os.PathLike[str] | None,
+    resume: bool,
+    keep: str,
+    observation: str = "raw",
+    encoder: str | os.PathLike[str] = "default",
+    jobs: int | None = None,
+) -> dict[str, Any]:
+    """The evaluation as the simulator's half reads it; see :func:`evaluate`."""
+    return {
         "suite": suite,
         "selection": {
-            "agents": [called],
+            "agents": agents,
             "tasks": _list(task),
             "conditions": _list(condition),
             "towns": _list(town),
@@ -91,13 +146,11 @@ def evaluate(
         "observation": _MODES[observation],
         "detector": detector,
         "encoder": os.fspath(encoder),
-        "jobs": jobs,
+        "jobs": jobs or 1,
         "out": None if out is None else os.fspath(out),
         "resume": resume,
         "keep": keep,
     }
-    summary = json.loads(_native.evaluate(json.dumps(wanted), act, _say if progress else None))
-    return _table(summary["totals"])
 
 
 class TrainedAgent:

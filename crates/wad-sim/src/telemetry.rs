@@ -204,8 +204,25 @@ impl RunFolder {
 /// Writes pretty JSON beside its place and moves it there.
 pub fn write_json(path: &Path, value: &impl Serialize) -> Result<(), WriteError> {
     let fail = |source| WriteError { path: path.to_path_buf(), source };
-    let mut text = serde_json::to_vec_pretty(value).map_err(|e| fail(e.into()))?;
+    write_whole(path, &pretty_json(value).map_err(fail)?)
+}
+
+/// The bytes that [`write_json`] writes.
+pub fn pretty_json(value: &impl Serialize) -> std::io::Result<Vec<u8>> {
+    let mut text = serde_json::to_vec_pretty(value)?;
     text.push(b'\n');
-    let staging = path.with_extension("json.tmp");
-    std::fs::write(&staging, text).and_then(|()| std::fs::rename(&staging, path)).map_err(fail)
+    Ok(text)
+}
+
+/// Writes a file whole or not at all: beside its place, and moves it there.
+pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), WriteError> {
+    let mut staging = path.as_os_str().to_owned();
+    staging.push(".tmp");
+    let staging = PathBuf::from(staging);
+    let written = std::fs::write(&staging, bytes).and_then(|()| std::fs::rename(&staging, path));
+    written.map_err(|source| {
+        // On a full disk half a file would only take room.
+        let _ = std::fs::remove_file(&staging);
+        WriteError { path: path.to_path_buf(), source }
+    })
 }

@@ -157,7 +157,7 @@ pub fn run(suite: &str, args: Args) -> anyhow::Result<Exit> {
             options,
             jobs: args.jobs,
             make_agent: &make_agent,
-            keep: args.out.clone().map(|out| (out, args.keep)),
+            keep: if args.out.is_some() { args.keep } else { Keep::None },
             build: env!("WAD_COSIM_VERSION"),
             stop: &stop,
         },

@@ -59,7 +59,6 @@ pub struct Collected {
 struct Shared<'a> {
     options: &'a CollectOptions,
     assets: Arc<Assets>,
-    header: ShardHeader,
     missing: Vec<Segment>,
     next: AtomicUsize,
     /// Frames so far.
@@ -85,6 +84,180 @@ impl Shared<'_> {
     }
 }
 
+/// A dataset under collection: its plan, and each shard once, wherever its segment is driven.
+pub struct Collection {
+    options: CollectOptions,
+    town: String,
+    assets: Arc<Assets>,
+    segments: Vec<Segment>,
+    manifest: Manifest,
+    frames_before: usize,
+    began: Instant,
+    _lock: FolderLock,
+}
+
+impl Collection {
+    /// Opens the folder of `options`, and takes its lock.
+    ///
+    /// # Errors
+    /// The folder holds another dataset or is in use, or the town cannot be opened.
+    pub fn open(options: &CollectOptions) -> Result<Self, DatasetError> {
+        let began = Instant::now();
+        let config = match options.runs.first() {
+            Some(run) => run.options.bridge.config.clone(),
+            None => bundled::resolve(&options.town)?,
+        };
+        let file = config.file_name().map(|f| f.to_string_lossy().into_owned()).unwrap_or_default();
+        let town = file.split('.').next().unwrap_or("net").to_string();
+        if let Some(other) = options.runs.iter().map(RecordedRun::town).find(|other| *other != town) {
+            return Err(DatasetError::Towns { first: town, other });
+        }
+        let lock = FolderLock::take(&options.out)?;
+        let manifest = Manifest::new(options, &town);
+        if let Some(found) = Manifest::load(&options.out)? {
+            found.check_same(&manifest, &options.out)?;
+        }
+        manifest.save(&options.out)?;
+        let segments = if options.runs.is_empty() {
+            let dense = TrafficSpec::Dense.counts(&town).unwrap_or_default();
+            plan(options.frames, options.per_segment, &options.weathers, dense, options.seed)
+        } else {
+            RecordedRun::segments(&options.runs, &options.weathers, options.every)
+        };
+        let (_, frames_before) = missing_segments(&options.out, &segments)?;
+        Ok(Self {
+            options: options.clone(),
+            town,
+            assets: Assets::open(&config, false)?,
+            segments,
+            manifest,
+            frames_before,
+            began,
+            _lock: lock,
+        })
+    }
+
+    /// The town that is driven in.
+    pub fn assets(&self) -> &Arc<Assets> {
+        &self.assets
+    }
+
+    /// Frames of the whole plan.
+    pub fn wanted(&self) -> usize {
+        self.segments.iter().map(|segment| segment.frames).sum()
+    }
+
+    /// Segments without a complete shard, and the number of frames in complete shards.
+    ///
+    /// # Errors
+    /// A shard has another version.
+    pub fn missing(&self) -> Result<(Vec<Segment>, usize), DatasetError> {
+        missing_segments(&self.options.out, &self.segments)
+    }
+
+    /// Takes the shard that [`drive_segment`] made. False: it is there already, and nothing is written.
+    ///
+    /// # Errors
+    /// It is not the shard of that segment, or cannot be written.
+    pub fn put(&self, segment: &Segment, shard: &[u8]) -> Result<bool, DatasetError> {
+        let path = shard_path(&self.options.out, segment);
+        if ShardReader::open(&path).is_ok() {
+            return Ok(false);
+        }
+        let staging = path.with_extension("part");
+        let placed = std::fs::write(&staging, shard)
+            .and_then(|()| std::fs::File::open(&staging)?.sync_data())
+            .map_err(DatasetError::io("write", &staging))
+            .and_then(|()| match ShardReader::open(&staging)?.header().segment == *segment {
+                true => std::fs::rename(&staging, &path).map_err(DatasetError::io("write", &path)),
+                false => {
+                    Err(DatasetError::Torn { path: path.clone(), why: "of another segment".to_string() })
+                }
+            });
+        if placed.is_err() {
+            let _ = std::fs::remove_file(&staging);
+        }
+        placed.map(|()| true)
+    }
+
+    /// Writes the manifest, and says what is there. `interrupted`: collecting is to go on later.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn finish(mut self, interrupted: bool) -> Result<Collected, DatasetError> {
+        let (missing, frames) = self.missing()?;
+        let out = &self.options.out;
+        self.manifest.frames = frames;
+        if !interrupted {
+            self.manifest.state = State::Complete;
+            if missing.is_empty() {
+                // A run's frames are known at its end only.
+                self.manifest.frames_wanted = frames;
+            }
+            self.manifest.save(out)?;
+        }
+        let size = |segment| Some(std::fs::metadata(shard_path(out, segment)).ok()?.len());
+        let wall_seconds = self.began.elapsed().as_secs_f64();
+        let before = self.frames_before;
+        Ok(Collected {
+            out: out.clone(),
+            town: self.town,
+            frames,
+            frames_before: before,
+            shards: self.segments.len() - missing.len(),
+            bytes: self.segments.iter().filter_map(size).sum(),
+            wall_seconds,
+            frames_per_second: (frames - before.min(frames)) as f64 / wall_seconds.max(1e-9),
+            complete: missing.is_empty(),
+            interrupted,
+        })
+    }
+}
+
+/// The header of `segment`'s shard.
+fn header(options: &CollectOptions, segment: Segment) -> ShardHeader {
+    ShardHeader {
+        version: FORMAT_VERSION,
+        segment,
+        camera: CameraConfig::default().hash(),
+        camera_codec: options.camera.then(CameraCodec::best),
+    }
+}
+
+/// Drives one segment in the town `assets`, and gives the bytes of its shard: the machine that drives it need not be the one
+/// that keeps it.
+///
+/// # Errors
+/// SUMO fails, or the disk is full.
+pub fn drive_segment(
+    options: &CollectOptions,
+    assets: &Arc<Assets>,
+    segment: Segment,
+) -> Result<Vec<u8>, DatasetError> {
+    let system = |what| move |source| DatasetError::System { what, source };
+    let folder = tempfile::tempdir().map_err(system("make a temporary folder"))?;
+    let options = CollectOptions { out: folder.path().to_path_buf(), ..options.clone() };
+    let shared = Shared {
+        options: &options,
+        assets: Arc::clone(assets),
+        missing: vec![segment],
+        next: AtomicUsize::new(0),
+        frames: AtomicUsize::new(0),
+        failed: AtomicBool::new(false),
+        error: Mutex::new(None),
+        interrupt: &AtomicBool::new(false),
+        deadline: None,
+    };
+    runtime()?.block_on(collect_segment(&shared, segment))?;
+    let path = shard_path(&options.out, &segment);
+    std::fs::read(&path).map_err(DatasetError::io("read", &path))
+}
+
+fn runtime() -> Result<tokio::runtime::Runtime, DatasetError> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+    runtime.map_err(|source| DatasetError::System { what: "start the asynchronous runtime", source })
+}
+
 /// Collects a dataset, or continues one. Ends early, with finished shards kept, when `interrupt`
 /// becomes true or the time is up. `report` is called about ten times a second.
 ///
@@ -95,47 +268,20 @@ pub fn collect(
     interrupt: &AtomicBool,
     mut report: impl FnMut(Progress),
 ) -> Result<Collected, DatasetError> {
-    let began = Instant::now();
-    let config = match options.runs.first() {
-        Some(run) => run.options.bridge.config.clone(),
-        None => bundled::resolve(&options.town)?,
-    };
-    let file = config.file_name().map(|f| f.to_string_lossy().into_owned()).unwrap_or_default();
-    let town = file.split('.').next().unwrap_or("net").to_string();
-    if let Some(other) = options.runs.iter().map(RecordedRun::town).find(|other| *other != town) {
-        return Err(DatasetError::Towns { first: town, other });
-    }
-    let _lock = FolderLock::take(&options.out)?;
-    let mut manifest = Manifest::new(options, &town);
-    if let Some(found) = Manifest::load(&options.out)? {
-        found.check_same(&manifest, &options.out)?;
-    }
-    manifest.save(&options.out)?;
-    let dense = TrafficSpec::Dense.counts(&town).unwrap_or_default();
-    let segments = if options.runs.is_empty() {
-        plan(options.frames, options.per_segment, &options.weathers, dense, options.seed)
-    } else {
-        RecordedRun::segments(&options.runs, &options.weathers, options.every)
-    };
-    let (missing, frames_before) = missing_segments(&options.out, &segments)?;
+    let collection = Collection::open(options)?;
+    let (missing, frames_before) = collection.missing()?;
+    let wanted = collection.wanted();
     let shared = Shared {
         options,
-        assets: Assets::open(&config, false)?,
-        header: ShardHeader {
-            version: FORMAT_VERSION,
-            segment: segments.first().copied().unwrap_or_else(|| plan(1, 1, &[], dense, 0)[0]),
-            camera: CameraConfig::default().hash(),
-            camera_codec: options.camera.then(CameraCodec::best),
-        },
+        assets: Arc::clone(collection.assets()),
         missing,
         next: AtomicUsize::new(0),
         frames: AtomicUsize::new(frames_before),
         failed: AtomicBool::new(false),
         error: Mutex::new(None),
         interrupt,
-        deadline: options.time_limit.map(|limit| began + limit),
+        deadline: options.time_limit.map(|limit| collection.began + limit),
     };
-    let wanted = segments.iter().map(|segment| segment.frames).sum();
     std::thread::scope(|scope| {
         let jobs = options.jobs.clamp(1, shared.missing.len().max(1));
         let workers: Vec<_> = (0..jobs)
@@ -156,34 +302,9 @@ pub fn collect(
     if let Some(error) = error.filter(|_| !interrupted) {
         return Err(error);
     }
-    let (missing, frames) = missing_segments(&options.out, &segments)?;
-    manifest.frames = frames;
-    if !interrupted {
-        manifest.state = State::Complete;
-        if missing.is_empty() {
-            // A run's frames are known at its end only.
-            manifest.frames_wanted = frames;
-        }
-        manifest.save(&options.out)?;
-    }
-    let bytes = segments
-        .iter()
-        .filter_map(|segment| Some(std::fs::metadata(shard_path(&options.out, segment)).ok()?.len()))
-        .sum();
-    let wall_seconds = began.elapsed().as_secs_f64();
-    report(Progress { frames, wanted });
-    Ok(Collected {
-        out: options.out.clone(),
-        town,
-        frames,
-        frames_before,
-        shards: segments.len() - missing.len(),
-        bytes,
-        wall_seconds,
-        frames_per_second: (frames - frames_before.min(frames)) as f64 / wall_seconds.max(1e-9),
-        complete: missing.is_empty(),
-        interrupted,
-    })
+    let collected = collection.finish(interrupted)?;
+    report(Progress { frames: collected.frames, wanted });
+    Ok(collected)
 }
 
 /// Segments without a complete shard, and the number of frames in complete shards. A torn shard is missing.
@@ -205,11 +326,9 @@ fn work(shared: &Shared<'_>, job: usize) {
     if let Some(core) = Cores::nth(job) {
         core.confine(0);
     }
-    let runtime = match tokio::runtime::Builder::new_current_thread().enable_all().build() {
+    let runtime = match runtime() {
         Ok(runtime) => runtime,
-        Err(source) => {
-            return shared.fail(DatasetError::System { what: "start the asynchronous runtime", source });
-        }
+        Err(error) => return shared.fail(error),
     };
     while !shared.is_over() {
         let Some(segment) = shared.missing.get(shared.next.fetch_add(1, Ordering::Relaxed)) else { return };
@@ -223,8 +342,8 @@ async fn collect_segment(shared: &Shared<'_>, segment: Segment) -> Result<(), Da
     let options = shared.options;
     let scratch = tempfile::tempdir()
         .map_err(|source| DatasetError::System { what: "make a temporary folder", source })?;
-    let header = ShardHeader { segment, ..shared.header.clone() };
-    let mut shard = ShardWriter::create(&shard_path(&options.out, &segment), &header)?;
+    let path = shard_path(&options.out, &segment);
+    let mut shard = ShardWriter::create(&path, &header(options, segment))?;
     if let Some(run) = options.runs.get(segment.index / options.weathers.len().max(1)) {
         return collect_run(shared, run, segment, shard, scratch.path()).await;
     }

@@ -24,7 +24,7 @@ mod shard;
 #[cfg(test)]
 pub mod testing;
 
-pub use collect::{Collected, Progress, collect};
+pub use collect::{Collected, Collection, Progress, collect, drive_segment};
 pub use error::DatasetError;
 pub use folder::{Dataset, FORMAT_VERSION, Manifest, Role, State};
 pub use image_codec::{CameraCodec, decode_camera, decode_png, encode_png};

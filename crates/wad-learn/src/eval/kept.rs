@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use wad_sim::criteria::Event;
 use wad_sim::replay::{self, Body, Header, Moment, Recorder, Recording, ReplayError};
-use wad_sim::telemetry::write_json;
+use wad_sim::telemetry::{WriteError, pretty_json, write_whole};
 use wad_vehicle::Control;
 
 /// `episode.json`: everything that is needed to drive the episode again.
@@ -51,22 +51,17 @@ pub enum KeptError {
 const FILE: &str = "episode.json";
 
 impl Kept {
-    /// Writes the folder.
+    /// The folder's files, to be written here or elsewhere.
     ///
     /// # Errors
-    /// It cannot be written.
-    pub fn save(&self, folder: &Path, recorder: &Recorder) -> Result<(), KeptError> {
-        std::fs::create_dir_all(folder).map_err(|source| KeptError::File {
+    /// The episode cannot be said in JSON.
+    pub fn pack(&self, recorder: &Recorder) -> Result<Packed, KeptError> {
+        let episode = pretty_json(self).map_err(|source| KeptError::File {
             what: "make",
-            path: folder.to_path_buf(),
+            path: FILE.into(),
             source,
         })?;
-        recorder.save(&folder.join(replay::FILE))?;
-        write_json(&folder.join(FILE), self).map_err(|e| KeptError::File {
-            what: "write",
-            path: e.path,
-            source: e.source,
-        })
+        Ok(Packed { episode, states: recorder.bytes() })
     }
 
     /// Reads the folder.
@@ -83,6 +78,31 @@ impl Kept {
         let kept = serde_json::from_str(&text)
             .map_err(|e| KeptError::Format { path: folder.to_path_buf(), why: format!("{FILE}: {e}") })?;
         Ok((kept, Recording::open(folder)?))
+    }
+}
+
+/// The files of a kept episode: the machine that drives it need not be the one that keeps it.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Packed {
+    /// `episode.json`.
+    pub episode: Vec<u8>,
+    /// `states.jsonl.gz`.
+    pub states: Vec<u8>,
+}
+
+impl Packed {
+    /// Writes the folder, each file whole or not at all.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn write(&self, folder: &Path) -> Result<(), KeptError> {
+        let file = |what, path, source| KeptError::File { what, path, source };
+        std::fs::create_dir_all(folder).map_err(|source| file("make", folder.to_path_buf(), source))?;
+        for (name, bytes) in [(replay::FILE, &self.states), (FILE, &self.episode)] {
+            let failed = |e: WriteError| file("write", e.path, e.source);
+            write_whole(&folder.join(name), bytes).map_err(failed)?;
+        }
+        Ok(())
     }
 }
 

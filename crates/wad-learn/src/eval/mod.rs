@@ -24,12 +24,13 @@ mod tally;
 pub mod verify;
 
 pub use crate::driver::{Driver, DriverError, DriverSpec, Made};
+pub use kept::Packed;
 pub use manifest::Manifest;
-pub use order::{Order, Outcome, Progress, Towns, evaluate, plan};
+pub use order::{Ledger, Order, Outcome, Progress, Towns, evaluate, plan};
 pub use plan::{Case, Selection, Shard};
 pub use record::{EpisodeRecord, Fault, RecordingFolder};
 pub use rows::{Row, Score, grouped, rows, wilson};
-pub use runner::{EvalError, Evaluation, Keep, MakeAgent, run};
+pub use runner::{Driven, EvalError, Evaluation, Keep, MakeAgent, Worker, run};
 pub use store::{Results, Store, StoreError, in_order};
 pub use suite::{Condition, Suite, SuiteError, SuiteTask, condition_name, names};
 pub use summary::{Summary, Total};

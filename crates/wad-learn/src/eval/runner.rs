@@ -1,19 +1,18 @@
 //! Drives the episodes of a plan, several at a time.
 
-use super::kept::{self, Kept};
+use super::kept::{self, Kept, Packed};
 use super::record::Fault;
 use super::tally::Tally;
 use super::{Case, Driver, DriverError, DriverSpec, EpisodeRecord, Made, RecordingFolder};
 use crate::env::{Assets, End, Ending, Env, EnvError, EnvOptions, ObservationMode};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 use std::str::FromStr;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, mpsc};
 use wad_see::latent::{Encoder, PooledEncoder};
 use wad_sim::assets::AssetsError;
-use wad_sim::replay::{Moment, Recorder, ReplayError};
+use wad_sim::replay::{Moment, Recorder};
 use wad_vehicle::Control;
 
 /// Why an evaluation stopped.
@@ -37,9 +36,21 @@ pub enum EvalError {
     /// Results cannot be stored.
     #[error(transparent)]
     Store(#[from] super::StoreError),
-    /// A recording cannot be written.
-    #[error(transparent)]
-    Replay(#[from] ReplayError),
+    /// An episode of another plan.
+    #[error("the episode {name} is not in this evaluation's plan")]
+    Unplanned {
+        /// Its name.
+        name: String,
+    },
+    /// This machine would drive the evaluation otherwise than the one that keeps its results.
+    #[error(
+        "this machine would drive the evaluation otherwise than the one that keeps its results: {}; install the same \
+         build, SUMO, towns and weights on both", differences.join("; ")
+    )]
+    Elsewhere {
+        /// What differs: expected there, found here.
+        differences: Vec<String>,
+    },
     /// A kept episode cannot be written.
     #[error(transparent)]
     Kept(#[from] kept::KeptError),
@@ -82,16 +93,24 @@ pub struct Evaluation<'a> {
     pub jobs: usize,
     /// Makes trained and external agents.
     pub make_agent: &'a MakeAgent<'a>,
-    /// The evaluation's folder, and the episodes to keep in it; None: nothing is kept.
-    pub keep: Option<(PathBuf, Keep)>,
+    /// The episodes to record.
+    pub keep: Keep,
     /// The program's version, for kept episodes.
     pub build: &'a str,
     /// Set it to stop after the running episodes.
     pub stop: &'a AtomicBool,
 }
 
-/// Drives the episodes of `plan` in `towns`. `done` gets each one's record when it ends, in any
-/// order.
+/// An episode that was driven.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Driven {
+    /// Its result.
+    pub record: EpisodeRecord,
+    /// Its recording, if it is one to keep.
+    pub recording: Option<Packed>,
+}
+
+/// Drives the episodes of `plan` in `towns`. `done` gets each one when it ends, in any order.
 ///
 /// # Errors
 /// A town, a task or an agent cannot be opened, or `done` fails. Finished episodes stay with `done`.
@@ -99,7 +118,7 @@ pub fn run(
     plan: &[Case],
     towns: &BTreeMap<String, Arc<Assets>>,
     evaluation: &Evaluation<'_>,
-    mut done: impl FnMut(EpisodeRecord) -> Result<(), EvalError>,
+    mut done: impl FnMut(Driven) -> Result<(), EvalError>,
 ) -> Result<(), EvalError> {
     let next = AtomicUsize::new(0);
     let failed = AtomicBool::new(false);
@@ -109,14 +128,15 @@ pub fn run(
             let sender = sender.clone();
             let (next, failed) = (&next, &failed);
             scope.spawn(move || {
-                let mut worker = Worker { evaluation, towns, current: None };
+                let mut worker = Worker::default();
                 loop {
                     let stopped = evaluation.stop.load(Ordering::Relaxed) || failed.load(Ordering::Relaxed);
                     let index = next.fetch_add(1, Ordering::Relaxed);
                     let Some(case) = plan.get(index).filter(|_| !stopped) else { break };
-                    let record = worker.drive(case);
-                    failed.fetch_or(record.is_err(), Ordering::Relaxed);
-                    if sender.send(record).is_err() {
+                    let town = towns.get(&case.town).ok_or_else(|| EnvError::NoEpisode.into());
+                    let driven = town.and_then(|town| worker.drive(evaluation, case, town));
+                    failed.fetch_or(driven.is_err(), Ordering::Relaxed);
+                    if sender.send(driven).is_err() {
                         break;
                     }
                 }
@@ -124,8 +144,8 @@ pub fn run(
         }
         drop(sender);
         let mut result = Ok(());
-        for record in receiver {
-            let outcome = record.and_then(&mut done);
+        for driven in receiver {
+            let outcome = driven.and_then(&mut done);
             failed.fetch_or(outcome.is_err(), Ordering::Relaxed);
             // The first error is returned; episodes that other jobs finished meanwhile are kept.
             if result.is_ok() {
@@ -137,53 +157,52 @@ pub fn run(
 }
 
 /// One thread's environment and driver, kept while town and agent stay.
-struct Worker<'a> {
-    evaluation: &'a Evaluation<'a>,
-    towns: &'a BTreeMap<String, Arc<Assets>>,
+#[derive(Default)]
+pub struct Worker {
     current: Option<(String, DriverSpec, Env, Driver)>,
 }
 
-impl Worker<'_> {
-    fn drive(&mut self, case: &Case) -> Result<EpisodeRecord, EvalError> {
+impl Worker {
+    /// Drives one episode of `evaluation` in its town `assets`; once more if SUMO dies.
+    ///
+    /// # Errors
+    /// The environment, the task or the agent cannot be opened.
+    pub fn drive(
+        &mut self,
+        evaluation: &Evaluation<'_>,
+        case: &Case,
+        assets: &Arc<Assets>,
+    ) -> Result<Driven, EvalError> {
         let fits = |(town, agent, ..): &(String, DriverSpec, Env, Driver)| {
             (town, agent) == (&case.town, &case.agent)
         };
         if !self.current.as_ref().is_some_and(fits) {
             // The old environment's SUMO ends before the new one starts.
             self.current = None;
-            let (env, driver) = self.make(case)?;
+            let (env, driver) = make(assets, &evaluation.options, &case.agent, evaluation.make_agent)?;
             self.current = Some((case.town.clone(), case.agent.clone(), env, driver));
         }
-        let evaluation = self.evaluation;
         let Some((_, _, env, driver)) = &mut self.current else { return Err(EnvError::NoEpisode.into()) };
-        let keeps = evaluation.keep.as_ref().is_some_and(|(_, keep)| *keep != Keep::None);
+        let keeps = evaluation.keep != Keep::None;
         let (mut record, mut recorder) = drive(env, driver, case, keeps)?;
         if record.fault == Some(Fault::Simulator) {
             let cause = &record.ending.cause;
             tracing::warn!("`{}` episode {} is driven again: {cause}", case.task, case.episode);
             (record, recorder) = drive(env, driver, case, keeps)?;
         }
-        let wanted = |keep: Keep| keep == Keep::All || keep == Keep::Failures && !record.ending.success;
-        let keep = evaluation.keep.as_ref().filter(|(_, keep)| wanted(*keep));
-        if let (Some((folder, _)), Some(recorder)) = (keep, recorder) {
-            let recording = RecordingFolder::of(case);
-            let place = recording.within(folder);
-            record.recording = Some(recording);
+        let wanted = evaluation.keep == Keep::All || !record.ending.success;
+        let mut recording = None;
+        if let Some(recorder) = recorder.filter(|_| wanted) {
+            record.recording = Some(RecordingFolder::of(case));
             let kept = Kept {
                 build: evaluation.build.to_string(),
                 net: env.assets().net_hash().to_string(),
                 options: env.options().clone(),
                 episode: record.clone(),
             };
-            kept.save(&place, &recorder)?;
+            recording = Some(kept.pack(&recorder)?);
         }
-        Ok(record)
-    }
-
-    fn make(&self, case: &Case) -> Result<(Env, Driver), EvalError> {
-        let Some(assets) = self.towns.get(&case.town) else { return Err(EnvError::NoEpisode.into()) };
-        let evaluation = self.evaluation;
-        make(assets, &evaluation.options, &case.agent, evaluation.make_agent)
+        Ok(Driven { record, recording })
     }
 }
 

@@ -7,6 +7,7 @@
 //! | `summary.json` | the table in the plan's order, whatever the order of driving |
 //! | `episodes/NAME/` | the recording of each failed episode, for `replay` |
 
+use super::kept::{KeptError, Packed};
 use super::record::RECORDINGS;
 use super::{Case, EpisodeRecord, Manifest, RecordingFolder};
 use crate::folder_lock::{FolderLock, LockError};
@@ -100,6 +101,8 @@ pub enum StoreError {
 pub struct Store {
     path: PathBuf,
     episodes: File,
+    /// Length of the whole lines (bytes).
+    whole: u64,
     _lock: FolderLock,
 }
 
@@ -220,7 +223,7 @@ fn leads_out(line: &[u8]) -> Option<String> {
 }
 
 /// Cases as text, because floating-point numbers have no total order and no hash.
-fn key(case: &Case) -> String {
+pub(super) fn key(case: &Case) -> String {
     serde_json::to_string(case).unwrap_or_default()
 }
 
@@ -257,7 +260,7 @@ impl Store {
         let lines = path.join(EPISODES);
         let open =
             || OpenOptions::new().append(true).create(true).open(&lines).map_err(file("write", &lines));
-        let mut episodes = Vec::new();
+        let (mut episodes, mut whole) = (Vec::new(), 0);
         let log = if goes_on {
             let log = open()?;
             let results = Results::open(path)?;
@@ -267,7 +270,7 @@ impl Store {
             }
             results.unread().iter().for_each(|remark| tracing::warn!("{remark}"));
             log.set_len(results.whole).map_err(file("write", &lines))?;
-            episodes = results.episodes;
+            (episodes, whole) = (results.episodes, results.whole);
             log
         } else {
             // Another process may have ended since.
@@ -279,7 +282,7 @@ impl Store {
             })?;
             open()?
         };
-        Ok((Self { path: path.to_path_buf(), episodes: log, _lock: lock }, episodes))
+        Ok((Self { path: path.to_path_buf(), episodes: log, whole, _lock: lock }, episodes))
     }
 
     /// Appends an episode.
@@ -290,7 +293,21 @@ impl Store {
         let failed = |source| StoreError::File { what: "write", path: self.path.join(EPISODES), source };
         let mut line = serde_json::to_vec(record).map_err(|e| failed(e.into()))?;
         line.push(b'\n');
-        self.episodes.write_all(&line).map_err(failed)
+        if let Err(error) = self.episodes.write_all(&line) {
+            // The next line must not go on where a full disk cut this one.
+            let _ = self.episodes.set_len(self.whole);
+            return Err(failed(error));
+        }
+        self.whole += line.len() as u64;
+        Ok(())
+    }
+
+    /// Writes the recording of an episode, before its line is appended.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn keep(&self, recording: &RecordingFolder, files: &Packed) -> Result<(), KeptError> {
+        files.write(&recording.within(&self.path))
     }
 
     /// Writes `summary.json`.

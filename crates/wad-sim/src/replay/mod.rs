@@ -291,7 +291,7 @@ mod tests {
     #[test]
     fn what_was_recorded_is_read_back() {
         let folder = tempfile::tempdir().unwrap();
-        recorded().save(&folder.path().join(FILE)).unwrap();
+        std::fs::write(folder.path().join(FILE), recorded().bytes()).unwrap();
         let recording = Recording::open(folder.path()).unwrap();
         assert_eq!((recording.header().town.as_str(), recording.frames().len()), ("town3", 3));
         let last = &recording.frames()[2];
@@ -325,7 +325,7 @@ mod tests {
         second.vehicles[0].pose.position.x = f64::from_bits(1.0_f64.to_bits() + 1);
         let other = Moment { world: &second, ..moment };
         assert_ne!(digest(&moment), digest(&other));
-        changed.save(&folder.path().join(FILE)).unwrap();
+        std::fs::write(folder.path().join(FILE), changed.bytes()).unwrap();
         let recording = Recording::open(folder.path()).unwrap();
         assert_eq!(recording.frames()[3].bits, digest(&moment));
     }
@@ -335,7 +335,7 @@ mod tests {
         use std::io::Write;
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join(FILE);
-        recorded().save(&path).unwrap();
+        std::fs::write(&path, recorded().bytes()).unwrap();
         let mut text = String::new();
         GzDecoder::new(File::open(&path).unwrap()).read_to_string(&mut text).unwrap();
         let lines: Vec<&str> = text.lines().collect();
@@ -360,7 +360,7 @@ mod tests {
         let path = folder.path().join(FILE);
         let error = Recording::open(&path).unwrap_err().to_string();
         assert!(error.contains("states.jsonl.gz"), "{error}");
-        recorded().save(&path).unwrap();
+        std::fs::write(&path, recorded().bytes()).unwrap();
         let bytes = std::fs::read(&path).unwrap();
         for keep in [0, 10, bytes.len() / 2, bytes.len() - 1] {
             std::fs::write(&path, &bytes[..keep]).unwrap();

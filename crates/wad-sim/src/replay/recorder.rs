@@ -1,13 +1,11 @@
 //! Records a drive in memory, until it is clear whether to keep it.
 
-use super::ReplayError;
 use super::format::{ActorLine, Header, Line, NewLine, TypeLine, ego_numbers};
 use crate::criteria::Event;
 use flate2::Compression;
 use flate2::write::GzEncoder;
 use std::collections::HashSet;
 use std::io::Write;
-use std::path::Path;
 use std::sync::Arc;
 use sumo_network::world::{Actor, WorldState};
 use wad_vehicle::{Control, EgoState};
@@ -98,20 +96,12 @@ impl Recorder {
         }
     }
 
-    /// Writes the file, whole or not at all.
-    ///
-    /// # Errors
-    /// It cannot be written.
-    pub fn save(&self, path: &Path) -> Result<(), ReplayError> {
-        let failed = |source| ReplayError::File { what: "write", path: path.to_path_buf(), source };
-        let part = path.with_extension("part");
-        let file = std::fs::File::create(&part).map_err(failed)?;
-        let mut encoder = GzEncoder::new(file, Compression::fast());
-        encoder
-            .write_all(&self.text)
-            .and_then(|()| encoder.finish())
-            .and_then(|_| std::fs::rename(&part, path))
-            .map_err(failed)
+    /// The file's bytes.
+    pub fn bytes(&self) -> Vec<u8> {
+        let mut encoder = GzEncoder::new(Vec::new(), Compression::fast());
+        // Writing into memory cannot fail.
+        let _ = encoder.write_all(&self.text);
+        encoder.finish().unwrap_or_default()
     }
 }
 

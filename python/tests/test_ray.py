@@ -1,0 +1,296 @@
+"""Evaluation on Ray: the table of one machine, whatever dies on the way."""
+
+import json
+import os
+import pathlib
+import random
+import resource
+import signal
+import subprocess
+import sys
+import uuid
+
+import pytest
+from conftest import until
+
+import wad_cosim
+from wad_cosim import _native
+from wad_cosim.evaluation import wanted_by
+
+# Before Ray is imported: on loopback, and with a token of its own.
+os.environ.update(
+    RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER="0",
+    RAY_AUTH_MODE="token",
+    RAY_AUTH_TOKEN=uuid.uuid4().hex,
+    RAY_USAGE_STATS_ENABLED="0",
+)
+pytest.importorskip("ray")
+from ray.cluster_utils import Cluster  # noqa: E402
+
+PART = {"condition": "development", "task": "obstacle", "weather": "ClearNoon", "seed": 3, "episodes": 8}
+AGENT = "constant:0.3,0,0"
+NO_MORE = {"town": (), "traffic": (), "resume": False}
+EPISODES = PART["episodes"]
+#: Which of the nodes dies, and after how many episodes: the same in every run.
+SCHEDULE = random.Random(22)
+#: What a full disk is in these tests (bytes): the settings and some episodes fit.
+LIMIT = 6000
+#: In the environment of every process of these tests.
+MARK = f"WAD_COSIM_TEST={uuid.uuid4()}"
+
+
+def processes(name):
+    """Processes of these tests whose command begins with ``name``."""
+    found = []
+    for pid in filter(str.isdigit, os.listdir("/proc")):
+        try:
+            command = pathlib.Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")[0].decode()
+            marked = MARK.encode() in pathlib.Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
+        except OSError:
+            continue
+        if marked and os.path.basename(command).startswith(name):
+            found.append(int(pid))
+    return found
+
+
+def lines(out):
+    """The episodes' lines, in no order: they come as episodes end."""
+    file = out / "episodes.jsonl"
+    return sorted(file.read_bytes().splitlines(keepends=True)) if file.exists() else []
+
+
+def assert_same(out, one_machine):
+    """Nothing lost, nothing twice, the same table; and nothing left running."""
+    assert lines(out) == lines(one_machine) and len(lines(out)) == EPISODES
+    for name in ("config.json", "summary.json"):
+        assert (out / name).read_bytes() == (one_machine / name).read_bytes()
+    assert until(lambda: not processes("sumo")), "a SUMO is left"
+
+
+@pytest.fixture(scope="module")
+def one_machine(tmp_path_factory):
+    out = tmp_path_factory.mktemp("one") / "machine"
+    wad_cosim.evaluate("tasks", AGENT, **PART, out=out, keep="all")
+    return out
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    name, value = MARK.split("=")
+    os.environ[name] = value
+    # A node that does not answer counts as dead after three seconds, not after half a minute.
+    health = {"health_check_initial_delay_ms": 0, "health_check_period_ms": 500, "health_check_timeout_ms": 500}
+    config = {**health, "health_check_failure_threshold": 5}
+    head = {"num_cpus": 0, "include_dashboard": False, "node_ip_address": "127.0.0.1", "_system_config": config}
+    cluster = Cluster(initialize_head=True, head_node_args=head)
+    yield cluster
+    cluster.shutdown()
+    del os.environ[name]
+    assert until(lambda: not processes("ray")), "a worker is left"
+
+
+@pytest.fixture
+def nodes(cluster):
+    """Two nodes of one core each; those of the test before, if they live."""
+    while len(cluster.worker_nodes) < 2:
+        cluster.add_node(num_cpus=1, node_ip_address="127.0.0.1")
+    return sorted(cluster.worker_nodes, key=lambda node: raylet(node))
+
+
+@pytest.fixture
+def start(cluster):
+    """Starts a command of ``python -m wad_cosim.ray`` on the cluster; ``limit``: the longest file that it can write."""
+    drivers = []
+
+    def start(command, out, *more, limit=None):
+        whole = [sys.executable, "-m", "wad_cosim.ray", *command, "--address", cluster.address, "--out", str(out), *more]
+        before = (lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))) if limit else None
+        drivers.append(subprocess.Popen(whole, stdout=-1, stderr=-1, text=True, preexec_fn=before))
+        return drivers[-1]
+
+    yield start
+    for driver in drivers:
+        driver.kill()
+        driver.communicate()
+
+
+@pytest.fixture
+def drive(start):
+    """Starts the evaluation."""
+    options = [text for name, value in PART.items() for text in (f"--{name}", str(value))]
+    command = ["eval", "tasks", "--agent", AGENT, "--keep", "all", *options]
+    return lambda out, *more, limit=None: start(command, out, *more, limit=limit)
+
+
+def finish(driver, code=0):
+    """The driver's words, when it has ended as expected."""
+    said = "\n".join(driver.communicate(timeout=100))
+    assert driver.returncode == code, said
+    return said
+
+
+def children(pid, name):
+    """Processes called ``name`` below ``pid``."""
+    parents = {}
+    for other in processes(name):
+        parent = other
+        while parent > 1 and parent != pid:
+            parent = int(pathlib.Path(f"/proc/{parent}/stat").read_text().rsplit(")", 1)[1].split()[1])
+        parents[other] = parent
+    return [other for other, parent in parents.items() if parent == pid]
+
+
+def raylet(node):
+    return node.all_processes["raylet"][0].process.pid
+
+
+def kill_worker(cluster, node):
+    assert until(lambda: children(raylet(node), "sumo"))
+    for worker in children(raylet(node), "ray::Worker"):
+        os.kill(worker, signal.SIGKILL)
+
+
+def kill_sumo(cluster, node):
+    assert until(lambda: children(raylet(node), "sumo"))
+    for sumo in children(raylet(node), "sumo"):
+        os.kill(sumo, signal.SIGKILL)
+
+
+def kill_node(cluster, node):
+    cluster.remove_node(node, allow_graceful=False)
+
+
+def stop_node(cluster, node):
+    """It hangs until it counts as dead, and comes back."""
+    stopped = [raylet(node), *children(raylet(node), "ray::Worker"), *children(raylet(node), "sumo")]
+    for pid in stopped:
+        os.kill(pid, signal.SIGSTOP)
+    import ray
+
+    ray.init(cluster.address, log_to_driver=False)
+    try:
+        assert until(lambda: sum(found["Alive"] for found in ray.nodes()) == 2)
+    finally:
+        ray.shutdown()
+        for pid in stopped:
+            os.kill(pid, signal.SIGCONT)
+    # Ray's part of it ends itself, since the cluster goes on without it. Its workers end when it is gone; a zombie is not.
+    node.all_processes["raylet"][0].process.wait(30)
+    cluster.remove_node(node, allow_graceful=False)
+
+
+@pytest.mark.parametrize("fault", [kill_worker, kill_sumo, kill_node, stop_node])
+def test_a_death_on_the_way_changes_nothing(cluster, nodes, drive, one_machine, tmp_path, fault):
+    out = tmp_path / "out"
+    victim, after = SCHEDULE.choice(nodes), SCHEDULE.randrange(1, 4)
+    driver = drive(out)
+    assert until(lambda: len(lines(out)) >= after or driver.poll() is not None, 60)
+    assert driver.poll() is None, finish(driver)
+    fault(cluster, victim)
+    finish(driver)
+    assert_same(out, one_machine)
+
+
+def test_a_driver_that_dies_is_resumed_and_another_is_refused(nodes, drive, one_machine, tmp_path):
+    out = tmp_path / "out"
+    first = drive(out)
+    assert until(lambda: len(lines(out)) >= 1, 60)
+    assert "another process" in finish(drive(out, "--resume"), 2)
+    first.kill()
+    first.wait()
+    assert until(lambda: not processes("sumo")), "a SUMO outlives the driver"
+    before = len(lines(out))
+    second = drive(out, "--resume")
+    assert until(lambda: len(lines(out)) > before, 60)
+    second.send_signal(signal.SIGINT)
+    assert "--resume goes on" in finish(second, 4)
+    done = len(lines(out))
+    assert json.loads((out / "summary.json").read_text())["episodes"] == done > before
+    finish(drive(out, "--resume"))
+    assert_same(out, one_machine)
+
+
+def test_a_full_disk_at_the_driver_costs_the_rest_only(nodes, drive, one_machine, tmp_path):
+    out = tmp_path / "out"
+    # Recordings are larger than some lines: without them it is a line that does not fit.
+    said = finish(drive(out, "--keep", "none", limit=LIMIT), 1)
+    assert "episodes.jsonl" in said
+    kept = lines(out)
+    assert 0 < len(kept) < EPISODES and all(line.endswith(b"\n") for line in kept)
+    finish(drive(out, "--resume", "--keep", "all"))
+
+    def results(folder):
+        return sorted(str({**json.loads(line), "recording": None}) for line in lines(folder))
+
+    assert results(out) == results(one_machine)
+    assert (out / "summary.json").read_bytes() == (one_machine / "summary.json").read_bytes()
+
+
+def test_python_asks_for_ray(cluster, nodes, one_machine, tmp_path):
+    out = tmp_path / "out"
+    table = wad_cosim.evaluate("tasks", AGENT, **PART, out=out, keep="all", ray=cluster.address)
+    assert len(table) == 1
+    assert_same(out, one_machine)
+    recordings = sorted(path.relative_to(out) for path in (out / "episodes").rglob("*") if path.is_file())
+    assert len(recordings) == 2 * EPISODES
+    for name in recordings:
+        assert (out / name).read_bytes() == (one_machine / name).read_bytes()
+    with pytest.raises(wad_cosim.InputError, match="holds results already"):
+        wad_cosim.evaluate("tasks", AGENT, **PART, out=out, ray=cluster.address)
+
+    def broken(_):
+        raise ZeroDivisionError("by hand")
+
+    with pytest.raises(ZeroDivisionError, match="by hand"):
+        wad_cosim.evaluate("tasks", broken, detector="outlines", **PART, ray=cluster.address)
+
+
+def test_an_episode_counts_once_and_is_driven_by_the_same_build(tmp_path):
+    part = {**PART, **NO_MORE, "episodes": 1}
+    wanted = wanted_by("tasks", [AGENT], **part, detector="truth", out=tmp_path / "a", keep="all")
+    ledger = _native.Ledger(json.dumps(wanted), None)
+    (case,) = ledger.left()
+    worker = _native.Worker(ledger.manifest, "default", "all", None)
+    driven = worker.drive(case)
+    assert driven == worker.drive(case), "equal cases give equal bytes"
+    assert [ledger.add(*driven), ledger.add(*driven)] == [True, False] and not ledger.left()
+    assert len(lines(tmp_path / "a")) == 1
+    foreign = json.loads(driven[0]) | {"episode": 7}
+    with pytest.raises(wad_cosim.Error, match="not in this evaluation's plan"):
+        ledger.add(json.dumps(foreign).encode(), None)
+    manifest = json.loads(ledger.manifest) | {"build": "0.0.1 (elsewhere)"}
+    with pytest.raises(wad_cosim.InputError, match=r"build: expected \"0.0.1 \(elsewhere\)"):
+        _native.Worker(json.dumps(manifest), "default", "all", None).drive(case)
+    ledger.finish()
+    with pytest.raises(wad_cosim.Error, match="finished"):
+        ledger.left()
+
+
+def test_shards_are_collected_once_whatever_dies(cluster, nodes, start, tmp_path):
+    wanted = {"town": "town3", "frames": 12, "per_shard": 3, "seed": 5, "every": 0.5, "camera": False}
+    wanted |= {"weathers": [], "noise_pause": None, "out": str(tmp_path / "one")}
+    one = _native.Collection(json.dumps(wanted))
+    collector = _native.Collector(json.dumps(wanted), one.identity)
+    for segment in one.missing()[0]:
+        shard = collector.drive(segment)
+        assert one.put(segment, shard) and not one.put(segment, shard)
+    with pytest.raises(wad_cosim.InputError, match="segment"):
+        other = json.loads(segment) | {"index": 4}
+        one.put(json.dumps(other), shard)
+    assert json.loads(one.finish(False))["complete"]
+
+    out = tmp_path / "out"
+    options = [text for name in ("frames", "seed") for text in (f"--{name}", str(wanted[name]))]
+    command = ["collect", "--per-shard", "3", *options]
+    driver = start(command, out)
+    assert until(lambda: list(out.glob("*.wads")) or driver.poll() is not None, 60)
+    assert driver.poll() is None, finish(driver)
+    kill_worker(cluster, SCHEDULE.choice(nodes))
+    driver.send_signal(signal.SIGINT)
+    assert "continues from here" in finish(driver, 4)
+    assert until(lambda: not processes("sumo")), "a SUMO is left"
+    assert "12 frames in 4 shards" in finish(start(command, out))
+    files = sorted(path.name for path in out.glob("[!.]*"))
+    assert files == sorted(path.name for path in (tmp_path / "one").glob("[!.]*")) and len(files) == 5
+    for name in files:
+        assert (out / name).read_bytes() == (tmp_path / "one" / name).read_bytes()

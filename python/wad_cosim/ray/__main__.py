@@ -1,0 +1,108 @@
+"""The command line's ``eval`` and ``dataset collect`` on a Ray cluster."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from .. import InputError, SumoError, _native, report
+from ..evaluation import wanted_by
+from . import prepare
+
+_EXITS = "Exit codes: 0 done; 2 usage or input; 3 SUMO failed; 4 interrupted, results kept; 1 anything else."
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m wad_cosim.ray", description=__doc__, epilog=_EXITS)
+    parser.add_argument("--version", action="version", version=_native.VERSION)
+    commands = parser.add_subparsers(dest="command", required=True)
+
+    drive = commands.add_parser("eval", help="drive the episodes of a suite", epilog=_EXITS)
+    drive.add_argument("suite", help="as for `wad-cosim eval`")
+    drive.add_argument("--agent", action="append", metavar="NAME", help="may be given several times [autopilot]")
+    for name in ("condition", "task", "town", "weather", "traffic"):
+        drive.add_argument(f"--{name}", action="append", default=[], help="only this; may be given several times")
+    drive.add_argument("--seed", action="append", type=int, default=[], metavar="N")
+    drive.add_argument("--episodes", type=int, metavar="N", help="per task, town and weather")
+    drive.add_argument("--detector", default="truth", metavar="NAME")
+    drive.add_argument("--keep", default="failures", choices=("none", "failures", "all"), help="which to record")
+    drive.add_argument("--resume", action="store_true", help="continue the evaluation in --out")
+    _shared(drive)
+
+    collect = commands.add_parser("collect", help="collect a dataset under the autopilot, or go on with it", epilog=_EXITS)
+    collect.add_argument("--town", default="town3", metavar="CONFIG")
+    collect.add_argument("--frames", type=int, default=150_000, metavar="N")
+    collect.add_argument("--per-shard", type=int, metavar="N", help="frames to a shard [a twentieth, at most 500]")
+    collect.add_argument("--weather", action="append", default=[], metavar="NAME", help="in turn [those of training]")
+    collect.add_argument("--seed", type=int, default=0, metavar="N")
+    collect.add_argument("--camera", action="store_true", help="keep the camera's pictures too")
+    collect.add_argument("--every", type=float, default=0.5, metavar="SECONDS", help="simulated, between frames")
+    collect.add_argument("--noise-pause", type=float, metavar="SECONDS", help="as for `wad-cosim dataset collect`")
+    _shared(collect)
+    return parser
+
+
+def _shared(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder for the results, on this machine")
+    parser.add_argument(
+        "--address", default="auto", help="the Ray cluster: auto (this machine is a part of it), local, HOST:PORT [auto]"
+    )
+    parser.add_argument("--workers", type=int, metavar="N", help="actors of one core each [the cluster's cores]")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the command; returns its exit code."""
+    asked = _parser().parse_args(arguments)
+    if asked.workers is not None and asked.workers < 1:
+        print("error: --workers: expected 1 or more", file=sys.stderr)
+        return 2
+    try:
+        prepare(asked.address)
+        return _eval(asked) if asked.command == "eval" else _collect(asked)
+    except (InputError, SumoError, RuntimeError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2 if isinstance(error, InputError) else 3 if isinstance(error, SumoError) else 1
+
+
+def _eval(asked: argparse.Namespace) -> int:
+    from . import evaluation
+
+    wanted = wanted_by(
+        asked.suite,
+        asked.agent or ["autopilot"],
+        condition=asked.condition,
+        task=asked.task,
+        town=asked.town,
+        weather=asked.weather,
+        traffic=asked.traffic,
+        seed=asked.seed,
+        episodes=asked.episodes,
+        detector=asked.detector,
+        out=asked.out,
+        resume=asked.resume,
+        keep=asked.keep,
+    )
+    try:
+        evaluation.evaluate(wanted, None, address=asked.address, workers=asked.workers, progress=True)
+    except KeyboardInterrupt:
+        print(f"\ninterrupted: what was driven is in {asked.out}; --resume goes on", file=sys.stderr)
+        return 4
+    print(report(asked.out))
+    return 0
+
+
+def _collect(asked: argparse.Namespace) -> int:
+    from . import collection
+
+    names = ("town", "frames", "out", "per_shard", "seed", "camera", "every", "noise_pause")
+    wanted = {name: getattr(asked, name) for name in names} | {"weathers": asked.weather}
+    done = collection.collect(wanted, address=asked.address, workers=asked.workers, progress=True)
+    print(f"{done['out']}: {done['frames']} frames in {done['shards']} shards, {done['bytes'] / 1e6:.1f} MB")
+    if done["interrupted"]:
+        print("interrupted; the same command continues from here", file=sys.stderr)
+        return 4
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
