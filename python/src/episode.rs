@@ -153,17 +153,19 @@ fn write(eyes: &Eyes, part: Part, row: Row<'_>) {
     }
 }
 
-/// Several egos in one SUMO; each begins its next episode by itself, in the step after an end.
+/// Several egos in one SUMO.
 pub struct Egos {
     tasks: Vec<TaskSpec>,
     fleet: Fleet,
 }
 
 impl Egos {
-    /// Egos without an episode.
-    pub fn new(tasks: &Tasks, setup: &Setup) -> Result<Self, Failure> {
+    /// Egos without an episode. `returning`: each begins its next one by itself, in the step after an end; else it
+    /// leaves the road until the next reset.
+    pub fn new(tasks: &Tasks, setup: &Setup, returning: bool) -> Result<Self, Failure> {
         let encoders = (0..setup.egos).map(|_| setup.encoder()).collect::<Result<_, _>>()?;
-        let fleet = Fleet::new(tasks.assets.clone(), setup.options.clone(), encoders)?;
+        let mut fleet = Fleet::new(tasks.assets.clone(), setup.options.clone(), encoders)?;
+        fleet.set_returning(returning);
         Ok(Self { tasks: tasks.all(), fleet })
     }
 

@@ -300,7 +300,7 @@ fn serve_egos(first: usize, shared: &Shared, tasks: &Tasks, setup: &Setup, jobs:
     };
     let mut egos = None;
     let made = guarded(|| {
-        egos = Some(Egos::new(tasks, setup)?);
+        egos = Some(Egos::new(tasks, setup, shared.autoreset == Autoreset::NextStep)?);
         Ok(Answer::default())
     });
     answer(0, made);
