@@ -2,10 +2,31 @@
 
 import os
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
+
+__all__ = [
+    "Environments",
+    "Error",
+    "InputError",
+    "LATENT_SIZE",
+    "LoadedAgent",
+    "NUMBERS",
+    "RAW_SIZE",
+    "SumoError",
+    "TRANSFORMED_SIZE",
+    "VECTOR_SIZE",
+    "VERSION",
+    "bench",
+    "evaluate",
+    "names",
+    "report_of",
+    "save_agent",
+    "suites",
+    "use_sumo",
+]
 
 VERSION: str
 NUMBERS: list[str]
@@ -23,6 +44,7 @@ class SumoError(Error):
 class InputError(ValueError):
     """An argument is wrong; the text says what is expected."""
 
+@final
 class Environments:
     """Environments that are driven together, each on a thread of its own."""
 
@@ -45,6 +67,7 @@ class Environments:
     @property
     def closed(self) -> bool: ...
 
+@final
 class LoadedAgent:
     """A trained agent."""
 
