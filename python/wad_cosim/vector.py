@@ -53,6 +53,8 @@ class DrivingVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             raise InputError(f"num_envs={num_envs}: expected 1 or more")
         mode = autoreset_mode if isinstance(autoreset_mode, AutoresetMode) else AutoresetMode(autoreset_mode)
         setup = Setup(**kwargs)
+        if kwargs.get("record") is not None:
+            raise InputError("record: many environments would write one file; record one environment")
         self._setup = setup
         self._mode = mode
         self._copy = copy
