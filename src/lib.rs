@@ -16,7 +16,7 @@
 //! | `wad-vehicle` | [`vehicle`]: the ego's physics |
 //! | `wad-camera` | [`camera`]: the town and its traffic as pictures with ground truth |
 //! | `wad-sim` | [`session`], [`bridge`], [`assets`], [`autopilot`], [`criteria`], [`end`], [`traffic`], [`tasks`], [`scenario`], [`destination`], [`replay`], [`telemetry`], [`sumo_config`], [`nets`], [`bundled`], [`program`], [`stats`], [`cores`], [`cpu_time`] |
-//! | `wad-see` | [`eyes`], [`perception`], [`latent`], [`observation`], [`record`], `torch` |
+//! | `wad-see` | [`eyes`], [`perception`], [`latent`], [`observation`], [`record`], [`foxglove`], `torch` |
 //! | `wad-learn` | [`mod@env`], [`reward`], [`driver`], [`drive`], [`agent`], [`dataset`], [`eval`], [`encoder_score`], [`tour`], `optim`, `train` |
 //! | here | [`view`] (the live view), [`mod@bench`], [`bench_tick`], [`clock`], [`interrupt`], [`register_bundled`] |
 //!
@@ -40,7 +40,7 @@ pub use wad_learn::{agent, dataset, drive, driver, encoder_score, env, eval, fol
 pub use wad_learn::{optim, train};
 #[cfg(feature = "learn")]
 pub use wad_see::torch;
-pub use wad_see::{eyes, latent, observation, perception, record};
+pub use wad_see::{eyes, foxglove, latent, observation, perception, record};
 pub use wad_sim::{
     assets, autopilot, bridge, bundled, cores, cpu_time, criteria, destination, end, nets, program, replay,
     scenario, session, stats, sumo_config, tasks, telemetry, traffic,

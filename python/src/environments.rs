@@ -70,8 +70,9 @@ impl Environments {
             "disabled" => Autoreset::Disabled,
             other => return Err(InputError::new_err(format!("autoreset `{other}`"))),
         };
-        if setup.egos > 1 && autoreset != Autoreset::NextStep {
-            let text = "several egos in one SUMO begin their next episodes one by one: only NEXT_STEP";
+        if setup.egos > 1 && autoreset == Autoreset::SameStep {
+            let text =
+                "several egos in one SUMO begin their next episodes with a step: NEXT_STEP or DISABLED";
             return Err(InputError::new_err(text));
         }
         let mut owners = Vec::new();

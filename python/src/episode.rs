@@ -6,6 +6,8 @@ use wad_cosim::agent::action::{self, Action};
 use wad_cosim::criteria::Event;
 use wad_cosim::env::{Ending, Env, EnvError, Fleet, Info};
 use wad_cosim::eyes::Eyes;
+use wad_cosim::foxglove::{DriveLog, Moment};
+use wad_cosim::record::RecordError;
 use wad_cosim::reward::RewardTerms;
 use wad_cosim::session::Act;
 use wad_cosim::tasks::TaskSpec;
@@ -49,18 +51,22 @@ pub struct Episodes {
     /// Draws pictures where the environment itself draws none.
     painter: Option<Eyes>,
     parts: Vec<Part>,
+    log: Option<DriveLog>,
 }
 
 impl Episodes {
     /// An environment without an episode.
     pub fn new(tasks: std::sync::Arc<Tasks>, setup: &Setup) -> Result<Self, Failure> {
         let env = Env::new(tasks.assets.clone(), setup.options.clone(), setup.encoder()?)?;
-        let draws = setup.render || setup.observation.contains(&Part::Image);
+        let draws = setup.draws();
         let own = !setup.options.observation.encodes();
         let painter = (draws && own)
             .then(|| Eyes::camera(tasks.assets.town(), setup.options.camera).map_err(EnvError::Eyes))
             .transpose()?;
-        Ok(Self { tasks, env, painter, parts: setup.observation.clone() })
+        let network = tasks.assets.network();
+        let log = |path: &std::path::PathBuf| DriveLog::create(path, network, setup.options.camera);
+        let log = setup.record.as_ref().map(log).transpose().map_err(unwritten)?;
+        Ok(Self { tasks, env, painter, parts: setup.observation.clone(), log })
     }
 
     /// Begins the episode of `seed`, on the route of that number if one is given.
@@ -79,12 +85,38 @@ impl Episodes {
         let step = self.env.step(action::to_control(action))?;
         self.look();
         let numbers = numbers(step.reward, step.terminated, step.truncated, &step.info);
+        self.note(&step.info)?;
         Ok((numbers, News { events: step.info.events, ending: step.info.ending }))
     }
 
     /// The expert's action for this tick.
     pub fn expert(&mut self) -> Result<Action, Failure> {
         Ok(action::from_control(self.env.expert()?))
+    }
+
+    /// Adds the tick to the recording.
+    fn note(&mut self, info: &Info) -> Result<(), Failure> {
+        let seen = self.parts.contains(&Part::Image);
+        let (Some(log), Some(ego)) = (&mut self.log, self.env.ego()) else { return Ok(()) };
+        let frame = match &mut self.painter {
+            Some(painter) => {
+                if !seen {
+                    painter.glance(&ego.state().pose);
+                }
+                painter.frame()
+            }
+            None => self.env.frame(),
+        };
+        let percept = self.env.eyes().percept();
+        log.add(&Moment {
+            time: info.time,
+            ego: &ego.as_actor(),
+            world: ego.world(),
+            frame,
+            detections: percept.map_or(&[], |percept| &percept.detections),
+            reward: &RewardTerms::NAMES.into_iter().zip(info.reward.values()).collect::<Vec<_>>(),
+        })
+        .map_err(unwritten)
     }
 
     /// The painter's town follows; the picture is drawn if it is part of the observation.
@@ -133,10 +165,18 @@ impl Episodes {
         self.env.sumo_pid()
     }
 
-    /// Ends SUMO.
-    pub fn close(self) {
+    /// Ends SUMO, and completes the recording.
+    ///
+    /// # Errors
+    /// The recording cannot be completed.
+    pub fn close(self) -> Result<(), Failure> {
         self.env.close();
+        self.log.map_or(Ok(()), |log| log.finish().map_err(unwritten))
     }
+}
+
+fn unwritten(error: RecordError) -> Failure {
+    Failure::Input(error.to_string())
 }
 
 /// Writes what `eyes` saw.
@@ -153,17 +193,19 @@ fn write(eyes: &Eyes, part: Part, row: Row<'_>) {
     }
 }
 
-/// Several egos in one SUMO; each begins its next episode by itself, in the step after an end.
+/// Several egos in one SUMO.
 pub struct Egos {
     tasks: Vec<TaskSpec>,
     fleet: Fleet,
 }
 
 impl Egos {
-    /// Egos without an episode.
-    pub fn new(tasks: &Tasks, setup: &Setup) -> Result<Self, Failure> {
+    /// Egos without an episode. `returning`: each begins its next one by itself, in the step after an end; else it
+    /// leaves the road until the next reset.
+    pub fn new(tasks: &Tasks, setup: &Setup, returning: bool) -> Result<Self, Failure> {
         let encoders = (0..setup.egos).map(|_| setup.encoder()).collect::<Result<_, _>>()?;
-        let fleet = Fleet::new(tasks.assets.clone(), setup.options.clone(), encoders)?;
+        let mut fleet = Fleet::new(tasks.assets.clone(), setup.options.clone(), encoders)?;
+        fleet.set_returning(returning);
         Ok(Self { tasks: tasks.all(), fleet })
     }
 

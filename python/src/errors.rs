@@ -32,6 +32,15 @@ pub enum Failure {
     Other(String),
 }
 
+impl Failure {
+    /// What it says.
+    pub fn text(&self) -> &str {
+        match self {
+            Self::Input(text) | Self::Sumo(text) | Self::Other(text) => text,
+        }
+    }
+}
+
 impl From<Failure> for PyErr {
     fn from(failure: Failure) -> Self {
         match failure {

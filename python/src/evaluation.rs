@@ -12,7 +12,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 use wad_cosim::agent::action::{Action, to_control};
 use wad_cosim::agent::actor::PlainActor;
-use wad_cosim::agent::policy::{Policy, find_encoder};
+use wad_cosim::agent::params::{Algorithm, InputScale, Inputs, Td3Params};
+use wad_cosim::agent::policy::{Policy, PolicyCard, find_encoder};
 use wad_cosim::agent::{Agent, AgentError};
 use wad_cosim::assets::Assets;
 use wad_cosim::camera::CameraConfig;
@@ -23,7 +24,7 @@ use wad_cosim::eval::{
 };
 use wad_cosim::eyes::EyesError;
 use wad_cosim::folder_lock::LockError;
-use wad_cosim::observation::Observation;
+use wad_cosim::observation::{self, Observation};
 use wad_cosim::traffic::TrafficSpec;
 use wad_cosim::vehicle::Control;
 
@@ -68,6 +69,66 @@ impl LoadedAgent {
         }
         Ok(self.actor.act(&numbers))
     }
+}
+
+/// What Python says of an agent that it trained, in JSON.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Trained {
+    /// What it gets.
+    inputs: Inputs,
+    detector: String,
+    encoder: String,
+    /// TD3's constants; those that are not given have their defaults.
+    params: Td3Params,
+    steps: u64,
+    updates: u64,
+    seed: u64,
+    scores: serde_json::Value,
+    config: serde_json::Map<String, serde_json::Value>,
+}
+
+/// Writes WAD-T's actor as the file of a trained agent: `values` are its parameters, layer by layer, weights [inputs, outputs]
+/// row by row before biases; `layers` are the layers' (inputs, outputs).
+#[pyfunction]
+pub fn save_agent(
+    path: PathBuf,
+    trained: &str,
+    layers: Vec<(usize, usize)>,
+    values: PyReadonlyArray1<'_, f32>,
+) -> PyResult<()> {
+    let trained: Trained = serde_json::from_str(trained).map_err(|e| Failure::Input(e.to_string()))?;
+    let encoder = find_encoder(&trained.encoder).map_err(|e| Failure::Input(e.to_string()))?;
+    let dims = trained.inputs.dims();
+    let algorithm = Algorithm::Td3(trained.params);
+    let expected = PlainActor::layers(&algorithm, dims);
+    if layers != expected {
+        return Err(InputError::new_err(format!(
+            "layers of (inputs, outputs) {layers:?}: expected {expected:?}"
+        )));
+    }
+    let mut config = trained.config;
+    // Whoever opens the file looks for the encoder under this name.
+    config.insert("encoder".to_string(), trained.encoder.into());
+    let card = PolicyCard {
+        algorithm,
+        dims,
+        inputs: trained.inputs,
+        encoder_hash: encoder.hash().to_string(),
+        camera_hash: CameraConfig::default().hash(),
+        raw_meaning: observation::RAW_MEANING,
+        detector: trained.detector,
+        steps: trained.steps,
+        updates: trained.updates,
+        seed: trained.seed,
+        demonstrations: 0,
+        scores: trained.scores,
+        config: config.into(),
+    };
+    let values: Vec<f32> = values.as_array().iter().copied().collect();
+    let policy = Policy::new(card, InputScale::identity(dims), &values);
+    policy.check_form().map_err(Failure::Input)?;
+    Ok(policy.save(&path).map_err(|e| Failure::Input(e.to_string()))?)
 }
 
 /// An evaluation as Python describes it, in JSON.

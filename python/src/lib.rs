@@ -36,6 +36,7 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(setup::suites, module)?)?;
     module.add_function(wrap_pyfunction!(evaluation::evaluate, module)?)?;
     module.add_function(wrap_pyfunction!(evaluation::report_of, module)?)?;
+    module.add_function(wrap_pyfunction!(evaluation::save_agent, module)?)?;
     module.add_function(wrap_pyfunction!(setup::use_sumo, module)?)?;
     Ok(())
 }

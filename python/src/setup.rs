@@ -71,6 +71,8 @@ pub struct Setup {
     pub render: bool,
     /// SUMO's own window.
     pub gui: bool,
+    /// The MCAP file that the drives go into.
+    pub record: Option<PathBuf>,
     /// Egos in one SUMO.
     pub egos: usize,
 }
@@ -93,13 +95,18 @@ impl Setup {
         if setup.egos == 0 {
             return Err(Failure::Input("egos=0: expected 1 or more".to_string()));
         }
-        let draws = setup.render || setup.observation.contains(&Part::Image);
+        let draws = setup.draws();
         if setup.egos > 1 && (draws || setup.routes.is_some()) {
             let text =
                 "egos: several egos in one SUMO have neither pictures nor a benchmark's routes; use egos=1";
             return Err(Failure::Input(text.to_string()));
         }
         Ok(setup)
+    }
+
+    /// Whether pictures are drawn beside what the environment itself sees.
+    pub fn draws(&self) -> bool {
+        self.render || self.record.is_some() || self.observation.contains(&Part::Image)
     }
 
     /// A new encoder; one without weights where no latent is asked for.
@@ -238,7 +245,7 @@ pub fn bench(py: Python<'_>, setup: &str, seed: u64, steps: usize) -> PyResult<(
                 break;
             }
         }
-        episodes.close();
+        episodes.close()?;
         Ok::<_, Failure>((seconds, driven))
     });
     Ok(measured?)

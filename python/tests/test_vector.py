@@ -190,7 +190,7 @@ def test_egos_share_a_sumo():
     ("kwargs", "text"),
     [
         ({"num_envs": 5, "egos": 2}, "multiple of egos=2"),
-        ({"num_envs": 4, "egos": 2, "autoreset_mode": AutoresetMode.SAME_STEP}, "only NEXT_STEP"),
+        ({"num_envs": 4, "egos": 2, "autoreset_mode": AutoresetMode.SAME_STEP}, "NEXT_STEP or DISABLED"),
         ({"num_envs": 4, "egos": 2, "observation": "image"}, "pictures"),
         ({"num_envs": 4, "egos": 0}, "1 or more"),
     ],

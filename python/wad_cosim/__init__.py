@@ -11,7 +11,7 @@ from . import _native
 from ._native import Error, InputError, SumoError
 from .actions import DISCRETE_ACTIONS
 from .env import DrivingEnv
-from .evaluation import TrainedAgent, evaluate, load_agent, report
+from .evaluation import TrainedAgent, evaluate, load_agent, report, save_agent
 from .registry import ids, register_all as _register_all, scenarios, suites, towns, weathers
 from .vector import DrivingVectorEnv
 
@@ -29,6 +29,7 @@ __all__ = [
     "ids",
     "load_agent",
     "report",
+    "save_agent",
     "scenarios",
     "suites",
     "towns",

@@ -2,10 +2,31 @@
 
 import os
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
+
+__all__ = [
+    "Environments",
+    "Error",
+    "InputError",
+    "LATENT_SIZE",
+    "LoadedAgent",
+    "NUMBERS",
+    "RAW_SIZE",
+    "SumoError",
+    "TRANSFORMED_SIZE",
+    "VECTOR_SIZE",
+    "VERSION",
+    "bench",
+    "evaluate",
+    "names",
+    "report_of",
+    "save_agent",
+    "suites",
+    "use_sumo",
+]
 
 VERSION: str
 NUMBERS: list[str]
@@ -23,6 +44,7 @@ class SumoError(Error):
 class InputError(ValueError):
     """An argument is wrong; the text says what is expected."""
 
+@final
 class Environments:
     """Environments that are driven together, each on a thread of its own."""
 
@@ -45,6 +67,7 @@ class Environments:
     @property
     def closed(self) -> bool: ...
 
+@final
 class LoadedAgent:
     """A trained agent."""
 
@@ -103,3 +126,6 @@ def evaluate(
     watch: Callable[[int, int], None] | None,
 ) -> str: ...
 def report_of(folders: Sequence[str | os.PathLike[str]]) -> str: ...
+def save_agent(
+    path: str | os.PathLike[str], trained: str, layers: Sequence[tuple[int, int]], values: NDArray[np.float32]
+) -> None: ...

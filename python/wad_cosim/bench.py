@@ -1,12 +1,20 @@
-"""``python -m wad_cosim.bench``: steps a second of ``env.step`` beside the same steps without Python, and of many egos."""
+"""``python -m wad_cosim.bench``: steps a second of ``env.step`` beside the same steps without Python, of many egos, and of
+neighbours that are installed."""
 
 from __future__ import annotations
 
 import argparse
+import importlib
+import importlib.metadata
+import importlib.util
+import os
+import pathlib
 import sys
 import time
+from collections.abc import Callable
 from typing import Any
 
+import gymnasium
 import numpy as np
 
 from . import _native
@@ -55,6 +63,60 @@ def _many(egos: int, sumos: int, steps: int) -> float:
     return steps * egos * sumos / seconds
 
 
+def _highway() -> tuple[str, gymnasium.Env[Any, Any]]:
+    importlib.import_module("highway_env")
+    config = {"vehicles_count": 70, "simulation_frequency": 6, "policy_frequency": 6, "duration": 10_000}
+    env = gymnasium.make("highway-v0", config=config)
+    return "highway-v0, kinematics of 5 vehicles (25 numbers), 70 vehicles, no lights or people, 6 Hz", env
+
+
+def _metadrive() -> tuple[str, gymnasium.Env[Any, Any]]:
+    made = importlib.import_module("metadrive").MetaDriveEnv({"use_render": False, "traffic_density": 0.1, "log_level": 50})
+    return "MetaDriveEnv, lidar (259 numbers), traffic density 0.1, no people, 10 Hz", made
+
+
+def _sumo_rl() -> tuple[str, gymnasium.Env[Any, Any]]:
+    # It finds SUMO by the environment, as ours does by its package.
+    sumo = importlib.util.find_spec("sumo")
+    if sumo is not None and sumo.submodule_search_locations:
+        os.environ.setdefault("SUMO_HOME", sumo.submodule_search_locations[0])
+    module = importlib.import_module("sumo_rl")
+    nets = pathlib.Path(module.__file__ or "").parent / "nets" / "single-intersection"
+    env = module.SumoEnvironment(
+        str(nets / "single-intersection.net.xml"),
+        str(nets / "single-intersection.rou.xml"),
+        single_agent=True,
+        num_seconds=100_000,
+        sumo_warnings=False,
+    )
+    return "SumoEnvironment, densities and queues of one intersection (a signal's view, no ego), 5 s a step", env
+
+
+#: By the name of the package: what makes an environment, and says what it observes.
+_NEIGHBOURS: dict[str, Callable[[], tuple[str, gymnasium.Env[Any, Any]]]] = {
+    "highway-env": _highway,
+    "metadrive-simulator": _metadrive,
+    "sumo-rl": _sumo_rl,
+}
+
+
+def _neighbour(make: Callable[[], tuple[str, gymnasium.Env[Any, Any]]], steps: int) -> tuple[str, float]:
+    """What it observes, and its steps a second with random actions; resets are not counted."""
+    observes, env = make()
+    env.reset(seed=1)
+    env.action_space.seed(1)
+    seconds = 0.0
+    for _ in range(steps):
+        action = env.action_space.sample()
+        begin = time.perf_counter()
+        _, _, terminated, truncated, _ = env.step(action)
+        seconds += time.perf_counter() - begin
+        if terminated or truncated:
+            env.reset()
+    env.close()
+    return observes, steps / seconds
+
+
 def main(arguments: list[str] | None = None) -> int:
     """The program; returns its exit code."""
     parser = argparse.ArgumentParser(prog="python -m wad_cosim.bench", description=__doc__.split(": ", 1)[1])
@@ -69,6 +131,20 @@ def main(arguments: list[str] | None = None) -> int:
     print("egos that share a SUMO, empty town, observation vector, constant action:")
     for egos, sumos in ((16, 1), (25, 2), (50, 1)):
         print(f"  {egos:3} egos in {sumos} SUMO: {_many(egos, sumos, options.steps):8.0f} agent-steps/s")
+    print("neighbours in the same run, random actions; compare only what observes and simulates the like:")
+    for package, make in _NEIGHBOURS.items():
+        try:
+            version = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            print(f"  {package}: not installed, left out")
+            continue
+        try:
+            observes, rate = _neighbour(make, options.steps)
+        except Exception as error:
+            # Their own faults, such as assets that cannot be downloaded, are theirs.
+            print(f"  {package} {version}: left out, it does not start: {type(error).__name__}: {error}")
+            continue
+        print(f"  {package} {version}: {rate:8.0f} /s  {observes}")
     return 0
 
 

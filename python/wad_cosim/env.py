@@ -42,6 +42,8 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
             on between episodes, and standing without a reason ends an episode after 4 s, not 90).
         tick_limit: Ticks until an episode is truncated. Default: the task's own.
         options: More of the simulator's options, as docs/python.md lists them.
+        record: A ``.mcap`` file for Foxglove and Rerun with picture, boxes (of ``latent`` and ``transformed``), map, traffic,
+            pose and reward of every tick; it is complete after ``close``. A picture a tick takes time.
         render_mode: ``rgb_array`` (the front camera's picture, drawn when asked for) or ``human`` (SUMO's own window).
 
     Raises:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,8 @@ from . import _native, actions
 from ._native import InputError
 
 _MODES = {"raw": "raw_only", "vector": "vector", "latent": "latent_and_raw"}
+#: The same under the names of agents' files.
+_INPUTS = {"raw": "raw", "vector": "vector", "latent": "both"}
 
 
 def evaluate(
@@ -177,6 +179,74 @@ class TrainedAgent:
 def load_agent(name: str | os.PathLike[str]) -> TrainedAgent:
     """The trained agent of a file that ``wad-cosim train agent`` wrote, or ``wad-t`` or ``wad-s``; the networks run without libtorch."""
     return TrainedAgent(name)
+
+
+def save_agent(
+    path: str | os.PathLike[str],
+    layers: Iterable[tuple[Any, Any]],
+    *,
+    observation: str = "raw",
+    detector: str = "outlines",
+    encoder: str | os.PathLike[str] | None = None,
+    steps: int = 0,
+    updates: int = 0,
+    seed: int = 0,
+    params: Mapping[str, Any] | None = None,
+    scores: Mapping[str, Any] | None = None,
+    config: Mapping[str, Any] | None = None,
+) -> None:
+    """Writes WAD-T's actor, trained elsewhere, as a file that ``wad-cosim run --agent FILE`` and :func:`load_agent` drive.
+
+    The layers are fully connected with ReLU between them (docs/agents.md, "The networks"); the last one's three outputs pass a
+    tanh (steering) and two sigmoids (throttle, brake). Their sizes, in this order:
+
+    - ``raw``: 15-50, 50-100, 100-75, 75-3.
+    - ``latent``: 200-150, 150-100 for the latent, 15-50 for the raw states, then 150-100, 100-75, 75-3 for both.
+    - ``vector``: 172-150, 150-100 for the surroundings, then as ``latent``.
+
+    Args:
+        path: The file; ``.safetensors`` is the usual ending. It holds the weights in half precision.
+        layers: A pair for each layer: weights of shape (outputs, inputs), as ``torch.nn.Linear`` has them, and biases.
+        observation: What the agent gets.
+        detector: The detector of its training.
+        encoder: What made its latents. Default: the bundled one for ``latent``, else none.
+        steps, updates, seed: Of its training, for the file's header.
+        params: TD3's constants under the names of docs/agents.md, such as ``gamma``.
+        scores, config: More for the header.
+
+    Raises:
+        InputError: The layers are not of these sizes, a number is not finite, or the file cannot be written.
+    """
+    if observation not in _INPUTS:
+        raise InputError(f"observation={observation!r}: expected one of {', '.join(_INPUTS)}")
+    numbers: list[NDArray[np.float32]] = []
+    sizes: list[tuple[int, int]] = []
+    for index, (weights, biases) in enumerate(layers):
+        weight, bias = (np.asarray(part, dtype=np.float32) for part in (weights, biases))
+        if weight.ndim != 2 or bias.shape != weight.shape[:1]:
+            raise InputError(
+                f"layer {index}: expected weights (outputs, inputs) and as many biases as outputs, found shapes "
+                f"{weight.shape} and {bias.shape}"
+            )
+        # The file has them by input.
+        numbers += [weight.T.ravel(), bias]
+        sizes.append((weight.shape[1], weight.shape[0]))
+    trained = {
+        "inputs": _INPUTS[observation],
+        "detector": detector,
+        "encoder": os.fspath(encoder or ("default" if observation == "latent" else "pooled")),
+        "params": dict(params or {}),
+        "steps": steps,
+        "updates": updates,
+        "seed": seed,
+        "scores": dict(scores or {}),
+        "config": dict(config or {}),
+    }
+    try:
+        text = json.dumps(trained)
+    except TypeError as error:
+        raise InputError(f"an argument is of the wrong type: {error}") from None
+    _native.save_agent(path, text, sizes, np.concatenate([np.zeros(0, np.float32), *numbers]))
 
 
 def report(*folders: str | os.PathLike[str]) -> str:

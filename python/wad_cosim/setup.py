@@ -34,6 +34,7 @@ class Setup:
         tick_limit: int | None = None,
         options: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
+        record: str | os.PathLike[str] | None = None,
         egos: int = 1,
     ) -> None:
         if render_mode not in (None, "rgb_array", "human"):
@@ -89,6 +90,7 @@ class Setup:
         made["options"] = merged
         made["render"] = render_mode == "rgb_array"
         made["gui"] = render_mode == "human"
+        made["record"] = None if record is None else os.fspath(record)
         self.render_mode = render_mode
         camera = merged.get("camera", {})
         self.camera = (camera.get("height", 512), camera.get("width", 512))

@@ -34,8 +34,9 @@ class DrivingVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         autoreset_mode: What happens after an episode's end, as in Gymnasium.
         copy: Whether ``reset`` and ``step`` return copies; False: the arrays are written again by the next step.
         egos: Egos in each SUMO; ``num_envs`` is a multiple of it. They see each other and collide with each other.
-            Several are many times faster than as many SUMOs, and have NEXT_STEP only: their episodes depend on the
-            seed and on all actions, and an ego that finds no free place waits.
+            Several are many times faster than as many SUMOs: their episodes depend on the seed and on all actions. With
+            NEXT_STEP an ego that finds no free place waits; with DISABLED an ego whose episode ended leaves the road until
+            all are reset together. They have no SAME_STEP.
         **kwargs: As :class:`wad_cosim.DrivingEnv`.
     """
 
@@ -52,6 +53,8 @@ class DrivingVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             raise InputError(f"num_envs={num_envs}: expected 1 or more")
         mode = autoreset_mode if isinstance(autoreset_mode, AutoresetMode) else AutoresetMode(autoreset_mode)
         setup = Setup(**kwargs)
+        if kwargs.get("record") is not None:
+            raise InputError("record: many environments would write one file; record one environment")
         self._setup = setup
         self._mode = mode
         self._copy = copy

@@ -3,11 +3,14 @@
 use super::Exit;
 use std::path::Path;
 use wad_cosim::camera::CameraConfig;
-use wad_cosim::drive::Drive;
+use wad_cosim::drive::{Drive, Status};
 use wad_cosim::eyes::Eyes;
+use wad_cosim::foxglove::{DriveLog, Moment};
 use wad_cosim::latent::Decoder;
 use wad_cosim::perception;
 use wad_cosim::record::{Codec, RecordError, RecordView, Recorder};
+use wad_cosim::reward::RewardTerms;
+use wad_cosim::view::score::{Score, Tick};
 
 /// Options of film and perception.
 pub struct Wanted<'a> {
@@ -24,6 +27,8 @@ pub struct Wanted<'a> {
 #[derive(Default)]
 pub struct Film {
     recorder: Option<Recorder>,
+    /// The drive as data, and the score for it.
+    log: Option<(DriveLog, Score)>,
     looks: bool,
 }
 
@@ -37,9 +42,15 @@ impl Film {
         wanted: &Wanted<'_>,
         decoder: Option<Box<dyn Decoder>>,
     ) -> anyhow::Result<Self> {
-        // The film of all views includes the transformed image.
-        let inset = wanted.path.is_some() && wanted.view == RecordView::All;
-        let looks = wanted.perception || inset;
+        let (logged, filmed) = match wanted.path {
+            Some(path) if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("mcap")) => {
+                (Some(path), None)
+            }
+            path => (None, path),
+        };
+        // The film of all views includes the transformed image, the log the picture and its boxes.
+        let inset = filmed.is_some() && wanted.view == RecordView::All;
+        let looks = wanted.perception || inset || logged.is_some();
         if looks {
             let detector = perception::detector(wanted.detector, perception::MIN_SCORE)
                 .map_err(|e| Exit::Input.because(e))?;
@@ -55,15 +66,17 @@ impl Film {
         let create = |path: &Path| {
             Recorder::create(path, drive.assets().town(), wanted.view, fps, wanted.codec, panels)
         };
-        let recorder = wanted.path.map(create).transpose().map_err(|e| Exit::Input.because(e))?;
-        Ok(Self { recorder, looks })
+        let recorder = filmed.map(create).transpose().map_err(|e| Exit::Input.because(e))?;
+        let log = |path: &Path| DriveLog::create(path, drive.bridge().network(), CameraConfig::default());
+        let log = logged.map(log).transpose().map_err(|e| Exit::Input.because(e))?;
+        Ok(Self { recorder, log: log.map(|log| (log, Score::default())), looks })
     }
 
-    /// Runs perception if it is on, and adds a picture of the tick.
+    /// Runs perception if it is on, and adds the tick to film and log.
     ///
     /// # Errors
     /// A stage of perception fails, or the film cannot be written.
-    pub fn add(&mut self, drive: &mut Drive) -> anyhow::Result<()> {
+    pub fn add(&mut self, drive: &mut Drive, status: &Status) -> anyhow::Result<()> {
         if self.looks {
             drive.look()?;
         }
@@ -71,6 +84,18 @@ impl Film {
             let ego = drive.ego();
             recorder.follow(ego.world(), &ego.as_actor());
             recorder.add(&ego.state().pose, drive.weather(), Some(drive.eyes()))?;
+        }
+        if let Some((log, score)) = &mut self.log {
+            score.count(&Tick::of(drive, status));
+            let (ego, eyes) = (drive.ego(), drive.eyes());
+            log.add(&Moment {
+                time: status.record.time,
+                ego: &ego.as_actor(),
+                world: ego.world(),
+                frame: eyes.frame(),
+                detections: eyes.percept().map_or(&[], |percept| &percept.detections),
+                reward: &RewardTerms::NAMES.into_iter().zip(score.terms.values()).collect::<Vec<_>>(),
+            })?;
         }
         Ok(())
     }
@@ -82,8 +107,9 @@ impl Film {
         Ok(())
     }
 
-    /// Completes the running film, if there is one.
+    /// Completes the running film and the log, if there are any.
     pub fn end(&mut self) -> Result<(), RecordError> {
+        self.log.take().map_or(Ok(()), |(log, _)| log.finish())?;
         self.recorder.take().map_or(Ok(()), Recorder::finish)
     }
 }

@@ -88,7 +88,8 @@ pub struct Args {
     /// Weather of camera and film, by CARLA's name [default: ClearNoon, or the scenario's].
     #[arg(long, value_name = "NAME")]
     weather: Option<Preset>,
-    /// Film the run: a .mp4 file, or a folder with a trailing / for numbered PNG pictures.
+    /// Film the run: a .mp4 file, or a folder with a trailing / for numbered PNG pictures. A .mcap file holds
+    /// camera, boxes, map, traffic, pose and reward for Foxglove and Rerun.
     #[arg(long, value_name = "FILE", value_hint = ValueHint::AnyPath)]
     record: Option<PathBuf>,
     /// What the film shows: front, chase, bird, or all.
@@ -233,7 +234,7 @@ impl Watched {
 
     /// Shows a tick in film, live view and status line.
     fn show(&mut self, status: &Status, perception: bool) -> anyhow::Result<()> {
-        self.film.add(&mut self.drive)?;
+        self.film.add(&mut self.drive, status)?;
         if let Some(view) = &mut self.view {
             view.show(&self.drive, status);
         }

@@ -17,7 +17,7 @@ mod hub;
 mod net;
 mod player;
 mod protocol;
-mod score;
+pub mod score;
 mod server;
 mod session;
 mod wheel;

@@ -1,6 +1,7 @@
 //! The paper's reward for any driver: terms of each tick, and their sums.
 
 use crate::criteria::{EgoOnRoute, Event};
+use crate::drive::{Drive, Status};
 use crate::network::{Network, Route};
 use crate::observation::LeadState;
 use crate::perception::{EgoFacts, LightAhead};
@@ -15,23 +16,50 @@ pub struct Score {
     params: RewardParams,
     steer: f64,
     acceleration: f64,
+    /// Of the last tick.
     pub terms: RewardTerms,
+    /// Since the begin.
     pub sums: RewardTerms,
 }
 
 /// A tick to be counted: the state after it.
 pub struct Tick<'a> {
+    /// The town's roads.
     pub network: &'a Network,
+    /// The ego's route.
     pub route: &'a Route,
+    /// Its motion and its place on the route.
     pub at: EgoOnRoute,
+    /// Its measures.
     pub ego: &'a EgoParams,
+    /// The states of the signals.
     pub signals: &'a [Option<Arc<str>>],
     /// Its length (s).
     pub dt: f64,
+    /// What was driven.
     pub control: Control,
     /// The vehicle in front as the autopilot sees it, which sees the whole world.
     pub leader: Option<LeaderRecord>,
+    /// What happened.
     pub events: &'a [Event],
+}
+
+impl<'a> Tick<'a> {
+    /// The last tick of a drive.
+    pub fn of(drive: &'a Drive, status: &'a Status) -> Self {
+        let (ego, record) = (drive.ego(), &status.record);
+        Self {
+            network: drive.bridge().network(),
+            route: ego.route(),
+            at: ego.on_route(),
+            ego: ego.params(),
+            signals: &ego.world().traffic_lights,
+            dt: drive.bridge().tick(),
+            control: record.control,
+            leader: record.leader,
+            events: &record.events,
+        }
+    }
 }
 
 impl Score {

@@ -251,18 +251,7 @@ impl RunView {
     /// Shows a tick.
     pub fn show(&mut self, drive: &Drive, status: &Status) {
         let record = &status.record;
-        let (ego, bridge) = (drive.ego(), drive.bridge());
-        self.score.count(&Tick {
-            network: bridge.network(),
-            route: ego.route(),
-            at: ego.on_route(),
-            ego: ego.params(),
-            signals: &ego.world().traffic_lights,
-            dt: bridge.tick(),
-            control: record.control,
-            leader: record.leader,
-            events: &record.events,
-        });
+        self.score.count(&Tick::of(drive, status));
         for event in &record.events {
             self.note(record.time, Note::Event(event.clone()));
         }

@@ -12,6 +12,7 @@
 //! | [`weights`] | files of weights |
 
 pub mod eyes;
+pub mod foxglove;
 pub mod latent;
 pub mod observation;
 pub mod perception;

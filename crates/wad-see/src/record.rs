@@ -81,7 +81,7 @@ pub enum RecordError {
     /// The path is neither a film nor a place for pictures.
     #[error(
         "cannot write a film to {path}: expected a .mp4 file, a folder that ends with `/` or a .png name for \
-         numbered pictures"
+         numbered pictures; `run --record` takes a .mcap file too"
     )]
     Kind {
         /// The given path.

@@ -39,6 +39,24 @@ pub struct PlainActor {
     rescales: bool,
 }
 
+/// Sizes of the layers: of the latent's branch, of the raw states', and of what follows both.
+fn chains(algorithm: &Algorithm, dims: Dims) -> [Vec<usize>; 3] {
+    let (latent, raw, actions) = (dims.latent as usize, dims.raw as usize, dims.actions as usize);
+    if matches!(algorithm, Algorithm::Sac(_)) {
+        let [a, b, c] = HIDDEN_S.map(|size| size as usize);
+        return [vec![], vec![], vec![latent + raw, a, b, c, 2 * actions]];
+    }
+    // A part that is left out has no branch.
+    let latent = if latent > 0 { vec![latent, 150, 100] } else { vec![] };
+    let raw = if raw > 0 { vec![raw, 50] } else { vec![] };
+    let last = [&latent, &raw].into_iter().filter_map(|branch| branch.last()).sum();
+    [latent, raw, vec![last, 100, 75, actions]]
+}
+
+fn pairs(chain: &[usize]) -> impl Iterator<Item = (usize, usize)> {
+    chain.windows(2).map(|pair| (pair[0], pair[1]))
+}
+
 impl PlainActor {
     /// An actor of `algorithm`'s form with the parameters `values`, in the order of the learning networks.
     ///
@@ -50,19 +68,8 @@ impl PlainActor {
         scale: &InputScale,
         values: &[f32],
     ) -> Result<Self, Misfit> {
-        let (latent, raw, actions) = (dims.latent as usize, dims.raw as usize, dims.actions as usize);
-        let rescales = matches!(algorithm, Algorithm::Sac(_));
-        let (branches, joined) = if rescales {
-            let [a, b, c] = HIDDEN_S.map(|size| size as usize);
-            ([vec![], vec![]], vec![latent + raw, a, b, c, 2 * actions])
-        } else {
-            let latent: &[usize] = if latent > 0 { &[latent, 150, 100] } else { &[] };
-            let raw: &[usize] = if raw > 0 { &[raw, 50] } else { &[] };
-            let last = [latent, raw].iter().filter_map(|branch| branch.last()).sum();
-            ([latent.to_vec(), raw.to_vec()], vec![last, 100, 75, actions])
-        };
-        let size = |sizes: &[usize]| sizes.windows(2).map(|pair| pair[0] * pair[1] + pair[1]).sum::<usize>();
-        let expected = size(&branches[0]) + size(&branches[1]) + size(&joined);
+        let sizes = Self::layers(algorithm, dims);
+        let expected = sizes.iter().map(|(inputs, outputs)| inputs * outputs + outputs).sum::<usize>();
         if expected != values.len() {
             let (name, found) = ("actor".to_string(), values.len().to_string());
             return Err(Misfit { name, expected: expected as i64, found });
@@ -73,13 +80,18 @@ impl PlainActor {
             left = rest;
             taken.to_vec()
         };
-        let mut layers = |sizes: &[usize]| -> Vec<Layer> {
-            let pairs = sizes.windows(2);
-            pairs.map(|pair| Layer { weights: take(pair[0] * pair[1]), biases: take(pair[1]) }).collect()
-        };
-        let branches = branches.map(|sizes| layers(&sizes));
-        let joined = layers(&joined);
+        let [latent, raw, joined] = chains(algorithm, dims).map(|chain| -> Vec<Layer> {
+            pairs(&chain)
+                .map(|(inputs, outputs)| Layer { weights: take(inputs * outputs), biases: take(outputs) })
+                .collect()
+        });
+        let (branches, rescales) = ([latent, raw], matches!(algorithm, Algorithm::Sac(_)));
         Ok(Self { dims, scale: scale.clone(), branches, joined, rescales })
+    }
+
+    /// Inputs and outputs of each layer of an actor of `algorithm`'s form, in the order of its parameters.
+    pub fn layers(algorithm: &Algorithm, dims: Dims) -> Vec<(usize, usize)> {
+        chains(algorithm, dims).iter().flat_map(|chain| pairs(chain)).collect()
     }
 
     /// Sizes of its inputs and outputs.

@@ -232,6 +232,17 @@ impl Policy {
             .collect();
         let mut values = vec![0.0; half.len()];
         half.convert_to_f32_slice(&mut values);
+        let policy = Self { card, scale, values };
+        policy.check_form()?;
+        Ok(policy)
+    }
+
+    /// Refuses numbers that are not finite, or not as many as the card says.
+    ///
+    /// # Errors
+    /// What was expected, and what was found.
+    pub fn check_form(&self) -> Result<(), String> {
+        let Self { card, scale, values } = self;
         let n = card.dims.observation() as usize;
         if card.dims.actions > 3 || scale.offset.len() != n || scale.factor.len() != n {
             return Err(format!(
@@ -243,9 +254,7 @@ impl Policy {
         if values.iter().chain(&scale.offset).chain(&scale.factor).any(|x| !x.is_finite()) {
             return Err("its parameters are not finite numbers".to_string());
         }
-        let policy = Self { card, scale, values };
-        policy.actor().map_err(|e| e.to_string())?;
-        Ok(policy)
+        self.actor().map(drop).map_err(|e| e.to_string())
     }
 
     /// The actor.

@@ -17,7 +17,8 @@ use wad_vehicle::{Control, PartnerKind};
 
 /// N egos in one SUMO, each with its own task, route, seed, eyes, criteria and reward. They see each other and
 /// collide with each other. An ego whose episode ended begins its next one elsewhere in the following step, while
-/// the others drive on (Gymnasium's autoreset mode NEXT_STEP): that step ignores its act.
+/// the others drive on (Gymnasium's autoreset mode NEXT_STEP): that step ignores its act. After
+/// [`Fleet::set_returning`] with false it leaves the road instead, and stays out until the next reset (DISABLED).
 ///
 /// A fleet is blocking and belongs to one thread; physics and eyes use the cores that are free. Equal seeds and
 /// acts give equal bytes, whatever the number of threads.
@@ -44,6 +45,8 @@ use wad_vehicle::{Control, PartnerKind};
 pub struct Fleet {
     runtime: tokio::runtime::Runtime,
     world: World,
+    /// Egos whose episode ended begin another.
+    returning: bool,
     /// Each ego's task.
     tasks: Vec<TaskSpec>,
     seed: u64,
@@ -121,6 +124,7 @@ impl Fleet {
         Ok(Self {
             runtime,
             world: World::new(assets, options, encoders)?,
+            returning: true,
             tasks: Vec::new(),
             seed: 0,
             episodes: vec![0; egos],
@@ -188,6 +192,12 @@ impl Fleet {
         self.chosen[index] = Some(seed);
     }
 
+    /// Whether an ego whose episode ended begins another in the following step (the default), or leaves the road and
+    /// stays out until [`Fleet::reset`].
+    pub fn set_returning(&mut self, returning: bool) {
+        self.returning = returning;
+    }
+
     /// The task of ego `index`.
     ///
     /// # Panics
@@ -200,13 +210,13 @@ impl Fleet {
     /// [`super::End::Error`], the next step begins new ones in a new SUMO.
     ///
     /// # Errors
-    /// There was no reset, or perception or encoder fail.
+    /// There was no reset (after SUMO's death none of egos that do not return), or perception or encoder fail.
     ///
     /// # Panics
     /// There is not one act for each ego.
     pub fn step(&mut self, acts: &[Act]) -> Result<&FleetStep, EnvError> {
         assert_eq!(acts.len(), self.egos(), "one act for each ego");
-        if self.tasks.is_empty() {
+        if self.tasks.is_empty() || !(self.returning || self.world.has_sumo()) {
             return Err(EnvError::NoEpisode);
         }
         self.step.began.clear();
@@ -226,6 +236,12 @@ impl Fleet {
                 continue;
             }
             self.acts[ego] = Act::Stay;
+            if !self.returning {
+                if !self.world.is_away(ego) {
+                    self.world.take_away(ego);
+                }
+                continue;
+            }
             let start = (&self.tasks[ego], self.next_seed(ego));
             // Where no place is free it waits: traffic moves on.
             if self.runtime.block_on(self.world.begin_again(ego, start))? {

@@ -10,7 +10,7 @@ use super::{EnvError, EnvOptions, Stages, WorldMode};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-use sumo_network::geometry::Point;
+use sumo_network::geometry::{Point, Vector};
 use sumo_network::network::{EdgeKind, LaneId, Route, TrafficLightId};
 use sumo_network::seeds;
 use wad_see::eyes::{Eyes, LookTimes};
@@ -31,6 +31,9 @@ const PLACES: usize = 12;
 const ROOM: f64 = 30.0;
 /// An ego begins at least this far from all others (m).
 const APART: f64 = 25.0;
+
+/// An ego that leaves goes so far beyond the net (m).
+const AWAY: f64 = 500.0;
 
 /// A task and the seed of an episode.
 pub type Start<'a> = (&'a TaskSpec, u64);
@@ -432,6 +435,22 @@ impl World {
         self.started(index, task, seed, placement)?;
         self.stages.resets += 1;
         Ok(true)
+    }
+
+    /// Takes ego `index`, whose episode has ended, off the road with the next step, in which it stays.
+    pub fn take_away(&mut self, index: usize) {
+        let Some(task) = self.slots[index].task().cloned() else { return };
+        self.leave(index, &task);
+        let (corner, _) = self.assets.network().bounds;
+        let Some(sumo) = &mut self.sumo else { return };
+        // Each at a place of its own, out of sight of the net and of each other.
+        let place = corner - Vector::new(AWAY, AWAY * (1 + index) as f64);
+        sumo.session.seat_mut(index).ego_mut().leave(place);
+    }
+
+    /// Whether ego `index` is off the road.
+    pub fn is_away(&self, index: usize) -> bool {
+        self.ego(index).is_some_and(Ego::is_away)
     }
 
     pub async fn close(&mut self) {

@@ -2,7 +2,7 @@
 
 use crate::criteria::EgoOnRoute;
 use std::collections::HashSet;
-use sumo_network::geometry::{Pose, Vector};
+use sumo_network::geometry::{Point, Pose, Vector};
 use sumo_network::network::{EdgeKind, LaneId, Network, Route};
 use sumo_network::world::{Actor, ActorKind, VehicleSignals, WorldState};
 use sumo_traci::{Batch, Color, CommandError, Replies, Ticket, route, vehicle, vehicle_type};
@@ -49,6 +49,8 @@ pub struct Ego {
     route_is_news: bool,
     /// It was moved to a place that its route in SUMO does not lead to.
     is_elsewhere: bool,
+    /// It has left the road: SUMO is told its place, and no route.
+    is_away: bool,
     /// Reports in a row in which SUMO refused the route.
     refusals: u32,
     /// How many of the route's edges SUMO knows.
@@ -97,6 +99,7 @@ impl Ego {
             lamps: Lamps::default(),
             route_is_news: true,
             is_elsewhere: false,
+            is_away: false,
             refusals: 0,
             told_edges: 0,
             known_routes: HashSet::new(),
@@ -116,7 +119,20 @@ impl Ego {
         let place = pose.to_world(Vector::new(0.0, left));
         self.vehicle.respawn(Pose::new(place.x, place.y, 0.0, pose.heading + turn), 0.0);
         self.set_route(route, start);
-        self.is_elsewhere = true;
+        (self.is_elsewhere, self.is_away) = (true, false);
+    }
+
+    /// Takes it off the road, standing at `place` beyond the net, until it is respawned. SUMO keeps vehicles far from all roads
+    /// without lane, and nobody sees them.
+    pub fn leave(&mut self, place: Point) {
+        self.vehicle.respawn(Pose::new(place.x, place.y, 0.0, 0.0), 0.0);
+        self.lamps = Lamps::default();
+        (self.is_elsewhere, self.is_away) = (false, true);
+    }
+
+    /// Whether it has left the road.
+    pub fn is_away(&self) -> bool {
+        self.is_away
     }
 
     /// Forgets everything but its parameters, for another SUMO. Call respawn afterwards.
@@ -262,7 +278,7 @@ impl Ego {
         // refuses every route that does. So it is first put on its edge, which becomes its whole route.
         let elsewhere = std::mem::take(&mut self.is_elsewhere);
         let mut route = None;
-        if !elsewhere && (self.route_is_news || self.needs_more_edges()) {
+        if !elsewhere && !self.is_away && (self.route_is_news || self.needs_more_edges()) {
             let name = self.define_route(network, batch);
             // Not SET_ROUTE: that puts the edges passed so far in front, and the cost of each tick's
             // move_to_xy grows with them.
