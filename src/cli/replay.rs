@@ -107,6 +107,7 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
 fn with_exit(error: VerifyError) -> anyhow::Error {
     let exit = match &error {
         VerifyError::Env(env) if env.is_sumo() => Exit::Sumo,
+        VerifyError::Lost { .. } => Exit::Sumo,
         VerifyError::Assets(assets) if !assets.is_input() => Exit::Sumo,
         _ => Exit::Input,
     };

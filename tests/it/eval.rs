@@ -200,6 +200,34 @@ fn a_failure_is_replayed_to_the_bit_and_reported() {
     assert!(read(&run.join("report/report.csv")).contains("Small: success"));
 }
 
+/// A SUMO that dies says nothing about the recording: before, the verdict was that the episode "ended earlier".
+#[test]
+fn a_sumo_that_dies_while_an_episode_is_verified_is_no_difference() {
+    let small = Small::new(1500, 1);
+    ok(&mut small.eval("run", &["--agent", "autopilot", "--keep", "all"]));
+    let kept = std::fs::read_dir(small.out("run").join("episodes")).unwrap().next().unwrap().unwrap().path();
+    let mut replay = wad(&["replay", "--verify"]);
+    let mut child = replay.arg(&kept).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let began = Instant::now();
+    // SUMO is switched out about once a tick, since it waits for the next: after so many it is within the episode.
+    let switches = |pid: i32| -> u64 {
+        let text = std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap_or_default();
+        let counts = text.lines().filter(|line| line.contains("ctxt_switches"));
+        counts.filter_map(|line| line.split_whitespace().nth(1)?.parse::<u64>().ok()).sum()
+    };
+    while child.try_wait().unwrap().is_none() {
+        if let Some(pid) = super::run::sumo_of(child.id()).filter(|&pid| switches(pid) > 300) {
+            // SAFETY: kill() only takes numbers; the process is this test's own child's.
+            unsafe { libc::kill(pid, libc::SIGKILL) };
+        }
+        assert!(began.elapsed() < Duration::from_secs(120), "it goes on without a SUMO");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
+    assert!(stderr(&output).contains("SUMO"), "{}", stderr(&output));
+}
+
 #[cfg(feature = "vision")]
 #[test]
 fn an_external_agent_drives_and_one_that_fails_costs_its_episode_only() {

@@ -15,6 +15,7 @@ mod doctor;
 mod env;
 mod eval;
 mod fleet;
+mod fuzz;
 mod licences;
 mod netedit;
 mod nets;

@@ -1,8 +1,7 @@
 //! Networks that SUMO's own tools make and ship: they all load, they mean what SUMO means, and
 //! routes over them are smooth and accepted by SUMO.
 
-mod damage;
-mod nets;
+pub mod nets;
 
 use nets::{Measured, Nets, Random, drive, shipped_nets};
 use std::collections::{BTreeMap, BTreeSet};

@@ -133,7 +133,11 @@ impl ExternalAgent {
     }
 }
 
-fn read_control(line: &str) -> Result<Control, String> {
+/// An external agent's answer to a question.
+///
+/// # Errors
+/// It is no control, or one out of range; the text quotes its beginning.
+pub fn read_control(line: &str) -> Result<Control, String> {
     let expected = "expected {\"throttle\": 0..1, \"steer\": -1..1, \"brake\": 0..1}";
     let answer: Answer = serde_json::from_str(line)
         .map_err(|e| format!("it answered {}: {expected} ({e})", shortened(line)))?;

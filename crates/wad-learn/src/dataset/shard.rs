@@ -188,6 +188,8 @@ pub struct ShardReader {
     read: usize,
     /// Where the next frame begins (bytes).
     at: u64,
+    /// Where the trailer begins (bytes).
+    end: u64,
     payload: Vec<u8>,
 }
 
@@ -235,7 +237,16 @@ impl ShardReader {
             return Err(torn(&format!("its last bytes claim {frames} frames, more than it has room for")));
         }
         file.seek(SeekFrom::Start(begin)).map_err(io)?;
-        Ok(Self { path: path.into(), file, header, frames, read: 0, at: begin, payload: Vec::new() })
+        Ok(Self {
+            path: path.into(),
+            file,
+            header,
+            frames,
+            read: 0,
+            at: begin,
+            end: length - 8,
+            payload: Vec::new(),
+        })
     }
 
     /// The header.
@@ -261,7 +272,8 @@ impl ShardReader {
         self.file.read_exact(&mut head).map_err(|_| torn(self.read, &self.path))?;
         let length = u32::from_le_bytes([head[0], head[1], head[2], head[3]]);
         let crc = u32::from_le_bytes([head[4], head[5], head[6], head[7]]);
-        if length > LONGEST {
+        // Before memory is reserved for it.
+        if length > LONGEST || self.at + 8 + u64::from(length) > self.end {
             return Err(torn(self.read, &self.path));
         }
         self.payload.resize(length as usize, 0);

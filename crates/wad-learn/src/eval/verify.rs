@@ -7,6 +7,7 @@ use crate::agent::AgentError;
 use crate::env::{EnvError, EnvOptions};
 use serde::Serialize;
 use wad_sim::assets::{Assets, AssetsError};
+use wad_sim::end::End;
 use wad_sim::replay::{Frame, Moment, Recording, digest};
 use wad_sim::session::Act;
 use wad_vehicle::Control;
@@ -35,6 +36,14 @@ pub enum VerifyError {
         expected: String,
         /// Hash of the town's net.
         found: String,
+    },
+    /// SUMO failed during the second simulation, so nothing is known about the ticks that follow.
+    #[error("SUMO failed at tick {tick} while the episode was simulated again: {cause}")]
+    Lost {
+        /// The tick.
+        tick: u64,
+        /// How it failed.
+        cause: String,
     },
     /// The recording has fewer ticks than the episode.
     #[error("the recording is cut short: expected {expected} ticks, found {found}")]
@@ -108,7 +117,14 @@ pub fn verify(
             let act = if external { Act::Control(frame.control) } else { driver.act(env.eyes())? };
             let step = env.act(act)?;
             (control, events) = (step.control, step.info.events);
-            if step.info.ending.is_some() && index + 1 < frames.len() {
+            let ending = step.info.ending;
+            if let Some(ending) = ending.as_ref().filter(|ending| ending.end == End::Error) {
+                // With a recorded fault the recording may end here too.
+                if kept.episode.fault.is_none() {
+                    return Err(VerifyError::Lost { tick: frame.tick, cause: ending.cause.clone() });
+                }
+            }
+            if ending.is_some() && index + 1 < frames.len() {
                 verdict.same = false;
                 verdict.first_difference.get_or_insert((frame.tick, "it ended earlier".to_string()));
                 break;
