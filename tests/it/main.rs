@@ -16,6 +16,7 @@ mod env;
 mod eval;
 mod fleet;
 mod fuzz;
+mod json;
 mod licences;
 mod netedit;
 mod nets;
