@@ -1,6 +1,6 @@
 //! Many egos in one SUMO: a vectorised environment.
 
-use super::slot::Outcome;
+use super::slot::{Outcome, is_ego};
 use super::world::World;
 use super::{Assets, EnvError, EnvOptions, Info, Stages};
 use std::sync::Arc;
@@ -88,17 +88,6 @@ impl FleetStep {
         let among = |event: &&Event| matches!(event, Event::Collision { kind: PartnerKind::Vehicle, partner, .. } if is_ego(partner));
         self.infos.iter().flat_map(|info| &info.events).filter(among).count()
     }
-}
-
-/// SUMO's id of ego number `index`: `ego`, `ego2`, ...
-pub fn ego_id(index: usize) -> String {
-    let first = super::slot::FIRST;
-    if index == 0 { first.to_string() } else { format!("{first}{}", index + 1) }
-}
-
-/// Whether SUMO's vehicle `id` is an ego of a fleet.
-pub fn is_ego(id: &str) -> bool {
-    id.strip_prefix(super::slot::FIRST).is_some_and(|number| number.bytes().all(|b| b.is_ascii_digit()))
 }
 
 impl Fleet {

@@ -46,8 +46,9 @@ mod slot;
 mod world;
 
 pub use error::EnvError;
-pub use fleet::{Fleet, FleetStep, ego_id, is_ego};
+pub use fleet::{Fleet, FleetStep};
 pub use options::{EnvOptions, StartOffset, WorldMode};
+pub use slot::{ego_id, is_ego};
 pub use wad_see::observation::ObservationMode;
 pub use wad_sim::assets::Assets;
 pub use wad_sim::end::{End, Ending, Termination};

@@ -18,6 +18,16 @@ use wad_vehicle::Control;
 /// SUMO's id of the first ego; the others have their number behind it.
 pub const FIRST: &str = "ego";
 
+/// SUMO's id of ego number `index`: `ego`, `ego2`, ...
+pub fn ego_id(index: usize) -> String {
+    if index == 0 { FIRST.to_string() } else { format!("{FIRST}{}", index + 1) }
+}
+
+/// Whether SUMO's vehicle `id` is an ego of a fleet.
+pub fn is_ego(id: &str) -> bool {
+    id.strip_prefix(FIRST).is_some_and(|number| number.bytes().all(|b| b.is_ascii_digit()))
+}
+
 /// A route that never ends is lengthened when less than this is left of it (m).
 const ONWARD: f64 = 250.0;
 /// Places drawn per attempt.

@@ -1,11 +1,10 @@
 //! One SUMO with its egos, from episode to episode.
 
 use super::episode::Episode;
-use super::fleet::ego_id;
 use super::green;
 use super::obstacle;
 use super::scratch::Scratch;
-use super::slot::{Judge, Outcome, Slot};
+use super::slot::{Judge, Outcome, Slot, ego_id};
 use super::{EnvError, EnvOptions, Stages, WorldMode};
 use std::path::PathBuf;
 use std::sync::Arc;
