@@ -245,7 +245,8 @@ mod tests {
         for _ in 0..40 {
             assert!(progress.note(&curriculum, TaskKind::Straight, 100, true).is_none());
         }
-        let spent = progress.note(&curriculum, TaskKind::OneTurn, 80_000, false).unwrap();
+        let most = curriculum.stages[1].most_steps.unwrap();
+        let spent = progress.note(&curriculum, TaskKind::OneTurn, most, false).unwrap();
         assert_eq!((spent.stage, spent.threshold), (1, false));
         assert_eq!(progress.stage, 2);
         let mut last = Progress { stage: 5, ..Progress::default() };
