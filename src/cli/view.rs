@@ -5,6 +5,7 @@ use super::{Exit, agents};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use wad_cosim::assets::Assets;
+use wad_cosim::bundled;
 use wad_cosim::camera::{CameraConfig, Preset};
 use wad_cosim::cores::Cores;
 use wad_cosim::drive::{Drive, DriveError, Status};
@@ -94,7 +95,7 @@ impl View {
         let encoder = agents::sees_through(about.encoder, Some(about.agent));
         let artist = artist(assets, length, about.detector, Some(&encoder), about.seed)?;
         let make_driver = Some(maker(about, assets));
-        let mut agents: Vec<String> = bundled_agents();
+        let mut agents = bundled::agents();
         agents.extend(["constant", "random"].map(str::to_string));
         if !["autopilot", "manual"].contains(&about.agent) && !agents.iter().any(|name| name == about.agent) {
             agents.push(about.agent.to_string());
@@ -168,14 +169,6 @@ pub fn artist(
     eyes.reset(Preset::default(), seed);
     let decoder = agents::decoder(encoder.unwrap_or("default"));
     Ok(Artist::new(assets.town(), eyes, Arc::clone(assets.network()), length, decoder)?)
-}
-
-fn bundled_agents() -> Vec<String> {
-    ["wad-t", "wad-s"]
-        .into_iter()
-        .filter(|name| wad_cosim::agent::policy::Policy::find(name).is_ok())
-        .map(str::to_string)
-        .collect()
 }
 
 fn maker(about: &About<'_>, assets: &Arc<Assets>) -> MakeDriver {

@@ -121,12 +121,18 @@ pub fn encoder(name: &str) -> Option<&'static [u8]> {
     file(&format!("models/encoder/{name}.safetensors"))
 }
 
-/// The bundled agent of that name, `wad-t` or `wad-s`.
+/// Names of the bundled agents (`models/wad_t/agent.safetensors` is `wad-t`), sorted.
+pub fn agents() -> Vec<String> {
+    let name = |path: &String| {
+        Some(path.strip_prefix("models/")?.strip_suffix("/agent.safetensors")?.replace('_', "-"))
+    };
+    files().keys().filter_map(name).collect()
+}
+
+/// The bundled agent of that name.
 pub fn agent(name: &str) -> Option<&'static [u8]> {
-    match name {
-        "wad-t" | "wad-s" => file(&format!("models/{}/agent.safetensors", name.replace('-', "_"))),
-        _ => None,
-    }
+    let known = agents().iter().any(|agent| agent == name);
+    known.then(|| file(&format!("models/{}/agent.safetensors", name.replace('-', "_"))))?
 }
 
 /// The bundled detector of that name (`models/detector/NAME.safetensors`).

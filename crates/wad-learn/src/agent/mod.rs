@@ -7,7 +7,7 @@
 //! | [`networks`] | WAD-T's and WAD-S' actors and critics |
 //! | [`td3`], [`sac`] | one learning step each, in the papers' order |
 //! | [`imitation`] | an expert's actions as a second teacher, beyond the paper |
-//! | [`replay_buffer`], [`replay_files`] | a million transitions of latents, in memory and on disk |
+//! | [`replay_buffer`], [`replay_files`], [`places`] | a million transitions of latents, in memory and on disk, and where they were driven |
 //! | [`params`] | what a trained agent's file says of it |
 //! | [`actor`] | a trained actor without libtorch |
 //! | [`policy`] | a trained actor as a file, and as an [`Agent`] |
@@ -26,6 +26,8 @@ pub mod learner;
 #[cfg(feature = "learn")]
 pub mod networks;
 pub mod params;
+#[cfg(feature = "learn")]
+pub mod places;
 pub mod policy;
 #[cfg(feature = "learn")]
 pub mod replay_buffer;

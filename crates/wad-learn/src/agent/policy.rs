@@ -100,11 +100,11 @@ pub enum PolicyError {
         found: String,
     },
     /// No bundled agent has this name, and no file this path.
-    #[error("no agent is called `{0}`: expected autopilot, wad-t, wad-s or a file that `train agent` wrote")]
+    #[error(
+        "no agent is called `{0}`: expected autopilot, {names}, or a file that `train agent` wrote",
+        names = bundled::agents().join(", ")
+    )]
     Unknown(String),
-    /// This build does not include the agent of this name.
-    #[error("this build does not include the trained agent `{0}`; train one, and give its file")]
-    NotShipped(String),
     /// The agent's encoder cannot be opened.
     #[error("the agent's encoder: {0}")]
     Encoder(#[from] LatentError),
@@ -172,7 +172,7 @@ impl Policy {
         Self::parse(&bytes).map_err(|why| PolicyError::Format { path: path.to_path_buf(), why })
     }
 
-    /// The policy called `name`: a file, or the bundled `wad-t` or `wad-s`. Also returns the name of its
+    /// The policy called `name`: a file, or a bundled one, e.g. `wad-t`. Also returns the name of its
     /// place, for messages.
     ///
     /// # Errors
@@ -182,10 +182,7 @@ impl Policy {
         if path.is_file() {
             return Ok((Self::load(path)?, path.to_path_buf()));
         }
-        if !["wad-t", "wad-s"].contains(&name) {
-            return Err(PolicyError::Unknown(name.to_string()));
-        }
-        let bytes = bundled::agent(name).ok_or_else(|| PolicyError::NotShipped(name.to_string()))?;
+        let bytes = bundled::agent(name).ok_or_else(|| PolicyError::Unknown(name.to_string()))?;
         let policy =
             Self::parse(bytes).map_err(|why| PolicyError::Format { path: path.to_path_buf(), why })?;
         Ok((policy, path.to_path_buf()))
@@ -396,7 +393,8 @@ mod tests {
     #[test]
     fn shipped_agents_find_the_encoder_that_they_were_trained_with() {
         let camera = CameraConfig::default();
-        for name in ["wad-t", "wad-s"] {
+        for name in bundled::agents() {
+            let name = name.as_str();
             let (policy, _) = Policy::find(name).unwrap();
             let (_, encoder) = open(name, None, &camera).unwrap();
             assert_eq!(encoder.hash(), policy.card.encoder_hash);

@@ -3,6 +3,7 @@
 //! A chunk's file name has its place and the buffer's count of entries at its last change
 //! (`chunk-3-40960.bin`), and never changes once it is there: checkpoints share files.
 
+use super::places::Place;
 use super::replay_buffer::ReplayBuffer;
 use half::slice::HalfFloatSliceExt;
 use serde::{Deserialize, Serialize};
@@ -91,7 +92,7 @@ impl ReplayBuffer {
             }
             self.take_chunk(chunk, &data)?;
         }
-        self.find_terminations();
+        self.index();
         Ok(())
     }
 
@@ -125,6 +126,7 @@ impl ReplayBuffer {
         floats(&self.actions[rows.start * a..rows.end * a]);
         floats(&self.shown[rows.start * a..rows.end * a]);
         floats(&self.rewards[rows.clone()]);
+        data.extend(self.places[rows.clone()].iter().flat_map(|place| place.0.to_le_bytes()));
         data.extend(&self.flags[rows]);
         data
     }
@@ -148,11 +150,15 @@ impl ReplayBuffer {
         let (raws, rest) = rest.split_at(4 * n * raw);
         let (actions, rest) = rest.split_at(4 * n * a);
         let (shown, rest) = rest.split_at(4 * n * a);
-        let (rewards, flags) = rest.split_at(4 * n);
+        let (rewards, rest) = rest.split_at(4 * n);
+        let (places, flags) = rest.split_at(4 * n);
         fill(&mut self.raw[rows.start * raw..], raws);
         fill(&mut self.actions[rows.start * a..], actions);
         fill(&mut self.shown[rows.start * a..], shown);
         fill(&mut self.rewards[rows.start..], rewards);
+        for (place, b) in self.places[rows.start..].iter_mut().zip(places.chunks_exact(4)) {
+            *place = Place(u32::from_le_bytes([b[0], b[1], b[2], b[3]]));
+        }
         self.flags[rows].copy_from_slice(flags);
         Ok(())
     }
@@ -212,6 +218,7 @@ mod tests {
             terminated: from.is_multiple_of(2),
             truncated: from % 2 == 1,
             shown: (0..n).map(|k| from.is_multiple_of(3).then(|| [value(k), 0.1, 0.2])).collect(),
+            places: (0..n).map(|k| Place((from + k) as u32 / 9)).collect(),
         });
     }
 
@@ -220,7 +227,7 @@ mod tests {
         assert_eq!(one.latents, two.latents);
         assert_eq!((&one.raw, &one.actions, &one.rewards), (&two.raw, &two.actions, &two.rewards));
         assert_eq!(one.shown, two.shown);
-        assert_eq!(one.flags, two.flags);
+        assert_eq!((&one.flags, &one.places), (&two.flags, &two.places));
     }
 
     #[test]

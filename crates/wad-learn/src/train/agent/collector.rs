@@ -226,7 +226,7 @@ impl Collector<'_> {
             if self.shared.stop.load(Ordering::Relaxed) {
                 return Err(Stop::Over);
             }
-            let speed = env.speed();
+            let before = Chosen::before(env.ego());
             let asks = ongoing.asks(self.config) || recording.is_some();
             let shown = if asks { Some(action::from_control(env.expert()?)) } else { None };
             let action = self.choose(&mut ongoing, shown, &env.raw().vector())?;
@@ -246,7 +246,8 @@ impl Collector<'_> {
                 tick: env.tick(),
             };
             let observation = dims.of(&step.observation);
-            if let Some(report) = self.passed(&mut ongoing, (action, shown, speed), &result, observation)? {
+            let chosen = Chosen { action, shown, ..before };
+            if let Some(report) = self.passed(&mut ongoing, chosen, &result, observation)? {
                 if let Some((folder, recording)) = recording.filter(|_| !lost) {
                     self.keep(folder, &recording, job, &step.info, step.terminated)?;
                 }
@@ -282,7 +283,7 @@ impl Collector<'_> {
     fn passed(
         &mut self,
         ongoing: &mut Ongoing,
-        (action, shown, speed): Chosen,
+        Chosen { action, shown, speed, place }: Chosen,
         result: &Passed<'_>,
         observation: Vec<f32>,
     ) -> Result<Option<Report>, Stop> {
@@ -306,6 +307,7 @@ impl Collector<'_> {
         let segment = &mut ongoing.segment;
         segment.actions.push(action);
         segment.shown.push(shown.map(|a| action::shown(a, speed)));
+        segment.places.push(place);
         segment.rewards.push(result.reward as f32);
         segment.observations.push(finite(observation)?);
         segment.terminated = result.terminated;

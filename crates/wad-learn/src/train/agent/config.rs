@@ -53,7 +53,7 @@ pub struct TrainConfig {
     pub n_step: usize,
     /// Factor on the rewards.
     pub reward_scale: f64,
-    /// Share of each batch that is drawn from the last ticks before terminations; 0: drawn uniformly.
+    /// Share of each batch that is drawn from the places where episodes end; 0: drawn uniformly.
     #[serde(default)]
     pub near_ends: f64,
     /// Capacity of the replay buffer (transitions).

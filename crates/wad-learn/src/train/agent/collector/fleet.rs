@@ -2,7 +2,7 @@
 
 use super::ongoing::{Chosen, Ongoing, Passed};
 use super::{Collector, Stop, finite, lock};
-use crate::agent::action::{self, Action};
+use crate::agent::action;
 use crate::env::{End, Fleet, Stages};
 use crate::train::agent::schedule::Job;
 use std::sync::Arc;
@@ -38,18 +38,18 @@ impl Collector<'_> {
             ongoing.push(Some(Ongoing::new(job.clone(), self.config, finite(part(&fleet, ego))?)));
         }
         let mut acts = vec![Act::Stay; egos];
-        let mut chosen: Vec<Chosen> = vec![(Action::default(), None, 0.0); egos];
+        let mut chosen: Vec<Chosen> = vec![Chosen::default(); egos];
         for tick in 1_u64.. {
             if self.shared.stop.load(Ordering::Relaxed) {
                 return Err(Stop::Over);
             }
             for ego in 0..egos {
                 let Some(ongoing) = &mut ongoing[ego] else { continue };
-                let speed = fleet.ego(ego).map_or(0.0, |ego| ego.state().speed);
+                let before = Chosen::before(fleet.ego(ego));
                 let asks = ongoing.asks(self.config);
                 let shown = if asks { Some(action::from_control(fleet.expert(ego)?)) } else { None };
                 let action = self.choose(ongoing, shown, &fleet.eyes(ego).raw().vector())?;
-                chosen[ego] = (action, shown, speed);
+                chosen[ego] = Chosen { action, shown, ..before };
                 let control = action::to_control(action);
                 acts[ego] = if asks { Act::Disturbed(control) } else { Act::Control(control) };
             }

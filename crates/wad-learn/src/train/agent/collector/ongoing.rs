@@ -2,6 +2,7 @@
 
 use crate::agent::action::Action;
 use crate::agent::exploration::Exploration;
+use crate::agent::places::Place;
 use crate::agent::replay_buffer::Segment;
 use crate::env::{End, Ending, Info};
 use crate::reward::RewardTerms;
@@ -10,9 +11,28 @@ use crate::train::agent::schedule::{Job, Purpose, Report};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::time::Duration;
+use wad_sim::bridge::Ego;
 
-/// An action, the expert's if it was asked, and the ego's speed before it (m/s).
-pub type Chosen = (Action, Option<Action>, f64);
+/// What was chosen for a tick.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Chosen {
+    pub action: Action,
+    /// The expert's, if it was asked.
+    pub shown: Option<Action>,
+    /// The ego's speed before it (m/s).
+    pub speed: f64,
+    /// Where the ego was before it.
+    pub place: Place,
+}
+
+impl Chosen {
+    /// Nothing yet, for an ego as it is before a tick.
+    pub fn before(ego: Option<&Ego>) -> Self {
+        let state = ego.map(Ego::state);
+        let place = state.map_or(Place::UNKNOWN, |state| Place::of(&state.pose));
+        Self { speed: state.map_or(0.0, |state| state.speed), place, ..Self::default() }
+    }
+}
 
 /// The result of a tick.
 pub struct Passed<'a> {
