@@ -1,6 +1,6 @@
 //! Ctrl-C and SIGTERM, as a flag for long work that looks at it now and then, and as a future.
 
-use std::io;
+use std::io::{self, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::watch;
@@ -53,7 +53,9 @@ impl Interrupt {
                         // threads are using. SUMO and external agents end with us.
                         unsafe { libc::_exit(4) };
                     }
-                    eprintln!("interrupted: ending as soon as the results are safe; once more ends at once");
+                    // `eprintln` would panic if stderr cannot be written.
+                    let heard = "interrupted: ending as soon as the results are safe; once more ends at once";
+                    let _ = writeln!(io::stderr(), "{heard}");
                     sender.send_replace(true);
                 }
             });

@@ -111,8 +111,8 @@ async fn bridge(args: BridgeArgs) -> anyhow::Result<Exit> {
         "autopilot ms",
         "in sight"
     );
-    let say = |line: &str| if args.json { eprintln!("{line}") } else { println!("{line}") };
-    say(&header);
+    let say = |line: &str| super::row(line, args.json);
+    say(&header)?;
     for &(vehicles, pedestrians) in &bench.populations {
         let mut progress =
             |turn: usize| tracing::info!("{vehicles}/{pedestrians}: turn {turn} of {}", args.repeat);
@@ -120,7 +120,7 @@ async fn bridge(args: BridgeArgs) -> anyhow::Result<Exit> {
             BenchError::Drive(error) => run::with_exit(error),
             other => Exit::Sumo.because(other),
         })?;
-        say(&line(&row));
+        say(&line(&row))?;
         rows.push(row);
     }
     if args.json {

@@ -181,7 +181,7 @@ fn stages(frames: &[Stages]) -> Stages {
 }
 
 fn report(ways: &[Way], json: bool) -> anyhow::Result<Exit> {
-    let say = |line: &str| if json { eprintln!("{line}") } else { println!("{line}") };
+    let say = |line: &str| super::row(line, json);
     say(&format!(
         "{:>16} {:>10} {:>7} {:>10} {:>10} {:>8} {:>8} {:>9} {:>7} {:>7} {:>8}",
         "weather",
@@ -195,7 +195,7 @@ fn report(ways: &[Way], json: bool) -> anyhow::Result<Exit> {
         "raster",
         "shade",
         "effects"
-    ));
+    ))?;
     let mut rows = Vec::new();
     for way in ways {
         let mut sorted = way.wall.clone();
@@ -225,7 +225,7 @@ fn report(ways: &[Way], json: bool) -> anyhow::Result<Exit> {
             row.stages.raster,
             row.stages.shade,
             row.stages.effects
-        ));
+        ))?;
         rows.push(row);
     }
     if json {

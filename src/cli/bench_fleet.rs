@@ -96,7 +96,7 @@ const WARM_UP: u64 = 60;
 /// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<Exit> {
     let assets = Assets::load(&args.config).map_err(|e| Exit::Input.because(e))?;
-    let say = |line: &str| if args.json { eprintln!("{line}") } else { println!("{line}") };
+    let say = |line: &str| super::row(line, args.json);
     say(&format!(
         "{:>5} {:>9} {:>14} {:>9} {:>11} {:>10} {:>13} {:>11} {:>8} {:>9} {:>9}",
         "egos",
@@ -110,7 +110,7 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
         "rest ms",
         "episodes",
         "memory MB"
-    ));
+    ))?;
     let mut rows = Vec::new();
     for &egos in &args.egos {
         let row = measure(args, &assets, egos)?;
@@ -127,7 +127,7 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
             row.rest_ms,
             row.episodes,
             row.memory_mb.unwrap_or(0.0)
-        ));
+        ))?;
         rows.push(row);
     }
     if args.json {

@@ -111,7 +111,7 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
     bench.finish().await.map_err(with_exit)?;
     match &report {
         Some(report) => show(report, args.json)?,
-        None => eprintln!("interrupted before the first measured tick"),
+        None => super::note(format_args!("interrupted before the first measured tick")),
     }
     Ok(if interrupted { Exit::Interrupted } else { Exit::Done })
 }

@@ -160,7 +160,7 @@ fn report(args: &Args, collectors: usize, alone: &Trained, both: &Trained) -> an
     if !args.json {
         return print(&text);
     }
-    eprint!("{text}");
+    super::note(text.trim_end());
     let json = serde_json::json!({
         "algorithm": both.algorithm,
         "task": args.task,

@@ -133,7 +133,7 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
                 times.late.extend(got.late_ms);
             }
         }
-        eprintln!("turn {} of {}", turn + 1, args.repeat);
+        super::note(format_args!("turn {} of {}", turn + 1, args.repeat));
     }
     view.close();
     drive.finish(false).await.map_err(with_exit)?;
@@ -151,7 +151,7 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
             100.0 * row.frames_share,
             row.megabytes_per_second
         );
-        if args.json { eprintln!("{line}") } else { print(&format!("{line}\n"))? }
+        super::row(&line, args.json)?;
     }
     if args.json {
         print(&format!(

@@ -1,6 +1,9 @@
 //! The command line: one file per command. Here: what all commands share, which is
 //! exit codes, log level and printing.
 
+// `println` and `eprintln` panic where nothing can be written: `print`, `row` and `note` do not.
+#![warn(clippy::print_stdout, clippy::print_stderr)]
+
 mod agents;
 mod bench;
 mod bench_camera;
@@ -108,7 +111,7 @@ pub fn main() -> ExitCode {
     match result {
         Ok(exit) => exit.into(),
         Err(error) => {
-            eprintln!("wad-cosim: {}", message(&error));
+            note(format_args!("wad-cosim: {}", message(&error)));
             Exit::of(&error).into()
         }
     }
@@ -137,6 +140,8 @@ fn start_log(verbose: u8, quiet: bool) {
     tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)
+        // It would say on stderr that stderr cannot be written, and panic.
+        .log_internal_errors(false)
         .with_ansi(std::io::stderr().is_terminal())
         .with_target(verbose > 1)
         .without_time()
@@ -166,8 +171,22 @@ pub fn answer(text: &str, json: bool, value: &impl serde::Serialize) -> anyhow::
     if !json {
         return print(text);
     }
-    eprint!("{text}");
+    note(text.trim_end());
     print(&(serde_json::to_string(value)? + "\n"))
+}
+
+/// Write a line to stderr. One that cannot be written (a full disk) is lost, the command goes on.
+pub fn note(line: impl std::fmt::Display) {
+    let _ = writeln!(std::io::stderr(), "{line}");
+}
+
+/// Write a line of a table that grows while a command works: to stdout, or with `json` to stderr.
+pub fn row(line: &str, json: bool) -> anyhow::Result<()> {
+    if json {
+        note(line);
+        return Ok(());
+    }
+    print(&format!("{line}\n"))
 }
 
 /// Write `text` to stdout. A closed pipe (`| head`) is not an error.

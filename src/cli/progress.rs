@@ -50,8 +50,8 @@ impl Bar {
     /// Prints a line above the bar.
     pub fn say(&self, text: &str) {
         match &self.bar {
-            Some(bar) => bar.suspend(|| eprintln!("{text}")),
-            None => eprintln!("{text}"),
+            Some(bar) => bar.suspend(|| super::note(text)),
+            None => super::note(text),
         }
     }
 
@@ -75,7 +75,7 @@ impl Bar {
         self.last.set(Some(Instant::now()));
         let seconds = self.began.elapsed().as_secs_f64();
         let rate = done.saturating_sub(first) as f64 / seconds.max(1e-9);
-        eprintln!("{done}/{} {}, {rate:.1}/s  {message}", self.total.get(), self.unit);
+        super::note(format_args!("{done}/{} {}, {rate:.1}/s  {message}", self.total.get(), self.unit));
     }
 
     /// Removes the bar.

@@ -74,9 +74,9 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
         episode.route_length_m,
         episode.ending.cause,
     );
-    eprint!("{text}");
+    super::note(text.trim_end());
     if kept.build != env!("WAD_COSIM_VERSION") {
-        eprintln!("recorded by {}, this is {}", kept.build, env!("WAD_COSIM_VERSION"));
+        super::note(format_args!("recorded by {}, this is {}", kept.build, env!("WAD_COSIM_VERSION")));
     }
     let mut answer = serde_json::json!({ "episode": episode, "ticks": recording.frames().len() - 1 });
     if let Some(path) = &args.record {
@@ -89,12 +89,19 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
         exit = if verdict.same { Exit::Done } else { Exit::Other };
         let all = verdict.ticks == recording.frames().len() as u64;
         match &verdict.first_difference {
-            None if all => eprintln!("simulated again: {} states, every bit the same", verdict.ticks),
+            None if all => {
+                super::note(format_args!("simulated again: {} states, every bit the same", verdict.ticks))
+            }
             None => {
-                eprintln!("interrupted after {} states, every bit the same so far", verdict.ticks);
+                super::note(format_args!(
+                    "interrupted after {} states, every bit the same so far",
+                    verdict.ticks
+                ));
                 exit = Exit::Interrupted;
             }
-            Some((tick, what)) => eprintln!("simulated again: it differs from tick {tick} on: {what}"),
+            Some((tick, what)) => {
+                super::note(format_args!("simulated again: it differs from tick {tick} on: {what}"))
+            }
         }
         answer["verify"] = serde_json::to_value(&verdict)?;
     }
@@ -140,7 +147,7 @@ fn film(args: &Args, path: &std::path::Path, recording: &Recording) -> anyhow::R
     }
     bar.clear();
     film.finish()?;
-    eprintln!("{}", path.display());
+    super::note(format_args!("{}", path.display()));
     Ok(())
 }
 

@@ -45,7 +45,7 @@ Exit codes: 0 done; 2 usage or input; 3 SUMO failed; 4 interrupted, results kept
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
-    /// A .sumocfg, a .net.xml(.gz), a scenario's folder, a bundled town (town3, town5) or a shipped scenario.
+    /// A .sumocfg, a .net.xml(.gz), a scenario's folder, a bundled town (town3, town5, town7) or a shipped scenario.
     #[arg(value_hint = ValueHint::FilePath)]
     config: String,
     /// The driver: autopilot, wad-t, wad-s, a file that `train agent` wrote, constant, random, manual (with
@@ -146,7 +146,7 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
     let started = tokio::select! {
         started = Drive::start_in(&assets, options, pilots, args.weather.unwrap_or_default()) => started,
         () = interrupt.wait() => {
-            eprintln!("interrupted before the first tick");
+            super::note(format_args!("interrupted before the first tick"));
             return Ok(Exit::Interrupted);
         }
     };
@@ -260,7 +260,7 @@ impl Watched {
             view.close();
         }
         if let Err(second) = self.drive.abort().await {
-            eprintln!("wad-cosim: {second}");
+            super::note(format_args!("wad-cosim: {second}"));
         }
         with_exit(error)
     }
@@ -464,7 +464,7 @@ fn report(summary: &Summary, json: bool) -> anyhow::Result<()> {
         s.out.display(),
     );
     if json {
-        eprint!("{text}");
+        super::note(text.trim_end());
         print(&format!("{}\n", serde_json::to_string(summary).context("cannot write the summary as JSON")?))
     } else {
         print(&text)

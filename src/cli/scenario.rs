@@ -4,11 +4,12 @@ use super::{Exit, config, print, run};
 use anyhow::Context;
 use clap::Subcommand;
 use serde::Serialize;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use wad_cosim::bundled;
 use wad_cosim::network::{Network, Shapes};
 use wad_cosim::scenario::template::{self, Base, TEMPLATES};
-use wad_cosim::scenario::{self, Problem};
+use wad_cosim::scenario::{self, Problem, Scenario};
 use wad_cosim::sumo_config::{OptionSchema, SumoConfig};
 use wad_cosim::traci::process::SumoInstall;
 
@@ -183,15 +184,32 @@ fn relative(folder: &Path, file: &Path) -> String {
 fn edit(args: &Edit) -> anyhow::Result<Exit> {
     let config = config::resolve(&args.name)?;
     if bundled::is_unpacked(&config) {
-        eprintln!(
+        super::note(format_args!(
             "{} is the shipped copy: the next update overwrites your changes; make your own with `scenario new`",
             config.display()
-        );
+        ));
     }
     let install = SumoInstall::find().map_err(|e| Exit::Sumo.because(e))?;
     let town = Town::remember(&config)?;
     let mut command = install.command("netedit");
     command.arg("--sumocfg-file").arg(&config).args(&args.more);
+    let given = |options: &[&str]| {
+        args.more.iter().any(|arg| options.iter().any(|o| arg.split('=').next() == Some(o)))
+    };
+    if !given(&["--window-size"]) {
+        command.args(["--window-size", WINDOW]);
+    }
+    // netedit reads it at its start; it is removed at the end.
+    let mut view =
+        tempfile::Builder::new().suffix(".xml").tempfile().context("cannot make a temporary file")?;
+    if let (Some(scenario), Some(network)) = (scenario::inspect(&config).scenario, &town.network)
+        && !given(&["-g", "--gui-settings-file"])
+    {
+        view.write_all(view_settings(&scenario, network).as_bytes())
+            .context("cannot write netedit's view")?;
+        command.arg("--gui-settings-file").arg(view.path());
+    }
+    super::note("netedit: F3 shows the ego (Demand), F2 the obstacles and events (Network)");
     let status = command.status().map_err(|error| {
         Exit::Sumo.because(anyhow::anyhow!(
             "cannot start {}: {error}; run wad-cosim doctor",
@@ -206,6 +224,21 @@ fn edit(args: &Edit) -> anyhow::Result<Exit> {
     }
     town.put_back();
     Ok(Exit::Done)
+}
+
+/// Width and height (pixels) of netedit's window: its own default shows a town as a stamp.
+const WINDOW: &str = "1400,900";
+
+/// netedit's view settings: some 250 m around the ego's start.
+fn view_settings(scenario: &Scenario, network: &Network) -> String {
+    let at = scenario.route.at(50.0).pose.position;
+    // At 100 the whole net is in view.
+    let (low, high) = network.bounds;
+    let zoom = (100.0 * (high - low).amax() / 250.0).max(100.0);
+    format!(
+        "<viewsettings><scheme name=\"standard\"/><viewport x=\"{:.1}\" y=\"{:.1}\" zoom=\"{zoom:.0}\"/></viewsettings>\n",
+        at.x, at.y
+    )
 }
 
 /// The files of a scenario's town, which other scenarios share. netedit rewrites them at each save, with
@@ -290,7 +323,7 @@ fn check(args: &Check) -> anyhow::Result<Exit> {
             );
         }
         if args.json {
-            eprint!("{text}")
+            super::note(text.trim_end())
         } else {
             print(&text)?
         }
@@ -306,23 +339,47 @@ fn check(args: &Check) -> anyhow::Result<Exit> {
 }
 
 fn list(args: &List) -> anyhow::Result<Exit> {
+    let about = |name: &str| {
+        let config = bundled::resolve(name).ok().and_then(|config| load(&config).ok());
+        config.map(|config| scenario::description(&config)).unwrap_or_default()
+    };
+    let scenarios: Vec<_> = bundled::scenarios().into_iter().map(|name| (about(&name), name)).collect();
     if args.json {
-        let templates: Vec<_> =
-            TEMPLATES.iter().map(|t| serde_json::json!({ "name": t.name, "about": t.about })).collect();
-        print(&format!(
-            "{}\n",
-            serde_json::json!({ "templates": templates, "scenarios": bundled::scenarios() })
-        ))?;
+        let line = |name: &str, about: &str| serde_json::json!({ "name": name, "about": about });
+        let templates: Vec<_> = TEMPLATES.iter().map(|t| line(t.name, t.about)).collect();
+        let scenarios: Vec<_> = scenarios.iter().map(|(about, name)| line(name, about)).collect();
+        print(&format!("{}\n", serde_json::json!({ "templates": templates, "scenarios": scenarios })))?;
         return Ok(Exit::Done);
     }
+    let names = TEMPLATES.iter().map(|t| t.name.len()).chain(scenarios.iter().map(|(_, name)| name.len()));
+    let width = names.max().unwrap_or_default();
     let mut text = "templates, for `scenario new NAME --template T`:\n".to_string();
     for template in TEMPLATES {
-        text += &format!("  {:14} {}\n", template.name, template.about);
+        text += &format!("  {:width$}  {}\n", template.name, template.about);
     }
     text += "scenarios, for `run` and `scenario run`:\n";
-    for name in bundled::scenarios() {
-        text += &format!("  {name}\n");
+    for (about, name) in scenarios {
+        text += &format!("  {name:width$}  {about}\n");
     }
     print(&text)?;
     Ok(Exit::Done)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn netedit_opens_where_the_ego_starts() {
+        wad_cosim::register_bundled();
+        let scenario = Scenario::load(&bundled::resolve("accident_ahead").unwrap()).unwrap();
+        let network = Network::load(&load(&scenario.config).unwrap().net_file().unwrap()).unwrap();
+        let text = view_settings(&scenario, &network);
+        let number = |name: &str| -> f64 {
+            let (_, rest) = text.split_once(&format!("{name}=\"")).unwrap();
+            rest.split_once('"').unwrap().0.parse().unwrap()
+        };
+        let ego = scenario.route.at(0.0).pose.position;
+        assert!((number(" x") - ego.x).hypot(number(" y") - ego.y) < 60.0, "{text}");
+    }
 }

@@ -26,7 +26,7 @@ Examples:
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
-    /// A .sumocfg, a .net.xml(.gz), a folder with one .sumocfg, or a bundled town (town3, town5).
+    /// A .sumocfg, a .net.xml(.gz), a folder with one .sumocfg, or a bundled town (town3, town5, town7).
     #[arg(value_hint = ValueHint::FilePath)]
     config: String,
     /// One of CARLA's 14 weathers, e.g. ClearNoon, WetCloudySunset, MidRainyNoon.

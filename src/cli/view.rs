@@ -54,13 +54,13 @@ pub fn listen(address: ViewAddress, token: Option<Token>) -> anyhow::Result<List
     let is_default = DEFAULT_ADDRESS.parse() == Ok(address);
     let listener = match Listener::bind(address, token.clone()) {
         Err(ViewError::Busy { address, free: Some(free) }) if is_default => {
-            eprintln!("{address} is in use, perhaps by another run; using {free}");
+            super::note(format_args!("{address} is in use, perhaps by another run; using {free}"));
             Listener::bind(ViewAddress(free), token)
         }
         other => other,
     };
     let listener = listener.map_err(|e| Exit::Input.because(e))?;
-    eprintln!("live view: {}", listener.url());
+    super::note(format_args!("live view: {}", listener.url()));
     Ok(listener)
 }
 

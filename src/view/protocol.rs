@@ -187,6 +187,8 @@ pub struct State {
     pub driver: String,
     /// The viewer who drives.
     pub holder: Option<u64>,
+    /// The driver to whom a viewer gives the wheel back: who drove before.
+    pub before: Option<String>,
     /// An agent that is loading.
     pub loading: Option<String>,
     pub weather: String,

@@ -445,6 +445,9 @@ impl RunView {
         if !self.hub.take_wheel(viewer) {
             return self.say(format!("viewer {viewer} asks for the wheel, but another one has it"));
         }
+        if self.state.driver != MANUAL {
+            self.state.before = Some(self.state.driver.clone());
+        }
         self.hand_over(drive, Pilot::manual(), Some(MANUAL));
         self.wheel = Some(Wheel::taken_from(self.state.control));
         self.state.holder = Some(viewer);
@@ -496,6 +499,10 @@ impl RunView {
             self.say(format!("there is no driver {name}"));
             return Ok(());
         }
+        // From a person's hands by way of the autopilot, which finds the route again.
+        if self.wheel.is_some() {
+            self.give_back(drive).await?;
+        }
         if self.parked.as_ref().is_some_and(|(parked, _)| *parked == name) {
             if let Some((_, driver)) = self.parked.take() {
                 self.seat(name, driver, drive);
@@ -503,9 +510,6 @@ impl RunView {
             return Ok(());
         }
         let Some(make) = self.setting.make_driver.clone() else { return Ok(()) };
-        if self.wheel.is_some() {
-            self.give_back(drive).await?;
-        }
         let (sender, receiver) = oneshot::channel();
         let (cores, wanted) = (self.cores, name.clone());
         let work = move || {

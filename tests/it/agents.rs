@@ -374,3 +374,31 @@ fn a_replay_buffer_beyond_memory_is_refused_with_its_size() {
     assert_eq!(output.status.code(), Some(2));
     assert!(stderr(&output).contains("MB of memory are free"), "{}", stderr(&output));
 }
+
+#[test]
+fn a_flipped_bit_in_any_shipped_weights_is_noticed() {
+    use wad_cosim::agent::policy::Policy;
+    use wad_see::weights::Weights;
+    let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
+    let dir = tempfile::tempdir().unwrap();
+    let mut tried = 0;
+    for folder in std::fs::read_dir(&models).unwrap().map(|entry| entry.unwrap().path()) {
+        let files = std::fs::read_dir(&folder).into_iter().flatten().map(|entry| entry.unwrap().path());
+        for file in files.filter(|file| file.extension().is_some_and(|end| end == "safetensors")) {
+            let mut bytes = std::fs::read(&file).unwrap();
+            let last = bytes.len() - 2;
+            bytes[last] ^= 1;
+            let damaged = dir.path().join("damaged.safetensors");
+            std::fs::write(&damaged, bytes).unwrap();
+            let error = if file.ends_with("agent.safetensors") {
+                Policy::load(&damaged).err().map(|error| error.to_string())
+            } else {
+                Weights::load(&damaged).err().map(|error| error.to_string())
+            };
+            let error = error.unwrap_or_else(|| panic!("{}: unnoticed", file.display()));
+            assert!(error.contains("damaged"), "{error}");
+            tried += 1;
+        }
+    }
+    assert!(tried >= 5, "{tried}");
+}

@@ -7,7 +7,8 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 use wad_cosim::bundled;
 use wad_cosim::network::{Network, Shapes};
-use wad_cosim::scenario::Scenario;
+use wad_cosim::scenario::{self, Scenario};
+use wad_cosim::sumo_config::{OptionSchema, SumoConfig};
 use wad_cosim::traci::process::SumoInstall;
 
 /// An X server without a screen, on a display of its own.
@@ -95,8 +96,11 @@ fn meaning(scenario: &Scenario) -> String {
         })
         .collect();
     things.sort();
+    let schema = OptionSchema::cached(&SumoInstall::find().unwrap(), false).unwrap();
+    let about = scenario::description(&SumoConfig::load(&scenario.config, &schema).unwrap());
+    assert!(!about.is_empty(), "{}: no wad.description", scenario.name);
     format!(
-        "{} {:?} {:?} {} {:?} {:.1} {things:#?}",
+        "{about} {} {:?} {:?} {} {:?} {:.1} {things:#?}",
         scenario.task,
         scenario.placement,
         scenario.weather,
@@ -148,4 +152,18 @@ fn every_shipped_scenario_survives_netedit() {
             town_checked = true;
         }
     }
+}
+
+#[test]
+fn scenario_edit_opens_netedit_with_its_window_and_view() {
+    let display = Display::open();
+    let copy = Copy::of("cross");
+    let steps = copy.folder.join("steps.py");
+    std::fs::write(&steps, "netedit.setupAndStart(neteditTestRoot)\nnetedit.quit(neteditProcess)\n").unwrap();
+    let mut command = super::program::wad(&["scenario", "edit"]);
+    command.arg(copy.config()).args(["--", "--gui-testing", "--test-file"]).arg(&steps);
+    let output = command.env("DISPLAY", &display.name).output().unwrap();
+    let said = super::program::stderr(&output);
+    assert!(output.status.success(), "{said}");
+    assert!(said.contains("F3"), "{said}");
 }

@@ -374,6 +374,21 @@ fn ctrl_c_keeps_the_results() {
 }
 
 #[test]
+fn a_stderr_that_cannot_be_written_stops_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    let full = || std::fs::File::options().write(true).open("/dev/full").unwrap();
+    let code = |mut command: Command| command.stderr(full()).status().unwrap().code();
+    let mut drive = wad(&["-vv", "run", "town5", "--traffic", "empty", "--ticks", "3", "--json", "--out"]);
+    drive.arg(dir.path().join("run")).stdout(Stdio::null());
+    assert_eq!(code(drive), Some(0));
+    assert_eq!(code(wad(&["run", "no-such-town"])), Some(2));
+    // Results that cannot be written are another matter.
+    let mut list = wad(&["scenario", "list"]);
+    list.stdout(full());
+    assert_eq!(code(list), Some(1));
+}
+
+#[test]
 fn a_full_disk_is_said_and_what_was_written_stays() {
     let dir = tempfile::tempdir().expect("a folder");
     let out = dir.path().join("r");

@@ -187,7 +187,11 @@ impl Weights {
     /// The file cannot be read, or is not in the safetensors format.
     pub fn load(path: &Path) -> Result<Self, WeightsError> {
         let io = |source| WeightsError::Io { what: "read", path: path.to_path_buf(), source };
-        Self::parse(path, &std::fs::read(path).map_err(io)?)
+        let weights = Self::parse(path, &std::fs::read(path).map_err(io)?)?;
+        if !weights.metadata.contains_key(HASH) {
+            tracing::warn!("`{}` holds no hash: damage to it goes unnoticed", path.display());
+        }
+        Ok(weights)
     }
 
     /// Writes the file beside its place and moves it there.

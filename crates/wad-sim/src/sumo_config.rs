@@ -11,7 +11,7 @@ mod xml;
 
 pub use error::ConfigError;
 
-use rewrite::{OUTPUT_PARAMETERS, absolute_list, redirect_outputs, redirected, without_type};
+use rewrite::{OUTPUT_PARAMETERS, Redirection, absolute_list, without_type};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -257,24 +257,28 @@ impl SumoConfig {
         if overrides.drop_demand {
             options.remove("route-files");
         }
+        let mut redirection = Redirection::into(dir);
+        let folder = self.path.parent().map(Path::to_path_buf).unwrap_or_default();
         for (option, value) in options.iter_mut() {
             // SUMO calls some of them plain text.
             if is_output(option) && schema.is_file(option) || OUTPUT_PARAMETERS.contains(&option.as_str()) {
-                *value = redirected(value, dir);
+                *value = redirection.output(&folder, value)?;
+            } else if option == "save-state.suffix" {
+                *value = value.replace('/', "_");
             }
         }
-        if let Some(value) = options.get_mut("additional-files") {
-            let files = self.additional_files();
-            let mut kept = Vec::with_capacity(files.len());
-            for file in files {
-                kept.push(redirect_outputs(&file, dir)?);
+        // Nets may hold what additional files hold.
+        for option in ["net-file", "additional-files"] {
+            if let Some(value) = options.get_mut(option) {
+                let kept: Result<Vec<_>, _> =
+                    self.files(option).iter().map(|file| redirection.copy(file)).collect();
+                *value = list(&kept?)?;
             }
-            *value = list(&kept)?;
         }
         if let Some(value) = options.get_mut("route-files") {
             let mut kept = Vec::new();
             for file in self.route_files() {
-                let mut file = redirect_outputs(&file, dir)?;
+                let mut file = redirection.copy(&file)?;
                 if let Some(dropped) = overrides.drop_type {
                     file = without_type(&file, dropped, dir)?;
                 }
@@ -333,6 +337,7 @@ const DROPPED: &[&str] = &[
     "num-clients",
     "random",
     "output-prefix",
+    "output-suffix",
     "start",
     "quit-on-end",
     "demo",
@@ -346,7 +351,14 @@ fn is_output(option: &str) -> bool {
         || option.ends_with(".output")
         || matches!(
             option,
-            "netstate-dump" | "log" | "message-log" | "error-log" | "save-state.prefix" | "save-state.files"
+            "netstate-dump"
+                | "log"
+                | "message-log"
+                | "error-log"
+                | "save-state.prefix"
+                | "save-state.files"
+                | "pedestrian.jupedsim.wkt"
+                | "pedestrian.jupedsim.py"
         )
 }
 
@@ -460,6 +472,54 @@ mod tests {
         let overrides = Overrides { output_dir: dir.path().join("a,b"), ..Overrides::default() };
         let error = config.write_effective(&schema, &overrides).unwrap_err().to_string();
         assert!(error.contains("a comma"), "{error}");
+    }
+
+    #[test]
+    fn nothing_that_sumo_writes_leaves_the_run_folder() {
+        let dir = tempfile::tempdir().unwrap();
+        let schema = OptionSchema::parse(TEMPLATE).unwrap();
+        let detector = |id: &str| {
+            format!(
+                "<e1Detector id=\"{id}\" lane=\"a_0\" pos=\"1\" period=\"9\" file=\"/elsewhere/{id}/d.xml\"/>"
+            )
+        };
+        write(dir.path(), "a.net.xml", &format!("<net>{}</net>", detector("net")));
+        std::fs::create_dir(dir.path().join("in")).unwrap();
+        write(dir.path(), "in/i.add.xml", &format!("<additional>{}</additional>", detector("included")));
+        write(dir.path(), "in/a.add.xml", &format!("<additional>{}</additional>", detector("second")));
+        write(dir.path(), "a.add.xml", "<additional><include href=\"in/i.add.xml\"/></additional>");
+        let text = "<c><net-file value=\"a.net.xml\"/><additional-files value=\"a.add.xml,in/a.add.xml\"/>\
+                    <tripinfo-output value=\"localhost:4444\"/></c>";
+        let config = SumoConfig::load(&write(dir.path(), "a.sumocfg", text), &schema).unwrap();
+        let out = dir.path().join("out");
+        let overrides = Overrides { output_dir: out.clone(), ..Overrides::default() };
+        let effective = config.write_effective(&schema, &overrides).unwrap();
+        // Three files of one name stay three, and so do their detectors.
+        let mut all = std::fs::read_to_string(effective).unwrap();
+        assert!(all.contains(&out.join("localhost_4444").display().to_string()), "{all}");
+        for name in ["a.net.xml", "a.add.xml", "i.add.xml", "2-a.add.xml"] {
+            let copy = out.join(format!("redirected-{name}"));
+            all += &std::fs::read_to_string(&copy).unwrap_or_else(|e| panic!("{}: {e}", copy.display()));
+        }
+        assert!(!all.contains("elsewhere"), "{all}");
+        for name in ["d.xml", "2-d.xml", "3-d.xml"] {
+            assert_eq!(all.matches(&format!("\"{}\"", out.join(name).display())).count(), 1, "{name}: {all}");
+        }
+        // SUMO would take what follows the colon for a port.
+        let overrides = Overrides { output_dir: dir.path().join("a:b"), ..Overrides::default() };
+        let error = config.write_effective(&schema, &overrides).unwrap_err().to_string();
+        assert!(error.contains("a colon"), "{error}");
+        // What only SUMO would see is not let through to it.
+        for hidden in [
+            format!("<!DOCTYPE a [<!ENTITY d '{}'>]><additional>&d;</additional>", detector("entity")),
+            detector("wide").chars().flat_map(|c| [c, '\0']).collect(),
+            "<additional><include href=\"a.add.xml\"/></additional>".to_string(),
+        ] {
+            write(dir.path(), "a.add.xml", &hidden);
+            let overrides = Overrides { output_dir: out.clone(), ..Overrides::default() };
+            let error = config.write_effective(&schema, &overrides).unwrap_err();
+            assert!(matches!(error, ConfigError::NotXml { .. }), "{error}");
+        }
     }
 
     #[test]

@@ -150,7 +150,9 @@ async fn look(
         views.push(view);
         match &bar {
             Some(bar) => bar.inc(1),
-            None if (n + 1) % 50 == 0 => eprintln!("{} of {} frames", n + 1, args.frames),
+            None if (n + 1) % 50 == 0 => {
+                crate::cli::note(format_args!("{} of {} frames", n + 1, args.frames))
+            }
             None => {}
         }
     }

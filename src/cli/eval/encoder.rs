@@ -61,7 +61,10 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
     let fitted = Dataset::open(&args.probe_data, args.partial).map_err(data::with_exit)?;
     fitted.require_training().map_err(data::with_exit)?;
     if measured.manifest.role == Role::Training {
-        eprintln!("note: {} is of the training town: these frames may be trained on", args.data.display());
+        crate::cli::note(format_args!(
+            "note: {} is of the training town: these frames may be trained on",
+            args.data.display()
+        ));
     }
     let total = args.frames.min(measured.frames()) + args.probe_frames.min(fitted.frames());
     let bar = Bar::new(total as u64, "frames");

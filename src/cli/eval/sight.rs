@@ -94,7 +94,9 @@ async fn drive(
         respawns = now;
         match &bar {
             Some(bar) => bar.inc(1),
-            None if (tick + 1) % 300 == 0 => eprintln!("tick {} of {}", tick + 1, args.ticks),
+            None if (tick + 1) % 300 == 0 => {
+                crate::cli::note(format_args!("tick {} of {}", tick + 1, args.ticks))
+            }
             None => {}
         }
     }
@@ -127,7 +129,7 @@ pub async fn lanes(args: Args) -> anyhow::Result<Exit> {
         }
     })
     .await?;
-    let say = |line: &str| if args.json { eprintln!("{line}") } else { println!("{line}") };
+    let say = |line: &str| crate::cli::row(line, args.json);
     say(&format!(
         "lane boundaries at {MEASURED_AT} m, {} at {}x{}, seed {}\n{:>16} {:>7} {:>8} {:>10} {:>7} {:>11} {:>9} {:>7} {:>7}",
         args.config,
@@ -143,7 +145,7 @@ pub async fn lanes(args: Args) -> anyhow::Result<Exit> {
         "median m",
         "p90 m",
         "bias m"
-    ));
+    ))?;
     let mut rows = Vec::new();
     for (preset, score) in args.weather.iter().zip(&scores) {
         let r = score.report();
@@ -158,7 +160,7 @@ pub async fn lanes(args: Args) -> anyhow::Result<Exit> {
             number(r.lateral_error.median, 3),
             number(r.lateral_error.p90, 3),
             number(r.bias, 3)
-        ));
+        ))?;
         rows.push(serde_json::json!({ "weather": preset.name(), "lanes": r }));
     }
     finish(&args, serde_json::json!({ "measured_at_m": MEASURED_AT, "rows": rows }))
@@ -178,7 +180,7 @@ pub async fn lead(args: Args) -> anyhow::Result<Exit> {
     })
     .await?;
     let report = score.report();
-    let say = |line: &str| if args.json { eprintln!("{line}") } else { println!("{line}") };
+    let say = |line: &str| crate::cli::row(line, args.json);
     say(&format!(
         "vehicle in front, detector {}, {}, seed {}, {}\n{:>9} {:>7} {:>7} {:>10} {:>7} {:>7} {:>13} {:>8}",
         args.detector,
@@ -193,7 +195,7 @@ pub async fn lead(args: Args) -> anyhow::Result<Exit> {
         "bias m",
         "closing m/s",
         "p90 m/s"
-    ));
+    ))?;
     for bin in &report.bins {
         say(&format!(
             "{:>9} {:>7} {:>7} {:>10} {:>7} {:>7} {:>13} {:>8}",
@@ -205,13 +207,13 @@ pub async fn lead(args: Args) -> anyhow::Result<Exit> {
             number(bin.gap_bias, 2),
             number(bin.closing_error.median, 2),
             number(bin.closing_error.p90, 2)
-        ));
+        ))?;
     }
     say(&format!(
         "nothing in the path in {} frames, something reported in {} of them",
         report.free_frames,
         number(report.false_leads.map(|share| 100.0 * share), 1) + " %"
-    ));
+    ))?;
     finish(&args, serde_json::json!({ "weather": weather.name(), "detector": args.detector, "lead": report }))
 }
 

@@ -109,10 +109,10 @@ fn once<T: PartialEq>(flag: &str, given: &mut Vec<T>, name: impl Fn(&T) -> Strin
     let mut left: Vec<T> = Vec::new();
     for value in given.drain(..) {
         if left.contains(&value) {
-            eprintln!(
+            crate::cli::note(format_args!(
                 "warning: {flag} {} is given more than once; its episodes are driven and counted once",
                 name(&value)
-            );
+            ));
         } else {
             left.push(value);
         }
@@ -181,7 +181,7 @@ pub fn run(suite: &str, args: Args) -> anyhow::Result<Exit> {
     let Outcome { summary, driven, wall_seconds, interrupted } = result.map_err(with_exit)?;
     let per_hour = if driven == 0 { 0.0 } else { driven as f64 * 3600.0 / wall_seconds };
     if driven > 0 {
-        eprintln!("{driven} episodes in {wall_seconds:.0} s, {per_hour:.0} an hour");
+        crate::cli::note(format_args!("{driven} episodes in {wall_seconds:.0} s, {per_hour:.0} an hour"));
     }
     let answer = Answer {
         summary: &summary,
@@ -200,7 +200,7 @@ pub fn report(summary: &Summary, json: Option<String>) -> anyhow::Result<()> {
     let text = table(summary);
     match json {
         Some(json) => {
-            eprint!("{text}");
+            crate::cli::note(text.trim_end());
             print(&format!("{json}\n"))
         }
         None => print(&text),

@@ -41,14 +41,14 @@ impl StatusLine {
                 bar.set_position(status.record.tick);
                 bar.set_message(text);
             }
-            None => eprintln!("{text}"),
+            None => crate::cli::note(text),
         }
     }
 
     pub fn say(&self, text: &str) {
         match &self.bar {
-            Some(bar) => bar.suspend(|| eprintln!("{text}")),
-            None => eprintln!("{text}"),
+            Some(bar) => bar.suspend(|| crate::cli::note(text)),
+            None => crate::cli::note(text),
         }
     }
 
@@ -103,8 +103,8 @@ fn describe(event: &Event) -> String {
         }
         Event::OutsideLane { offset } => format!("outside the lane by {offset:.2} m"),
         Event::Sidewalk => "a wheel left the road".to_string(),
-        Event::VehicleBlocked => "blocked without a reason; starting elsewhere".to_string(),
-        Event::Arrival => "arrived; next destination".to_string(),
+        Event::VehicleBlocked => "blocked without a reason".to_string(),
+        Event::Arrival => "arrived".to_string(),
     }
 }
 

@@ -190,7 +190,7 @@ fn collected(
     let result = collect(&options, interrupt, |frames::Progress { frames, .. }| bar.show(frames as u64, ""));
     bar.clear();
     let collected = result.map_err(dataset::with_exit)?;
-    eprintln!("{}: {} frames", collected.out.display(), collected.frames);
+    crate::cli::note(format_args!("{}: {} frames", collected.out.display(), collected.frames));
     Ok(!collected.interrupted)
 }
 

@@ -57,18 +57,26 @@ export function reward(canvas, points, sums) {
   const [ink, soft, line] = [css("--ink"), css("--soft"), css("--line")];
   const last = points.length ? points[points.length - 1][0] : 0;
   const seen = points.filter((p) => p[0] > last - WINDOW);
-  const left = 66, right = 92, width = Math.max(w - left - right, 20);
-  const at = (time) => left + width * (1 - (last - time) / WINDOW);
   const font = (size, weight = 400) => (c.font = `${weight} ${size}px system-ui, DejaVu Sans, sans-serif`);
+  const told = (total) => (Math.abs(total) >= 1000 ? total.toFixed(0) : total.toFixed(1));
+  // Columns as wide as their widest number.
+  const sum0 = sums.reduce((a, b) => a + b, 0), now0 = seen.length ? seen[seen.length - 1].slice(3) : [];
+  font(12, 650);
+  const widest = (texts) => Math.max(28, ...texts.map((text) => c.measureText(text).width));
+  const sumsWidth = widest([sum0, ...sums].map(told));
+  const nowWidth = widest([now0.reduce((a, b) => a + b, 0), ...now0].map((v) => v.toFixed(2)));
+  const nowAt = w - 2 - sumsWidth - 12;
+  const left = 66, right = w - nowAt + nowWidth + 12, width = Math.max(w - left - right, 20);
+  const at = (time) => left + width * (1 - (last - time) / WINDOW);
   const sumTop = 14, sumHeight = 44;
   font(10.5);
   c.fillStyle = soft;
-  c.textAlign = "right"; c.fillText("now", w - 48, 9); c.fillText("sum", w - 2, 9);
+  c.textAlign = "right"; c.fillText("now", nowAt, 9); c.fillText("sum", w - 2, 9);
   c.textAlign = "left"; c.fillText("last minute", left, 9);
   // All terms together, summed over what is seen.
   let sum = 0;
   const course = seen.map((p) => [p[0], (sum += p.slice(3).reduce((a, b) => a + b, 0))]);
-  row("all", "", sumTop, sumHeight, course, sums.reduce((a, b) => a + b, 0), seen.length ? seen[seen.length - 1].slice(3).reduce((a, b) => a + b, 0) : 0, ink, 650);
+  row("all", "", sumTop, sumHeight, course, sum0, now0.reduce((a, b) => a + b, 0), ink, 650);
   const top = sumTop + sumHeight + 6, step = (h - top) / TERMS.length;
   TERMS.forEach((name, i) => row(name, "", top + i * step, step - 3, seen.map((p) => [p[0], p[3 + i]]), sums[i], seen.length ? seen[seen.length - 1][3 + i] : 0, colours[i], 400));
 
@@ -79,9 +87,9 @@ export function reward(canvas, points, sums) {
     c.fillText(name, 0, y + height / 2 + 4);
     c.textAlign = "right";
     c.fillStyle = now < -1e-4 ? css("--bad") : ink;
-    c.fillText(now.toFixed(2), w - 46, y + height / 2 + 4);
+    c.fillText(now.toFixed(2), nowAt, y + height / 2 + 4);
     c.fillStyle = ink;
-    c.fillText(Math.abs(total) >= 1000 ? total.toFixed(0) : total.toFixed(1), w - 2, y + height / 2 + 4);
+    c.fillText(told(total), w - 2, y + height / 2 + 4);
     const low = Math.min(0, ...course.map((p) => p[1])), high = Math.max(0.05, ...course.map((p) => p[1]));
     const up = (v) => y + height - 1 - ((v - low) / (high - low)) * (height - 2);
     c.strokeStyle = line;

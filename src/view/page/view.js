@@ -148,6 +148,35 @@ function drivers() {
   }));
 }
 
+let drove = "autopilot";
+/// Take the wheel, or give it back to who drove before.
+function takeOrLeave() {
+  // A beat tells who holds the wheel before a tick tells who drove.
+  if (state && state.driver !== "manual") drove = state.driver;
+  const before = state?.before || drove, back = hello?.agents.includes(before) ? before : "autopilot";
+  pick(state?.holder === hello?.you ? back : "manual");
+}
+for (const id of ["take", "leave"]) $(id).onclick = takeOrLeave;
+
+// Radio buttons by the arrow keys; one of each group is reached by Tab.
+for (const group of document.querySelectorAll("[role=radiogroup]")) {
+  group.addEventListener("keydown", (e) => {
+    const by = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 }[e.key];
+    const all = [...group.children].filter((b) => !b.disabled), at = all.indexOf(e.target);
+    if (!by || at < 0 || hands.driving) return;
+    e.preventDefault();
+    const next = all[(at + by + all.length) % all.length];
+    next.focus();
+    next.click();
+  });
+}
+function tabStops() {
+  for (const group of document.querySelectorAll("[role=radiogroup]")) {
+    const all = [...group.children], chosen = all.find((b) => b.getAttribute("aria-checked") === "true") || all[0];
+    for (const b of all) { const stop = b === chosen ? 0 : -1; if (b.tabIndex !== stop) b.tabIndex = stop; }
+  }
+}
+
 function pick(name) {
   send({ do: "driver", name });
   if (name === "manual") $("screen").focus({ preventScroll: true });
@@ -237,7 +266,7 @@ function clock(s) {
 /// The banner: who drives, as far as the server says so.
 function says(s) {
   const quiet = hello.mode === "replay" ? "" : "no answer: the autopilot takes the wheel of who is not heard";
-  const drives = s.holder === null ? "" : silence() ? quiet : s.holder === hello.you ? "you drive: arrow keys, M gives back" : `viewer ${s.holder} drives`;
+  const drives = s.holder === null ? "" : silence() ? quiet : s.holder === hello.you ? (matchMedia("(pointer: coarse)").matches ? "you drive" : "you drive: arrow keys, M gives back") : `viewer ${s.holder} drives`;
   banner(s.over ? s.over : s.loading ? `loading ${s.loading.toUpperCase()}` : s.paused ? (hello.mode === "replay" ? "" : "paused") : drives);
 }
 
@@ -263,10 +292,13 @@ function paint() {
     b.setAttribute("aria-busy", mine === s.loading);
     b.disabled = s.holder !== null && s.holder !== hello.you;
   }
+  tabStops();
   const mine = s.holder !== null && s.holder === hello.you;
   document.body.classList.toggle("driving", mine);
   mine ? hands.start() : hands.driving && hands.stop();
-  $("pads").hidden = !(mine && matchMedia("(pointer: coarse)").matches);
+  const touch = matchMedia("(pointer: coarse)").matches;
+  $("pads").hidden = !(mine && touch);
+  $("take").hidden = mine || s.holder !== null || hello.mode === "replay" || !touch;
   says(s);
   $("record").setAttribute("aria-pressed", s.recording !== null);
   put("record", s.recording !== null ? "■ Stop" : "● Record");
@@ -431,7 +463,7 @@ $("help-button").onclick = () => $("help").showModal();
 
 const SHORT = {
   p: pause, ".": step, t: otherTheme, "?": () => $("help").showModal(),
-  m: () => pick(state?.holder === hello?.you ? "autopilot" : "manual"),
+  m: takeOrLeave,
   r: () => $("respawn").click(), n: () => $("new-route").click(),
   e: () => { if (state?.egos) follow((state.followed + 1) % state.egos.length); },
   c: () => setLook(look === "front" ? "chase" : "front"), b: () => $("boxes").click(),

@@ -385,6 +385,35 @@ fn a_person_drives_goes_and_the_drive_can_be_driven_again() {
     collect_again(folder.path());
 }
 
+#[test]
+fn who_drove_before_gets_the_wheel_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = run_in(folder.path(), &["--view-speed", "2", "--agent", "constant"]);
+    let mut viewer = Viewer::join(&run.address);
+    assert_eq!(viewer.tick().0["driver"], "constant");
+    let mut browser = Browser::start();
+    let page = browser.open(&run.url(), (1366, 768));
+    browser.wait(&page, "window.wad && wad.state");
+    let press = |browser: &mut Browser, key: &str, code: &str| {
+        browser.key(&page, key, code, true);
+        browser.key(&page, key, code, false);
+    };
+    press(&mut browser, "m", "KeyM");
+    let state = viewer.until("at the wheel", |state| state["driver"] == "manual");
+    assert_eq!(state["before"], "constant");
+    browser.wait(&page, "wad.state.before === 'constant' && wad.state.holder === wad.hello.you");
+    press(&mut browser, "m", "KeyM");
+    viewer.until("the driver of before", |state| state["driver"] == "constant");
+    // The arrow keys choose among the drivers, and Tab reaches one of them.
+    let stops = "[...document.querySelectorAll('#drivers button')].filter((b) => b.tabIndex === 0)";
+    browser.wait(&page, &format!("{stops}.length === 1 && {stops}[0].dataset.name === 'constant'"));
+    browser.ask(&page, &format!("{stops}[0].focus()"));
+    press(&mut browser, "ArrowRight", "ArrowRight");
+    viewer.until("the next driver", |state| state["driver"] == "random");
+    assert_eq!(browser.complaints, Vec::<String>::new());
+    assert_eq!(run.stop(), Some(4));
+}
+
 /// SUMO hangs, so no tick comes: the server says that it is there, and that a silent viewer has lost the wheel.
 #[test]
 fn who_has_the_wheel_is_said_while_the_simulation_hangs() {

@@ -10,6 +10,7 @@ use crate::shape::Shaper;
 use nalgebra::Point3;
 use sumo_network::geometry::{Point, Pose, Vector, direction};
 use sumo_network::network::{EdgeId, EdgeKind, Lane, LaneId, LinkDirection, Network, SignalIndex};
+use sumo_network::world::NO_ROOM;
 
 /// Lowest point of heads over a lane, and of heads on poles by it and beyond the junction (m).
 pub(super) const CLEARANCE: f64 = 5.2;
@@ -80,9 +81,6 @@ fn approach(site: &mut Site<'_>, id: EdgeId) {
         .collect();
     let (Some(&(_, first)), Some(&border)) = (signalled.first(), edge.lanes.first()) else { return };
     let border = network.lane(border);
-    if border.shape.length() < 3.0 {
-        return;
-    }
     let (signal_model, pole) = (site.furniture.signal, site.materials.dark_pole);
     if let Some((_, place)) = pole_place(site, border, border.shape.length() - 0.6) {
         let z = site.terrain.at(place);
@@ -124,9 +122,19 @@ fn approach(site: &mut Site<'_>, id: EdgeId) {
     repeater(site, &signalled);
 }
 
-/// A head beyond the junction, for vehicles at the line that no longer see the near ones.
+/// A head beyond the junction, for vehicles at the line that no longer see the near ones. None where another signal is
+/// close behind: a head that is green beyond a red one would be taken for it.
 fn repeater(site: &mut Site<'_>, signalled: &[(LaneId, SignalIndex)]) {
     let network = site.network;
+    let close = |lane: &LaneId| {
+        network.lane(*lane).outgoing.iter().map(|&link| network.link(link)).any(|link| {
+            let behind = network.lane(link.to);
+            link.signal.is_some() && behind.length < NO_ROOM && signal_of(network, behind).is_some()
+        })
+    };
+    if signalled.iter().any(|(lane, _)| close(lane)) {
+        return;
+    }
     let straight = |lane: LaneId| {
         let links = network.lane(lane).outgoing.iter().copied();
         links.into_iter().find(|&l| network.link(l).direction == LinkDirection::Straight)

@@ -197,6 +197,9 @@ impl Policy {
             .and_then(|metadata| metadata.get(CARD))
             .ok_or_else(|| format!("its header has no `{CARD}`"))?;
         let said = header.metadata().as_ref().and_then(|metadata| metadata.get(CHECKSUM));
+        if said.is_none() {
+            tracing::warn!("an agent's file holds no checksum: damage to it goes unnoticed");
+        }
         let card_text = card.as_bytes();
         let card: PolicyCard = serde_json::from_str(card).map_err(|e| format!("its card: {e}"))?;
         let file = SafeTensors::deserialize(bytes).map_err(|e| format!("not safetensors ({e:?})"))?;

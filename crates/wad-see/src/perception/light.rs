@@ -2,7 +2,7 @@
 
 use super::EgoFacts;
 use serde::{Deserialize, Serialize};
-use sumo_network::world::SignalState;
+use sumo_network::world::{SignalAhead, SignalState};
 
 /// Within this of its stop line (m) the ego is at the intersection (spec.md "Events").
 pub const AT_INTERSECTION: f64 = 20.0;
@@ -17,21 +17,33 @@ pub struct LightAhead {
 }
 
 impl LightAhead {
-    /// The next signal on the route whose state is in sight; None where there is none.
+    /// The signal that counts ([`SignalAhead`]); None where the next one's state is out of sight.
     pub fn find(facts: &EgoFacts<'_>) -> Option<Self> {
         let front = facts.on_route.front_s;
         let links = &facts.route.links;
         let next = links.partition_point(|link| link.stop_s < front);
-        let (link, signal) =
-            links[next..].iter().find_map(|link| Some((link, facts.network.link(link.link).signal?)))?;
-        let state = facts.signals.get(signal.traffic_light.index())?.as_ref()?;
-        let state = SignalState::from_sumo(*state.as_bytes().get(signal.index)?);
-        Some(Self { state, distance: link.stop_s - front })
+        let mut ahead = SignalAhead::default();
+        for link in &links[next..] {
+            let signal = facts.network.link(link.link).signal;
+            let state = signal.and_then(|signal| {
+                let states = facts.signals.get(signal.traffic_light.index())?.as_ref()?;
+                Some(SignalState::from_sumo(*states.as_bytes().get(signal.index)?))
+            });
+            if signal.is_some() && state.is_none() {
+                break;
+            }
+            ahead.pass(state, link.stop_s, link.end_s);
+            if ahead.is_decided() {
+                break;
+            }
+        }
+        let (state, stop_s) = ahead.counts()?;
+        Some(Self { state, distance: stop_s - front })
     }
 
     /// Whether it requires to stop: red, red with yellow, or yellow.
     pub fn stops(&self) -> bool {
-        self.state.is_red() || self.state == SignalState::Yellow
+        self.state.stops()
     }
 
     /// Whether the ego is at the intersection and may not enter: the transformed image shows red.

@@ -28,7 +28,7 @@ use right_of_way::{ByLane, Motion};
 use serde::{Deserialize, Serialize};
 use speed::{Pedals, follow, stop_in, time_to_cover};
 use sumo_network::network::{LinkDirection, LinkId, Network, Route};
-use sumo_network::world::{SignalState, WorldState};
+use sumo_network::world::{SignalAhead, SignalState, WorldState};
 use wad_vehicle::{Control, EgoState};
 
 /// What decided the speed.
@@ -116,7 +116,7 @@ pub struct Decision {
     pub acceleration: f64,
     /// The vehicle ahead, if there is one.
     pub leader: Option<Leader>,
-    /// State of the next signal and the distance of its stop line from the front bumper (m).
+    /// State of the signal that counts and the distance of its stop line from the front bumper (m).
     pub light: Option<(SignalState, f64)>,
     /// Held by a light, a jam (a leader slower than 2 m/s), right of way, a pedestrian or a full junction.
     pub held: bool,
@@ -365,13 +365,13 @@ impl Autopilot {
     /// Lights, full junctions and right of way at the links ahead; the next light and its distance (m).
     fn pass_junctions(&mut self, now: &Situation<'_>, choice: &mut Choice) -> Option<(SignalState, f64)> {
         let by_lane = ByLane::new(now.world);
-        let (mut light, mut yielding_at) = (None, None);
+        let (mut light, mut yielding_at) = (SignalAhead::default(), None);
         let plans = std::mem::take(&mut self.plans);
         for plan in plans.iter().filter(|plan| now.rear_s <= plan.end_s) {
             let distance = plan.stop_s - now.front_s;
             let yields = if distance > -0.5 {
                 let (yields, state) = self.approach_line(plan, distance, now, choice);
-                light = light.or(state.map(|state| (state, distance)));
+                light.pass(state, plan.stop_s, plan.end_s);
                 // Behind a red light nothing matters.
                 let Some(yields) = yields else { break };
                 yields
@@ -389,7 +389,7 @@ impl Autopilot {
         }
         self.plans = plans;
         self.note_waiting(yielding_at, now);
-        light
+        light.counts().map(|(state, stop_s)| (state, stop_s - now.front_s))
     }
 
     /// The stop line of `plan`, `distance` ahead (m): its light, and whether there is room behind the junction.

@@ -31,14 +31,18 @@ const END_ROOM: f64 = 10.0;
 /// Way (m) that a scenario needs at the least.
 const SHORTEST: f64 = 20.0;
 
+/// Whether an element is an ego.
+pub fn is_ego(element: &Element) -> bool {
+    element.get("type") == Some(EGO_TYPE) && !matches!(element.tag.as_str(), "poi" | "poly")
+}
+
 /// The one ego among the elements.
 pub fn find<'a>(
     elements: &'a [Element],
     config: &std::path::Path,
     problems: &mut Vec<Problem>,
 ) -> Option<&'a Element> {
-    let of_type = |e: &&Element| e.get("type") == Some(EGO_TYPE) && e.tag != "poi" && e.tag != "poly";
-    let egos: Vec<&Element> = elements.iter().filter(of_type).collect();
+    let egos: Vec<&Element> = elements.iter().filter(|element| is_ego(element)).collect();
     for more in egos.iter().skip(1) {
         let what = format!("a second ego: `{}` in line {} is one already", egos[0].id(), egos[0].line);
         problems.push(more.problem(what, "give it another type, or delete it"));

@@ -149,9 +149,15 @@ pub fn inspect_on(config: &SumoConfig, network: &Network) -> Inspection {
 
 /// Whether a configuration is a scenario: one of its route files has a trip or vehicle of type `ego`.
 pub fn has_ego(config: &SumoConfig) -> bool {
-    elements(config, &mut Vec::new())
-        .iter()
-        .any(|e| e.get("type") == Some(EGO_TYPE) && !matches!(e.tag.as_str(), "poi" | "poly"))
+    elements(config, &mut Vec::new()).iter().any(ego::is_ego)
+}
+
+/// A scenario's own line about itself, empty if it has none.
+pub fn description(config: &SumoConfig) -> String {
+    let elements = elements(config, &mut Vec::new());
+    let ego = elements.iter().find(|element| ego::is_ego(element));
+    let text = ego.and_then(|ego| ego.param(params::DESCRIPTION)).unwrap_or_default();
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 fn closed_lanes(things: &[Thing], network: &Network) -> Vec<String> {

@@ -9,7 +9,10 @@ pub const PREFIX: &str = "wad.";
 
 /// Parameters of the ego.
 pub const EGO: &[&str] =
-    &["wad.task", "wad.destination", "wad.via", "wad.weather", "wad.traffic", "wad.time_limit"];
+    &[DESCRIPTION, "wad.task", "wad.destination", "wad.via", "wad.weather", "wad.traffic", "wad.time_limit"];
+
+/// The ego's parameter that describes the scenario in a line.
+pub const DESCRIPTION: &str = "wad.description";
 
 /// Reads the parameters of one element, and collects what is wrong with them.
 pub struct Reader<'a> {

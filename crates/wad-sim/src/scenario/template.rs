@@ -1,5 +1,6 @@
 //! New scenarios: a task or an event in a town, as SUMO files to edit in netedit.
 
+use super::params::DESCRIPTION;
 use crate::destination::EGO_CLASS;
 use crate::tasks::{Placement, Places, Spot, TaskError, TaskKind};
 use std::fmt::Write as _;
@@ -396,7 +397,10 @@ fn trip(
     // SUMO counts to the front bumper.
     let depart = lane.lane_position(from.s + 0.5 * ego.length);
     let arrive = network.lane(to.lane).lane_position(to.s);
-    let mut params = vec![("wad.task".to_string(), template.task.name().to_string())];
+    let mut params = vec![
+        (DESCRIPTION.to_string(), template.about.to_string()),
+        ("wad.task".to_string(), template.task.name().to_string()),
+    ];
     if !placement.via.is_empty() {
         let via: Vec<String> = placement
             .via

@@ -21,6 +21,14 @@ pub enum ConfigError {
         /// What is wrong with it.
         problem: String,
     },
+    /// A file that the configuration names is no XML that SUMO reads.
+    #[error("`{}` is not a file for SUMO: {problem}; expected XML", path.display())]
+    NotXml {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        problem: String,
+    },
     /// The configuration has no `net-file`.
     #[error("`{}` names no net-file; add <net-file value=\"...\"/> to its <input>", path.display())]
     NoNet {

@@ -4,7 +4,8 @@ use quick_xml::XmlVersion;
 use quick_xml::events::Event;
 use std::collections::BTreeMap;
 
-/// The events of an XML text. One that ends within an element is an error: it has been cut off.
+/// The events of an XML text. One that ends within an element is an error: it has been cut off. So is one with a
+/// document type: its entities could hold elements that only SUMO sees.
 pub struct Events<'a> {
     reader: quick_xml::Reader<&'a [u8]>,
     open: usize,
@@ -22,6 +23,7 @@ impl<'a> Events<'a> {
             Event::Start(_) => self.open += 1,
             Event::End(_) => self.open = self.open.saturating_sub(1),
             Event::Eof if self.open > 0 => return Err("it is cut off before its end".to_string()),
+            Event::DocType(_) => return Err("it declares a document type (<!DOCTYPE>)".to_string()),
             _ => {}
         }
         Ok(event)
