@@ -97,10 +97,19 @@ def test_a_death_on_the_way_changes_nothing(cluster, nodes, drive, one_machine, 
     assert_same(out, one_machine)
 
 
+def test_local_needs_no_cluster(drive, one_machine, tmp_path):
+    out = tmp_path / "out"
+    finish(drive(out, "--address", "local", "--workers", "1"))
+    assert_same(out, one_machine)
+    assert "only the program drives external agents" in finish(drive(out, "--resume", "--agent", "exec:python3 a.py"), 2)
+
+
 def test_a_driver_that_dies_is_resumed_and_another_is_refused(nodes, drive, one_machine, tmp_path):
     out = tmp_path / "out"
     first = drive(out)
     assert until(lambda: len(lines(out)) >= 1, 60)
+    # It stands still, else it might be done before the other has started.
+    first.send_signal(signal.SIGSTOP)
     assert "another process" in finish(drive(out, "--resume"), 2)
     first.kill()
     first.wait()

@@ -133,6 +133,9 @@ def wanted_by(
     jobs: int | None = None,
 ) -> dict[str, Any]:
     """The evaluation as the simulator's half reads it; see :func:`evaluate`."""
+    for agent in agents:
+        if agent.startswith("exec:"):
+            raise InputError(f"agent={agent!r}: only the program drives external agents (wad-cosim eval); give a Python function here")
     return {
         "suite": suite,
         "selection": {
