@@ -39,11 +39,14 @@ config = (
 )
 algorithm = config.build_algo()
 for iteration in range(1, options.iterations + 1):
-    found = algorithm.train()["env_runners"]
+    result = algorithm.train()
+    found = result["env_runners"]
     print(
         f"iteration {iteration}: {found['num_env_steps_sampled_lifetime']:.0f} steps, "
         f"episodic_return {found.get('episode_return_mean', float('nan')):.1f}, "
-        f"episodic_length {found.get('episode_len_mean', float('nan')):.0f}",
+        f"episodic_length {found.get('episode_len_mean', float('nan')):.0f}, "
+        f"loss {result['learners']['default_policy']['total_loss']:.3f}, "
+        f"{found.get('num_episodes_lifetime', 0):.0f} episodes",
         flush=True,
     )
 algorithm.stop()

@@ -12,7 +12,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 use wad_cosim::agent::action::{Action, to_control};
 use wad_cosim::agent::actor::PlainActor;
-use wad_cosim::agent::params::{Algorithm, InputScale, Inputs, Td3Params};
+use wad_cosim::agent::params::{Algorithm, InputScale, Inputs};
 use wad_cosim::agent::policy::{Policy, PolicyCard, find_encoder};
 use wad_cosim::agent::{Agent, AgentError};
 use wad_cosim::assets::Assets;
@@ -79,8 +79,10 @@ struct Trained {
     inputs: Inputs,
     detector: String,
     encoder: String,
-    /// TD3's constants; those that are not given have their defaults.
-    params: Td3Params,
+    /// With its constants; those that are not given have their defaults.
+    algorithm: Algorithm,
+    /// Of its inputs. None: as they are.
+    scale: Option<InputScale>,
     steps: u64,
     updates: u64,
     seed: u64,
@@ -88,7 +90,7 @@ struct Trained {
     config: serde_json::Map<String, serde_json::Value>,
 }
 
-/// Writes WAD-T's actor as the file of a trained agent: `values` are its parameters, layer by layer, weights [inputs, outputs]
+/// Writes WAD-T's or WAD-S' actor as the file of a trained agent: `values` are its parameters, layer by layer, weights [inputs, outputs]
 /// row by row before biases; `layers` are the layers' (inputs, outputs).
 #[pyfunction]
 pub fn save_agent(
@@ -100,7 +102,7 @@ pub fn save_agent(
     let trained: Trained = serde_json::from_str(trained).map_err(|e| Failure::Input(e.to_string()))?;
     let encoder = find_encoder(&trained.encoder).map_err(|e| Failure::Input(e.to_string()))?;
     let dims = trained.inputs.dims();
-    let algorithm = Algorithm::Td3(trained.params);
+    let algorithm = trained.algorithm;
     let expected = PlainActor::layers(&algorithm, dims);
     if layers != expected {
         return Err(InputError::new_err(format!(
@@ -126,7 +128,8 @@ pub fn save_agent(
         config: config.into(),
     };
     let values: Vec<f32> = values.as_array().iter().copied().collect();
-    let policy = Policy::new(card, InputScale::identity(dims), &values);
+    let scale = trained.scale.unwrap_or_else(|| InputScale::identity(dims));
+    let policy = Policy::new(card, scale, &values);
     policy.check_form().map_err(Failure::Input)?;
     Ok(policy.save(&path).map_err(|e| Failure::Input(e.to_string()))?)
 }

@@ -11,6 +11,9 @@ import pytest
 
 import wad_cosim  # noqa: F401  registers the ids
 
+# PyTorch has one thread, here and in what tests start: networks this small gain nothing by more, and tests share their cores.
+os.environ["OMP_NUM_THREADS"] = "1"
+
 
 @pytest.fixture
 def make() -> Iterator[Callable[..., Any]]:

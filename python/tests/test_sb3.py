@@ -1,6 +1,7 @@
 """Stable-Baselines3, where it is installed."""
 
 import pathlib
+import re
 import subprocess
 import sys
 
@@ -36,9 +37,10 @@ def test_its_environments_are_gymnasiums():
     env.close(), other.close()
 
 
-def test_the_example_learns_and_is_judged(tmp_path):
+def test_the_example_learns_to_arrive(tmp_path):
     example = pathlib.Path(__file__).parents[1] / "examples" / "sb3_sac.py"
-    command = [sys.executable, example, "--steps", "600", "--episodes", "2"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    done = subprocess.run([sys.executable, example], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert "of 2 episodes" in done.stdout
+    assert done.stdout.startswith("15000 steps in ")
+    successes, episodes = map(int, re.search(r"success in (\d+) of (\d+) episodes", done.stdout).groups())
+    assert episodes == 25 and successes >= 20, done.stdout

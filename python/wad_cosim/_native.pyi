@@ -8,10 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "Collection",
+    "Collector",
     "Environments",
     "Error",
     "InputError",
     "LATENT_SIZE",
+    "Ledger",
     "LoadedAgent",
     "NUMBERS",
     "RAW_SIZE",
@@ -19,6 +22,7 @@ __all__ = [
     "TRANSFORMED_SIZE",
     "VECTOR_SIZE",
     "VERSION",
+    "Worker",
     "bench",
     "evaluate",
     "names",
@@ -78,6 +82,7 @@ class LoadedAgent:
     def encoder(self) -> str: ...
     def act(self, observation: NDArray[np.float32]) -> list[float]: ...
 
+@final
 class Ledger:
     """An evaluation's folder with its plan, for episodes that are driven elsewhere."""
 
@@ -92,12 +97,14 @@ class Ledger:
     def add(self, line: bytes, recording: tuple[bytes, bytes] | None) -> bool: ...
     def finish(self) -> str: ...
 
+@final
 class Worker:
     """Drives episodes of a ledger, wherever that is."""
 
     def __new__(cls, manifest: str, encoder: str, keep: str, act: Callable[..., Any] | None) -> Worker: ...
     def drive(self, case: str) -> tuple[bytes, tuple[bytes, bytes] | None]: ...
 
+@final
 class Collection:
     """A dataset's folder with its plan, for segments that are driven elsewhere."""
 
@@ -110,6 +117,7 @@ class Collection:
     def put(self, segment: str, shard: bytes) -> bool: ...
     def finish(self, interrupted: bool) -> str: ...
 
+@final
 class Collector:
     """Drives segments of a collection, wherever that is."""
 

@@ -60,7 +60,7 @@ def main(arguments: list[str] | None = None) -> int:
         end = f"{info['end']}: {info['cause']}" if over else "it drives on"
         print(f"{info['tick']} ticks in {seconds:.1f} s, {info['tick'] / seconds:.0f} a second; {end}")
         print(f"the last picture: {options.picture}")
-        env.close()
+        env.close()  # type: ignore[no-untyped-call, unused-ignore]
     except (wad_cosim.Error, wad_cosim.InputError, OSError) as error:
         print(f"demo: {error}", file=sys.stderr)
         return 2

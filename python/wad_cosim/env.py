@@ -107,7 +107,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
             reward = float(self._setup.reward(observation, action, info))
         return observation, reward, numbers[infos.TERMINATED] != 0, numbers[infos.TRUNCATED] != 0, info
 
-    def render(self) -> NDArray[np.uint8] | None:
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override, unused-ignore]
         """The front camera's picture, (height, width, 3), with ``render_mode="rgb_array"``."""
         return self._native.picture(0) if self.render_mode == "rgb_array" else None
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -133,6 +133,9 @@ def wanted_by(
     jobs: int | None = None,
 ) -> dict[str, Any]:
     """The evaluation as the simulator's half reads it; see :func:`evaluate`."""
+    for agent in agents:
+        if agent.startswith("exec:"):
+            raise InputError(f"agent={agent!r}: only the program drives external agents (wad-cosim eval); give a Python function here")
     return {
         "suite": suite,
         "selection": {
@@ -183,9 +186,11 @@ def load_agent(name: str | os.PathLike[str]) -> TrainedAgent:
 
 def save_agent(
     path: str | os.PathLike[str],
-    layers: Iterable[tuple[Any, Any]],
+    layers: Iterable[Sequence[Any]],
     *,
+    algo: str = "td3",
     observation: str = "raw",
+    scale: tuple[Any, Any] | None = None,
     detector: str = "outlines",
     encoder: str | os.PathLike[str] | None = None,
     steps: int = 0,
@@ -195,23 +200,26 @@ def save_agent(
     scores: Mapping[str, Any] | None = None,
     config: Mapping[str, Any] | None = None,
 ) -> None:
-    """Writes WAD-T's actor, trained elsewhere, as a file that ``wad-cosim run --agent FILE`` and :func:`load_agent` drive.
+    """Writes WAD-T's or WAD-S' actor, trained elsewhere, as a file that ``wad-cosim run --agent FILE`` and :func:`load_agent` drive.
 
-    The layers are fully connected with ReLU between them (docs/agents.md, "The networks"); the last one's three outputs pass a
-    tanh (steering) and two sigmoids (throttle, brake). Their sizes, in this order:
+    The layers are fully connected with ReLU between them (docs/agents.md, "The networks"); the last one's first three outputs pass
+    a tanh (steering) and two sigmoids (throttle, brake), WAD-S' three tanhs. Their sizes, in this order:
 
-    - ``raw``: 15-50, 50-100, 100-75, 75-3.
-    - ``latent``: 200-150, 150-100 for the latent, 15-50 for the raw states, then 150-100, 100-75, 75-3 for both.
-    - ``vector``: 172-150, 150-100 for the surroundings, then as ``latent``.
+    - WAD-T, ``raw``: 15-50, 50-100, 100-75, 75-3.
+    - WAD-T, ``latent``: 200-150, 150-100 for the latent, 15-50 for the raw states, then 150-100, 100-75, 75-3 for both.
+    - WAD-T, ``vector``: 172-150, 150-100 for the surroundings, then as ``latent``.
+    - WAD-S: n-256, 256-128, 128-64, 64-6 for n numbers of the observation, 15, 215 or 187: three means, three log standard deviations.
 
     Args:
         path: The file; ``.safetensors`` is the usual ending. It holds the weights in half precision.
         layers: A pair for each layer: weights of shape (outputs, inputs), as ``torch.nn.Linear`` has them, and biases.
+        algo: ``td3`` (WAD-T) or ``sac`` (WAD-S).
         observation: What the agent gets.
+        scale: What is subtracted from each number of an observation, and what it is multiplied with then. Default: 0 and 1.
         detector: The detector of its training.
         encoder: What made its latents. Default: the bundled one for ``latent``, else none.
         steps, updates, seed: Of its training, for the file's header.
-        params: TD3's constants under the names of docs/agents.md, such as ``gamma``.
+        params: The algorithm's constants, such as ``gamma``, under the names of :mod:`wad_cosim.learn`'s ``Params``.
         scores, config: More for the header.
 
     Raises:
@@ -235,7 +243,8 @@ def save_agent(
         "inputs": _INPUTS[observation],
         "detector": detector,
         "encoder": os.fspath(encoder or ("default" if observation == "latent" else "pooled")),
-        "params": dict(params or {}),
+        "algorithm": {**dict(params or {}), "algo": algo},
+        "scale": scale and {name: np.asarray(part, np.float32).tolist() for name, part in zip(("offset", "factor"), scale)},
         "steps": steps,
         "updates": updates,
         "seed": seed,

@@ -1,4 +1,4 @@
-"""Evaluation and collection on a Ray cluster, where workers and nodes may die; see docs/cluster.md.
+"""Evaluation, collection and training on a Ray cluster, where workers and nodes may die; see docs/cluster.md.
 
 Ray schedules, retries and moves data. What it does not promise is that a task runs once only, so every result has a key, and
 the folder that keeps the results takes each key once.

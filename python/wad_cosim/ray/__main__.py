@@ -1,8 +1,9 @@
-"""The command line's ``eval`` and ``dataset collect`` on a Ray cluster."""
+"""The command line's ``eval``, ``dataset collect`` and ``train agent`` on a Ray cluster."""
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import sys
 
 from .. import InputError, SumoError, _native, report
@@ -39,6 +40,30 @@ def _parser() -> argparse.ArgumentParser:
     collect.add_argument("--every", type=float, default=0.5, metavar="SECONDS", help="simulated, between frames")
     collect.add_argument("--noise-pause", type=float, metavar="SECONDS", help="as for `wad-cosim dataset collect`")
     _shared(collect)
+
+    train = commands.add_parser("train", help="train WAD-T or WAD-S in PyTorch, or go on with it", epilog=_EXITS)
+    train.add_argument("--algo", choices=("td3", "sac"), help="td3: WAD-T; sac: WAD-S [td3]")
+    train.add_argument("--env", action="append", metavar="ID", help="collectors have them in turns [wad_cosim/Straight-v0]")
+    train.add_argument("--observation", choices=("raw", "vector", "latent"), help="what the agent gets [raw]")
+    train.add_argument("--town", metavar="CONFIG", help="[the environment's]")
+    train.add_argument("--traffic", metavar="NAME", help="[the environment's]")
+    train.add_argument("--weather", action="append", metavar="NAME", help="may be given several times [ClearNoon]")
+    train.add_argument("--detector", metavar="NAME", help="[truth for latent, else outlines]")
+    for name, what in (
+        ("egos", "in each collector's SUMO [4]"),
+        ("segment", "ticks that a collector drives before the learner gets them [32]"),
+        ("seed", "[0]"),
+        ("learning-starts", "steps of random driving first [5000]"),
+        ("batch", "transitions of an update [128]"),
+        ("n-step", "rewards that are summed [3]"),
+        ("buffer", "transitions that are kept [200000]"),
+        ("checkpoint-every", "steps between checkpoints [10000]"),
+    ):
+        train.add_argument(f"--{name}", type=int, metavar="N", help=what)
+    train.add_argument("--update-ratio", type=float, metavar="R", help="updates for a step [1]")
+    train.add_argument("--steps", type=int, required=True, metavar="N", help="of all collectors together, those before included")
+    train.add_argument("--resume", action="store_true", help="go on with the training in --out, with its settings")
+    _shared(train)
     return parser
 
 
@@ -58,7 +83,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     try:
         prepare(asked.address)
-        return _eval(asked) if asked.command == "eval" else _collect(asked)
+        return {"eval": _eval, "collect": _collect, "train": _train}[asked.command](asked)
     except (InputError, SumoError, RuntimeError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2 if isinstance(error, InputError) else 3 if isinstance(error, SumoError) else 1
@@ -101,6 +126,33 @@ def _collect(asked: argparse.Namespace) -> int:
     if done["interrupted"]:
         print("interrupted; the same command continues from here", file=sys.stderr)
         return 4
+    return 0
+
+
+def _train(asked: argparse.Namespace) -> int:
+    from ..learn.training import Settings
+    from . import training
+
+    named = {"environments": asked.env, "weathers": asked.weather}
+    names = [field.name for field in dataclasses.fields(Settings) if field.name not in ("latent_gain", *named)]
+    given = {name: getattr(asked, name) for name in names} | {name: tuple(value) for name, value in named.items() if value}
+    given = {name: value for name, value in given.items() if value is not None}
+    if asked.resume and given:
+        raise InputError(f"--resume goes on with the settings in {asked.out}: leave out {', '.join(given)}")
+    try:
+        done = training.train(
+            Settings(**given),
+            asked.out,
+            steps=asked.steps,
+            address=asked.address,
+            workers=asked.workers,
+            resume=asked.resume,
+            progress=True,
+        )
+    except KeyboardInterrupt:
+        print(f"\ninterrupted: {asked.out} has a checkpoint; --resume goes on", file=sys.stderr)
+        return 4
+    print("{out}: {steps} steps, {updates} updates, {episodes} episodes, {restarts} restarts".format(**done))
     return 0
 
 

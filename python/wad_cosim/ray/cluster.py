@@ -56,6 +56,11 @@ class Progress:
             self._processes[worker] = process
             self.restarts += 1
 
+    def started_again(self) -> None:
+        """All workers were started again, for one reason."""
+        self._processes.clear()
+        self.restarts += 1
+
     def is_due(self) -> bool:
         """Whether half a second is over since it was last."""
         now = time.monotonic()
@@ -72,7 +77,7 @@ class Progress:
         self._said = now
         nodes = sum(bool(node["Alive"]) for node in ray.nodes())
         rate = (self.done - self._first) / max(now - self._began, 1e-9)
-        left = f"{(self._planned - self.done) / rate:.0f} s left" if rate > 0 else "time left unknown"
+        left = f"{max(self._planned - self.done, 0) / rate:.0f} s left" if rate > 0 else "time left unknown"
         text = (
             f"{self.done}/{self._planned} {self._unit}, {3600 * rate:.0f} an hour, {left}, "
             f"{nodes} nodes, {self.restarts} restarts"

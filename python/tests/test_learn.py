@@ -1,0 +1,230 @@
+"""WAD-T and WAD-S in PyTorch: their updates are the Rust trainer's, and their files are its files."""
+
+import pathlib
+import subprocess
+
+import numpy as np
+import pytest
+
+import wad_cosim
+
+torch = pytest.importorskip("torch")
+from wad_cosim import learn  # noqa: E402
+from wad_cosim.learn import replay, training  # noqa: E402
+from wad_cosim.learn.training import Learner, Settings  # noqa: E402
+
+#: `cargo test --workspace` builds it.
+UPDATE = pathlib.Path(__file__).parents[2] / "target" / "release" / "examples" / "update"
+INPUTS = {"raw": "raw", "vector": "vector", "latent": "both"}
+BOTH = pytest.mark.parametrize("algo", learn.ALGORITHMS)
+
+
+def flat(networks, of=lambda parameter: parameter):
+    """The parameters as the Rust trainer has them: layer by layer, weights [inputs, outputs] before biases, each of all networks."""
+    parts = []
+    for layers in zip(*(network.layers for network in networks)):
+        parts += [of(layer.weight).T.reshape(-1) for layer in layers] + [of(layer.bias) for layer in layers]
+    return torch.cat(parts).detach()
+
+
+def fill(networks, values):
+    at = 0
+    with torch.no_grad():
+        for layers in zip(*(network.layers for network in networks)):
+            for parameter in [layer.weight.T for layer in layers] + [layer.bias for layer in layers]:
+                parameter.copy_(values[at : at + parameter.numel()].view(parameter.shape))
+                at += parameter.numel()
+    assert at == len(values)
+
+
+def parts_of(algo, agent):
+    """The networks under the Rust trainer's names, and the optimisers of some of them."""
+    critics = [agent.qf1, agent.qf2]
+    if algo == "td3":
+        targets = {"actor_target": [agent.actor_target], "critics_target": [agent.qf1_target, agent.qf2_target]}
+        return {"actor": [agent.actor], "critics": critics} | targets, ("actor", "critics")
+    networks = {"policy": [agent.actor], "critics": critics, "value": [agent.value], "value_target": [agent.value_target]}
+    return networks, ("policy", "critics", "value")
+
+
+@BOTH
+@pytest.mark.parametrize("observation", INPUTS)
+def test_updates_are_those_of_train_agent(tmp_path, algo, observation):
+    if not UPDATE.exists():
+        pytest.skip(f"{UPDATE} is not built: cargo build --release --workspace --example update")
+    learn.prepare()
+    file = tmp_path / "updates.npz"
+    subprocess.run([UPDATE, file, algo, INPUTS[observation], "2"], check=True, capture_output=True)
+    said = {name: torch.from_numpy(values) for name, values in np.load(file).items()}
+    agent = learn.new(algo, observation)
+    networks, learned = parts_of(algo, agent)
+    for name, each in networks.items():
+        fill(each, said[f"before.{name}"])
+    if algo == "sac":
+        with torch.no_grad():
+            agent.log_alpha.copy_(said["before.log_alpha"])
+    for update in range(2):
+        agent.update(replay.Batch(**{name: said[f"{update}.{name}"] for name in replay.Batch._fields}))
+    for name, each in networks.items():
+        before, after = said[f"before.{name}"], said[f"after.{name}"]
+        # Slow copies move little: they must not differ by a tenth of it either.
+        moved = float((after - before).abs().max())
+        assert moved > 1e-6, name
+        assert (flat(each) - after).abs().max() < min(1e-5, 0.1 * moved), name
+    for name in learned:
+        optimizer = agent.optimizers["actor" if name == "policy" else name]
+        for moment, ours in (("m", "exp_avg"), ("v", "exp_avg_sq")):
+            apart = flat(networks[name], lambda parameter: optimizer.state[parameter][ours]) - said[f"after.{name}_adam.{moment}"]
+            assert apart.abs().max() < 1e-5, f"{name} {moment}"
+    if algo == "sac":
+        assert (agent.log_alpha - said["after.log_alpha"]).abs() < 1e-5
+
+
+def drawn(rng, n, size, terminated=False):
+    """A segment."""
+    numbers = lambda *shape: rng.normal(0, 1, shape).astype(np.float32)  # noqa: E731
+    return replay.Segment(numbers(n + 1, size), np.tanh(numbers(n, 3)), numbers(n), terminated)
+
+
+def test_batches_sum_rewards_to_the_end_and_no_further():
+    buffer = replay.ReplayBuffer(1024, 1)
+    # Observation, action and reward k are k; two segments, the first of which ends its episode.
+    for first, n, terminated in ((0, 5, True), (10, 4, False)):
+        k = np.arange(first, first + n + 1, dtype=np.float32)
+        buffer.push(replay.Segment(k[:, None], np.repeat(k[:-1, None], 3, 1), k[:-1], terminated))
+    batch = buffer.sample(np.random.default_rng(1), 500, 3, 0.5)
+    seen = set()
+    for observation, action, reward, after, discount, _ in zip(*batch):
+        k = int(observation[0])
+        seen.add(k)
+        assert (action == k).all()
+        last = 5 if k < 10 else 14
+        n = min(3, last - k)
+        assert after[0] == k + n
+        assert reward == sum(0.5**i * (k + i) for i in range(n))
+        assert discount == (0 if k + n == 5 else 0.5**n)
+    assert seen == {0, 1, 2, 3, 4, 10, 11, 12, 13}, "every transition, and no segment's end"
+    assert abs(float(batch.noise.mean())) < 0.1 and abs(float(batch.noise.std()) - 1) < 0.1
+
+
+def test_a_full_ring_forgets_the_oldest():
+    rng, buffer = np.random.default_rng(2), replay.ReplayBuffer(2048, 2)
+    for number in range(40):
+        segment = drawn(rng, 60, 2)
+        segment.observations[:] = number
+        buffer.push(segment)
+    assert len(buffer) == 2048
+    numbers, counts = np.unique(buffer.sample(rng, 4000, 1, 0.9).observation[:, 0].numpy(), return_counts=True)
+    # 40 segments of 61 entries; the last 33 of them, and a part of the one before, are there.
+    assert numbers.tolist() == [*range(6, 40)] and counts[1:].min() > 70 and counts[1:].max() < 180
+
+
+def test_segments_end_where_episodes_do():
+    ticks, egos = 6, 2
+    k = np.arange(ticks + 1, dtype=np.float32)
+    observations = np.stack([k, 100 + k], 1)[:, :, None]
+    actions = np.repeat(observations[:-1], 3, 2)
+    valid, terminated = np.ones((ticks, egos), bool), np.zeros((ticks, egos), bool)
+    # The first ego's episode ends in tick 2; in tick 3 it waits, and in tick 4 it begins another.
+    terminated[2, 0], valid[3:5, 0] = True, False
+    found = list(training.segments(observations, actions, observations[:-1, :, 0], valid, terminated))
+    assert [segment.observations[:, 0].tolist() for segment in found] == [[0, 1, 2, 3], [5, 6], [*range(100, 107)]]
+    assert [segment.rewards.tolist() for segment in found] == [[0, 1, 2], [5], [*range(100, 106)]]
+    assert [segment.terminated for segment in found] == [True, False, False]
+
+
+SMALL = {"learning_starts": 128, "buffer": 2048, "batch": 32}
+
+
+def learned(settings, segments, checkpoint=None):
+    """A learner that has taken the segments."""
+    learner = Learner(settings, checkpoint)
+    for segment in segments:
+        state = learner.take([segment])
+    return learner, state
+
+
+@BOTH
+@pytest.mark.parametrize("observation", INPUTS)
+def test_a_checkpoint_goes_on_bit_for_bit_and_becomes_an_agent(tmp_path, algo, observation):
+    settings = Settings(algo=algo, observation=observation, **SMALL)
+    size = {"raw": 15, "vector": 187, "latent": 215}[observation]
+    rng = np.random.default_rng(3)
+    first, then = ([drawn(rng, 40, size, terminated=i % 2 == 0) for i in range(6)] for _ in range(2))
+    straight, state = learned(settings, first)
+    assert state.steps == 240 and state.updates == 240 - 128 and all(map(np.isfinite, state.losses.values()))
+    checkpoint = straight.save()
+    assert training.steps_of(checkpoint) == 240
+    resumed, found = learned(settings, then, checkpoint)
+    for segment in then:
+        expected = straight.take([segment])
+    assert (found.steps, found.updates, found.losses) == (expected.steps, expected.updates, expected.losses)
+    for name, values in expected.weights.items():
+        assert (found.weights[name] == values).all(), name
+
+    path = tmp_path / "agent.safetensors"
+    training.write_agent(checkpoint, settings, path)
+    agent, actor = wad_cosim.load_agent(path), learn.new(algo, observation).actor
+    assert agent.observation == observation
+    actor.load_state_dict({name: torch.from_numpy(values) for name, values in state.weights.items()})
+    # The file rounds weights to half precision, and keeps the scale of the inputs.
+    for layer in actor.layers:
+        for parameter in layer.parameters():
+            parameter.data = parameter.data.half().float()
+    if observation != "raw":
+        assert (actor.factor[: size - 15] != 1).all() and (actor.factor[size - 15 :] == 1).all()
+    for numbers in rng.normal(0, 1, (10, size)).astype(np.float32):
+        with torch.no_grad():
+            expected = actor(actor.scaled(torch.from_numpy(numbers)[None]))[0].numpy()
+        assert np.abs(agent.act(numbers) - expected).max() < 1e-5
+
+
+def test_moments_of_a_unit_that_is_off_become_zero_not_subnormal():
+    learn.prepare()
+    parameter = torch.nn.Parameter(torch.ones(2))
+    adam = torch.optim.Adam([parameter], lr=1e-3)
+    for step in range(2000):
+        parameter.grad = torch.tensor([0.0 if step else 1e-3, 1e-3])
+        adam.step()
+    moment = adam.state[parameter]["exp_avg"].numpy()
+    assert moment[0] == 0 and abs(moment[1] - 1e-3) < 1e-7
+
+
+def test_a_loss_that_is_not_a_number_stops_the_training():
+    learner, _ = learned(Settings(**SMALL), [drawn(np.random.default_rng(4), 100, 15)])
+    broken = drawn(np.random.default_rng(5), 100, 15)
+    broken.rewards[:] = np.nan
+    with pytest.raises(wad_cosim.Error, match="losses/qf1_loss is nan"):
+        learner.take([broken])
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ({"algo": "ppo"}, "td3, sac"),
+        ({"observation": "image"}, "raw, vector, latent"),
+        ({"environments": ("wad_cosim/Nowhere-v0",)}, "Nowhere"),
+        ({"egos": 0}, "1 or more"),
+        ({"learning_starts": 10}, "a batch"),
+        ({"buffer": 10}, "1024"),
+    ],
+)
+def test_settings_that_cannot_be(given, text):
+    with pytest.raises(wad_cosim.InputError, match=text):
+        Settings(**given).check()
+
+
+def test_a_collector_drives_what_a_learner_learns_from():
+    settings = Settings(egos=3, segment=20, **SMALL)
+    collector, learner = training.Collector(0, settings), Learner(settings)
+    driven = [collector.drive(turn, learner.published().weights, False) for turn in range(3)]
+    steps = 0
+    for news, found in driven:
+        assert len(found) >= 3 and all(len(segment.observations) == len(segment.actions) + 1 for segment in found)
+        assert all(np.abs(segment.observations).max() <= 2 and (segment.rewards != 0).any() for segment in found)
+        steps += sum(len(segment.actions) for segment in found)
+        assert all(episode["charts/episodic_length"] > 0 for episode in news.episodes)
+        state = learner.take(found)
+    assert steps == state.steps > 128 and state.updates == steps - 128
+    collector.drive(3, state.weights, True)
+    collector.close()

@@ -1,0 +1,311 @@
+"""Training on Ray: the driver has the folder, collectors drive, one learner learns.
+
+A collector's segments go to the learner as they come, and it drives the next ones with the newest weights; it is at most one turn
+ahead of the learner. A collector that dies is started again by Ray, and what it was driving is driven again. When the learner
+dies, both halves start again from the last checkpoint, which the driver keeps: the same way as after the driver's own death.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import fcntl
+import json
+import os
+import pathlib
+import sys
+import time
+from typing import Any
+
+from .. import learn
+from .._native import Error, InputError
+from ..learn.training import Collector, Learner, Published, Settings, steps_of, write_agent
+from . import cluster
+
+# After `cluster`, which says how to install it.
+import ray
+
+#: Seconds between two lines of losses in the log.
+_FIGURES = 5.0
+
+
+class _LearnerLost(Exception):
+    """The learner's process or node died."""
+
+
+class Folder:
+    """A training's results: config.json, train.jsonl, checkpoint.pt, last.safetensors."""
+
+    def __init__(self, path: str | os.PathLike[str], settings: Settings, resume: bool) -> None:
+        self.path = pathlib.Path(path)
+        self._checkpoint, config = self.path / "checkpoint.pt", self.path / "config.json"
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            # As the command line locks its folders; the system releases it however this process ends.
+            self._lock = open(self.path / ".lock", "a")
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if resume and config.exists():
+                settings = _settings(config)
+            elif resume:
+                raise InputError(f"{self.path}: there is no training to resume")
+            elif config.exists():
+                raise InputError(f"{self.path} holds a training already: --resume goes on with it, or name another folder")
+            settings.check()
+            if not config.exists():
+                _write(config, json.dumps(dataclasses.asdict(settings), indent=2).encode() + b"\n")
+        except BlockingIOError:
+            raise InputError(f"another process is writing into {self.path}: let it end, or name another folder with --out") from None
+        except OSError as error:
+            raise InputError(f"cannot write {self.path}: {error}") from None
+        self.settings = settings
+
+    def checkpoint(self) -> bytes | None:
+        """The last one; None at the begin. The log is cut to what its learner has learned from."""
+        if not self._checkpoint.exists():
+            self._rewind(-1)
+            return None
+        found = self._checkpoint.read_bytes()
+        try:
+            steps = steps_of(found)
+        except Exception as error:
+            raise InputError(f"{self._checkpoint} is damaged: {error}") from None
+        self._rewind(steps)
+        return found
+
+    def _rewind(self, steps: int) -> None:
+        log = self.path / "train.jsonl"
+        kept = []
+        for line in log.read_text().splitlines() if log.exists() else ():
+            # The last line of a process that was killed is not whole.
+            with contextlib.suppress(ValueError):
+                if json.loads(line)["global_step"] <= steps:
+                    kept.append(line + "\n")
+        _write(log, "".join(kept).encode())
+
+    def log(self, lines: list[dict[str, Any]]) -> None:
+        """Adds lines to the log."""
+        with open(self.path / "train.jsonl", "a") as file:
+            file.writelines(json.dumps(line) + "\n" for line in lines)
+
+    def save(self, checkpoint: bytes) -> None:
+        """Keeps a checkpoint, and its actor as an agent's file."""
+        _write(self._checkpoint, checkpoint)
+        write_agent(checkpoint, self.settings, self.path / "last.safetensors")
+
+    def close(self) -> None:
+        """Lets others write into it."""
+        self._lock.close()
+
+
+def _settings(config: pathlib.Path) -> Settings:
+    try:
+        found: dict[str, Any] = json.loads(config.read_bytes())
+        given: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in found.items()}
+        return Settings(**given)
+    except (ValueError, TypeError, AttributeError) as error:
+        raise InputError(f"{config} is not a training's: {error}") from None
+
+
+def _write(path: pathlib.Path, content: bytes) -> None:
+    """Whole or not at all."""
+    part = path.with_name(path.name + ".part")
+    with open(part, "wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(part, path)
+
+
+def train(
+    settings: Settings,
+    out: str | os.PathLike[str],
+    *,
+    steps: int,
+    address: str = "auto",
+    workers: int | None = None,
+    resume: bool = False,
+    progress: bool = False,
+) -> dict[str, Any]:
+    """Trains until ``steps`` transitions are taken; returns steps, updates, episodes, restarts.
+
+    ``workers`` is the number of collectors; default: the cluster's cores less one, which the learner has. Ctrl-C leaves a checkpoint.
+
+    Raises:
+        InputError: An argument is wrong, ``out`` holds another training, or another process writes into it.
+        SumoError: SUMO does not start.
+        Error: Training failed.
+    """
+    learn.prepare()
+    folder = Folder(out, settings, resume)
+    try:
+        first = folder.checkpoint()
+        bar = cluster.Progress("steps", steps_of(first) if first else 0, steps, progress)
+        local = (workers or max((os.cpu_count() or 2) - 1, 1)) + 1
+        with cluster.connected(address, local):
+            while True:
+                run = _Run(folder, workers, bar)
+                try:
+                    with run:
+                        return run.until(steps)
+                except _LearnerLost as lost:
+                    if not run.began:
+                        raise Error(f"the learner does not start: {lost}") from None
+                    bar.started_again()
+                    print(f"\nthe learner died ({lost}): on from the last checkpoint", file=sys.stderr)
+    finally:
+        folder.close()
+
+
+class _Run:
+    """A learner and its collectors, from the last checkpoint on."""
+
+    def __init__(self, folder: Folder, workers: int | None, bar: cluster.Progress) -> None:
+        self._folder, self._settings, self._workers, self._bar = folder, folder.settings, workers, bar
+        self._learner: Any = ray.remote(num_cpus=1)(Learner).remote(self._settings, folder.checkpoint())
+        self._collectors: list[Any] = []
+        #: By collector: turns that it has begun, and those that the learner has not taken yet.
+        self._turns: list[int] = []
+        self._untaken: list[int] = []
+        #: What is awaited: what collectors say with their segments, and what the learner says of them.
+        self._driving: dict[Any, tuple[int, Any]] = {}
+        self._learning: dict[Any, tuple[int, list[dict[str, Any]]]] = {}
+        self._figures: dict[str, list[float]] = {}
+        self._told = (time.monotonic(), 0)
+        self._episodes = 0
+        #: Whether the learner has answered.
+        self.began = False
+
+    def __enter__(self) -> _Run:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        # Their SUMOs end with them.
+        for actor in (*self._collectors, self._learner):
+            ray.kill(actor)
+
+    def until(self, steps: int) -> dict[str, Any]:
+        """Learns until ``steps`` transitions are taken."""
+        # The learner first: collectors would take its core.
+        self._publish(self._ask(self._learner.published.remote()))
+        self.began = True
+        self._told = (time.monotonic(), self._state.steps)
+        saved = self._state.steps
+        try:
+            while self._state.steps < steps:
+                self._go(steps)
+                if self._state.steps - saved >= self._settings.checkpoint_every:
+                    saved = self._save()
+        except KeyboardInterrupt:
+            self._save()
+            raise
+        self._save()
+        self._bar.show(last=True)
+        return {
+            "out": str(self._folder.path),
+            "steps": self._state.steps,
+            "updates": self._state.updates,
+            "episodes": self._episodes,
+            "restarts": self._bar.restarts,
+        }
+
+    def _go(self, steps: int) -> None:
+        """Waits for news, at most half a second."""
+        if self._bar.is_due():
+            self._bar.show()
+            self._hire()
+        awaited = [*self._learning, *self._driving]
+        if not awaited:
+            time.sleep(0.1)
+            return
+        for ref in ray.wait(awaited, num_returns=1, timeout=0.5)[0]:
+            if ref in self._learning:
+                self._learned(ref)
+            else:
+                self._driven(ref)
+
+    def _hire(self) -> None:
+        """Starts collectors, as many as there are cores; nodes may join."""
+        cores = int(ray.cluster_resources().get("CPU", 1))
+        # A dead one comes back, here or on another node, and drives its turn again.
+        actor: Any = ray.remote(num_cpus=1, max_restarts=-1, max_task_retries=-1)(Collector)
+        while len(self._collectors) < (self._workers or max(cores - 1, 1)):
+            self._collectors.append(actor.remote(len(self._collectors), self._settings))
+            self._turns.append(0)
+            self._untaken.append(0)
+            self._drive(len(self._collectors) - 1)
+
+    def _drive(self, number: int) -> None:
+        self._turns[number] += 1
+        learns = self._state.updates > 0
+        drive = self._collectors[number].drive.options(num_returns=2)
+        news, segments = drive.remote(self._turns[number], self._weights, learns)
+        self._driving[news] = (number, segments)
+
+    def _driven(self, ref: Any) -> None:
+        """A collector has driven its turn: the learner gets the segments."""
+        number, segments = self._driving.pop(ref)
+        try:
+            news = self._ask(ref, died="a collector does not start")
+        except ray.exceptions.ObjectLostError:
+            self._drive(number)
+            return
+        self._bar.came_from(number, ("", news.process))
+        self._learning[self._learner.take.remote(segments)] = (number, news.episodes)
+        self._untaken[number] += 1
+        if self._untaken[number] == 1:
+            self._drive(number)
+
+    def _learned(self, ref: Any) -> None:
+        """The learner has taken a turn's segments, and learned."""
+        number, episodes = self._learning.pop(ref)
+        try:
+            self._publish(self._ask(ref))
+            self._note(episodes)
+        except ray.exceptions.ObjectLostError:
+            # The segments were on a node that died.
+            pass
+        self._untaken[number] -= 1
+        if not any(number == other for other, _ in self._driving.values()):
+            self._drive(number)
+
+    def _ask(self, ref: Any, died: str | None = None) -> Any:
+        """The answer. An actor that is dead for good is the learner, or else it ``died``."""
+        try:
+            return ray.get(ref)
+        except ray.exceptions.ObjectLostError:
+            raise
+        except ray.exceptions.RayTaskError as error:
+            raise error.cause if isinstance(error.cause, Exception) else error from None
+        except ray.exceptions.RayActorError as error:
+            if died:
+                raise Error(f"{died}: {error}") from None
+            raise _LearnerLost(str(error).splitlines()[0]) from None
+        except ray.exceptions.RayError as error:
+            raise Error(f"Ray failed: {error}") from None
+
+    def _publish(self, state: Published) -> None:
+        self._state = state
+        # On the driver's node, so that they outlive the learner's.
+        self._weights = ray.put(state.weights)
+        self._bar.done = state.steps
+
+    def _note(self, episodes: list[dict[str, Any]]) -> None:
+        state = self._state
+        lines = [{"global_step": state.steps, **episode} for episode in episodes]
+        self._episodes += len(episodes)
+        for name, loss in state.losses.items():
+            self._figures.setdefault(name, []).append(loss)
+        now, (then, before) = time.monotonic(), self._told
+        if self._figures and now - then >= _FIGURES:
+            means = {name: sum(values) / len(values) for name, values in self._figures.items()}
+            rate = (state.steps - before) / (now - then)
+            lines.append({"global_step": state.steps, **means, "charts/SPS": rate, "charts/updates": state.updates})
+            self._figures, self._told = {}, (now, state.steps)
+        self._folder.log(lines)
+
+    def _save(self) -> int:
+        """Keeps a checkpoint, of all that the log has; returns its steps."""
+        for ref in list(self._learning):
+            self._learned(ref)
+        self._folder.save(self._ask(self._learner.save.remote()))
+        return self._state.steps
