@@ -28,7 +28,7 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
     for path in &args.runs {
         let results = Results::open(path).map_err(store_error)?;
         // An episode that one shard lacks may be in another, so this is not reported.
-        results.unread().iter().for_each(|remark| crate::cli::note(remark));
+        results.unread().iter().for_each(crate::cli::note);
         let manifest = first.get_or_insert_with(|| Manifest { shard: None, ..results.manifest.clone() });
         let differences = manifest.differences(&results.manifest, false);
         if !differences.is_empty() {

@@ -19,7 +19,7 @@ pub fn run(
 ) -> anyhow::Result<Exit> {
     let results = runs.iter().map(|run| Results::open(run)).collect::<Result<Vec<_>, _>>();
     let results = results.map_err(|e| Exit::Input.because(e))?;
-    results.iter().flat_map(Results::remarks).for_each(|remark| crate::cli::note(remark));
+    results.iter().flat_map(Results::remarks).for_each(crate::cli::note);
     let report = Report::gather(results).map_err(|e| Exit::Input.because(e))?;
     let first = runs.first().map(PathBuf::as_path).unwrap_or(Path::new("."));
     let folder = out.map_or_else(|| first.join("report"), Path::to_path_buf);
