@@ -15,7 +15,8 @@ import wad_cosim  # noqa: F401  registers the ids
 # PyTorch has one thread, here and in what tests start: networks this small gain nothing by more, and tests share their cores.
 os.environ["OMP_NUM_THREADS"] = "1"
 
-# A shell starts what runs in the background with Ctrl-C ignored, and all that it starts inherits that: tests that press it would wait for ever.
+# A shell starts what runs in the background with Ctrl-C ignored, and all that it starts inherits that: tests that press it
+# would wait for ever.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
