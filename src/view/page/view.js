@@ -121,6 +121,7 @@ async function greet(message) {
   }
 }
 
+const driverName = (name) => name.startsWith("wad-") ? name.slice(0, 5).toUpperCase() + name.slice(5).replaceAll("-", " ") : name.split("/").pop();
 const words = (name) => name.replace(/([a-z])([A-Z])/g, "$1 $2").toLowerCase().replace(/^./, (c) => c.toUpperCase());
 function options(select, list) {
   select.replaceChildren(...list.map(([value, text]) => Object.assign(document.createElement("option"), { value, textContent: text })));
@@ -138,7 +139,7 @@ const follow = (ego) => send({ do: "follow", ego });
 function drivers() {
   const names = ["autopilot", ...hello.agents, "manual"];
   $("drivers").replaceChildren(...names.map((name) => {
-    const b = Object.assign(document.createElement("button"), { type: "button", textContent: name.startsWith("wad-") ? name.toUpperCase() : name.split("/").pop() });
+    const b = Object.assign(document.createElement("button"), { type: "button", textContent: driverName(name) });
     b.setAttribute("role", "radio");
     b.setAttribute("aria-checked", "false");
     b.dataset.name = name;
