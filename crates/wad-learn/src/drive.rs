@@ -1,15 +1,17 @@
 //! `run`: the autopilot or a trained agent drives an ego, or many, from destination to destination.
 
+mod finish;
+mod options;
 mod summary;
 
+pub use options::{DriveError, DriveOptions};
 pub use summary::{CollisionCounts, EgoSummary, Summary};
 
-use crate::agent::AgentError;
-use crate::driver::{Driver, Pilot, PilotRecord};
+use crate::driver::{Driver, Pilot};
 use crate::env::ego_id;
 use nalgebra::Point2;
-use serde::{Deserialize, Serialize};
-use std::path::{Path, PathBuf};
+use options::{APART, RunConfig};
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 use summary::Totals;
@@ -18,133 +20,18 @@ use sumo_network::seeds;
 use wad_camera::Preset;
 use wad_see::eyes::{Eyes, EyesError, Look};
 use wad_see::perception::EgoFacts;
-use wad_sim::assets::{Assets, AssetsError};
-use wad_sim::autopilot::{AutopilotParams, Decision};
-use wad_sim::bridge::{Bridge, BridgeError, BridgeOptions, Ego};
+use wad_sim::assets::Assets;
+use wad_sim::autopilot::Decision;
+use wad_sim::bridge::{Bridge, BridgeError, Ego};
 use wad_sim::cores;
-use wad_sim::criteria::{CriteriaParams, Event};
+use wad_sim::criteria::Event;
 use wad_sim::destination::{self, DestinationError};
-use wad_sim::end::{self, End, Ending, Termination};
+use wad_sim::end::{self, Ending, Termination};
 use wad_sim::scenario::Scenario;
-use wad_sim::session::{Act, Itinerary, ItineraryError, Seat, Session};
-use wad_sim::telemetry::{
-    FolderError, LeaderRecord, LightRecord, RouteRecord, RunFolder, TickRecord, Wish, WriteError,
-};
-use wad_sim::traffic::{Counts, TrafficSpec};
-use wad_vehicle::{Control, EgoParams};
-
-/// A run's options; saved as its `config.json`.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct DriveOptions {
-    /// SUMO, town, traffic and ticks.
-    pub bridge: BridgeOptions,
-    /// `FROM,TO` of the first ego's first route; None: drawn from the seed.
-    pub route: Option<String>,
-    /// The number of egos; set by [`Drive::start_in`].
-    #[serde(default = "one", skip_serializing_if = "is_one")]
-    pub egos: usize,
-    /// The ego's physics.
-    pub ego: EgoParams,
-    /// The autopilot's constants.
-    pub autopilot: AutopilotParams,
-    /// Thresholds of the events.
-    pub criteria: CriteriaParams,
-    /// The run's folder.
-    pub out: PathBuf,
-}
-
-impl DriveOptions {
-    /// The defaults: a route drawn from the seed, into the folder `out`.
-    pub fn new(bridge: BridgeOptions, out: PathBuf) -> Self {
-        Self {
-            bridge,
-            route: None,
-            egos: one(),
-            ego: Default::default(),
-            autopilot: Default::default(),
-            criteria: Default::default(),
-            out,
-        }
-    }
-
-    /// Options of a drive without results: all its files go into the folder `scratch`.
-    pub fn passing(config: PathBuf, seed: u64, traffic: TrafficSpec, scratch: &Path) -> Self {
-        let bridge = BridgeOptions { seed, traffic, ..BridgeOptions::new(config, scratch.join("sumo")) };
-        Self::new(bridge, scratch.join("run"))
-    }
-}
-
-fn one() -> usize {
-    1
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes it so")]
-fn is_one(egos: &usize) -> bool {
-    *egos == 1
-}
-
-/// Why a run could not start or go on.
-#[derive(Debug, thiserror::Error)]
-pub enum DriveError {
-    /// SUMO or the bridge fail.
-    #[error(transparent)]
-    Bridge(#[from] BridgeError),
-    /// There is no route.
-    #[error(transparent)]
-    Destination(#[from] DestinationError),
-    /// The run folder cannot be made.
-    #[error(transparent)]
-    Folder(#[from] FolderError),
-    /// Telemetry or summary cannot be written.
-    #[error(transparent)]
-    Write(#[from] WriteError),
-    /// The town cannot be read.
-    #[error(transparent)]
-    Assets(#[from] AssetsError),
-    /// The agent fails.
-    #[error(transparent)]
-    Agent(#[from] AgentError),
-    /// Camera or perception fail.
-    #[error(transparent)]
-    Eyes(#[from] EyesError),
-    /// More egos than the town has room for.
-    #[error(
-        "{town} has room for {fit} egos, {APART} m apart, not for {egos}: ask for {fit} or fewer, or for a larger town"
-    )]
-    Crowded {
-        /// The town.
-        town: String,
-        /// How many were placed.
-        fit: usize,
-        /// How many were asked for.
-        egos: usize,
-    },
-    /// A scenario is written for one ego.
-    #[error("a scenario has one ego, found {egos}: leave the number of egos out, or drive in a town")]
-    Scenario {
-        /// How many were asked for.
-        egos: usize,
-    },
-}
-
-impl From<ItineraryError> for DriveError {
-    fn from(error: ItineraryError) -> Self {
-        match error {
-            ItineraryError::Bridge(error) => error.into(),
-            ItineraryError::Destination(error) => error.into(),
-        }
-    }
-}
-
-/// The contents of `config.json`.
-#[derive(Serialize)]
-struct RunConfig<'a> {
-    #[serde(flatten)]
-    options: &'a DriveOptions,
-    /// The driver; None for the autopilot.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    driver: Option<&'a PilotRecord>,
-}
+use wad_sim::session::{Act, Itinerary, Seat, Session};
+use wad_sim::telemetry::{LeaderRecord, LightRecord, RouteRecord, RunFolder, TickRecord, Wish};
+use wad_sim::traffic::Counts;
+use wad_vehicle::Control;
 
 /// The facts of the status line.
 #[derive(Clone, Debug)]
@@ -626,91 +513,10 @@ impl Drive {
     pub fn weather(&self) -> Preset {
         self.weather
     }
-
-    /// The summary so far. A run that is not over has survived until now.
-    pub fn summary(&self, interrupted: bool) -> Summary {
-        self.summary_of(End::Survived, interrupted)
-    }
-
-    /// `end` is that of a run without a scenario that ended one.
-    fn summary_of(&self, end: End, interrupted: bool) -> Summary {
-        let mut sum = Totals::default();
-        for car in &self.cars {
-            sum.add_all(&car.totals);
-        }
-        let (t, ticks) = (&sum, self.ticks());
-        // Of all egos.
-        let per_tick = |sum: f64| if t.ticks == 0 { 0.0 } else { sum / t.ticks as f64 };
-        let tick = self.session.bridge().tick();
-        let wall_seconds = self.began.elapsed().as_secs_f64();
-        Summary {
-            town: self.session.bridge().config().name(),
-            seed: self.options.bridge.seed,
-            ticks,
-            tick_ms: tick * 1000.0,
-            sim_seconds: ticks as f64 * tick,
-            wall_seconds,
-            ticks_per_second: ticks as f64 / wall_seconds.max(1e-9),
-            distance_m: t.distance,
-            mean_speed_mps: per_tick(t.distance / tick),
-            mean_free_speed_mps: if t.free.0 == 0 { 0.0 } else { t.free.1 / t.free.0 as f64 },
-            held_ticks: t.ticks - t.free.0,
-            top_speed_mps: t.top_speed,
-            destinations_reached: t.destinations,
-            collisions: t.collisions,
-            collisions_caused: t.caused,
-            red_lights_run: t.red_lights,
-            outside_lane_ticks: t.outside_ticks,
-            sidewalk_events: t.sidewalk,
-            vehicle_blocked: t.blocked,
-            respawns: t.respawns,
-            vehicles_mean: per_tick(t.vehicles as f64),
-            pedestrians_mean: per_tick(t.pedestrians as f64),
-            end: self.ending.as_ref().map_or(end, |ending| ending.end),
-            success: self.ending.as_ref().map(|ending| ending.success),
-            cause: self.ending.as_ref().map(|ending| ending.cause.clone()),
-            interrupted,
-            collisions_among_egos: t.among_egos,
-            egos: self.ego_summaries(),
-            out: self.folder.path().to_path_buf(),
-        }
-    }
-
-    /// Where there are several: each ego's own.
-    fn ego_summaries(&self) -> Vec<EgoSummary> {
-        let of = |(car, ego): (&Car, &Ego)| car.totals.of_ego(&ego.id, self.session.bridge().tick());
-        let all = || self.cars.iter().zip(self.egos()).map(of).collect();
-        if self.cars.len() > 1 { all() } else { Vec::new() }
-    }
-
-    /// After an error: writes a summary with the end `error`, and ends SUMO.
-    ///
-    /// # Errors
-    /// The summary cannot be written.
-    pub async fn abort(mut self) -> Result<(), DriveError> {
-        let summary = self.summary_of(End::Error, false);
-        Ok(self.folder.finish(&summary)?)
-    }
-
-    /// Ends SUMO and writes the summary.
-    ///
-    /// # Errors
-    /// The summary cannot be written.
-    pub async fn finish(mut self, interrupted: bool) -> Result<Summary, DriveError> {
-        let summary = self.summary(interrupted);
-        self.folder.finish(&summary)?;
-        if let Err(error) = self.session.close().await {
-            tracing::warn!("SUMO did not close properly: {error}");
-        }
-        Ok(summary)
-    }
 }
 
 /// The first ego; the only one of most runs.
 const EGO: usize = 0;
-
-/// Least distance between the starts of two egos (m).
-const APART: f64 = 25.0;
 
 /// `tick` in s.
 fn look(eyes: &mut Eyes, ego: &Ego, network: &Network, tick: f64) -> Result<(), EyesError> {
