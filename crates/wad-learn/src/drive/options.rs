@@ -22,7 +22,7 @@ pub struct DriveOptions {
     pub bridge: BridgeOptions,
     /// `FROM,TO` of the first ego's first route; None: drawn from the seed.
     pub route: Option<String>,
-    /// The number of egos; set by [`Drive::start_in`].
+    /// The number of egos; set by [`Drive::start_in`](crate::drive::Drive::start_in).
     #[serde(default = "one", skip_serializing_if = "is_one")]
     pub egos: usize,
     /// The ego's physics.
