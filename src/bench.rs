@@ -236,15 +236,15 @@ impl Alone {
         };
         let options = options.option("output-prefix", "alone_").option("no-warnings", "true");
         let (process, client) = SumoProcess::launch_with(&SumoInstall::find()?, &options).await?;
-        // On the core that the bridge and its SUMO share: the same neighbours for both.
-        if let Some(core) = Cores::current() {
-            core.confine(process.id());
-        }
         Ok(Self { process, client, tick })
     }
 
     /// Loads a state saved at `begin` (s) and runs on from there.
     async fn stretch(&mut self, state: &Path, begin: f64, ticks: u64) -> Result<Stretch, BenchError> {
+        // On the core that the bridge and its SUMO share: the same neighbours for both.
+        if let Some(core) = Cores::current() {
+            core.confine(self.process.id());
+        }
         self.client.load_state(&state.to_string_lossy()).await?;
         let first = self.run_to(begin + self.tick * HEAD as f64).await?;
         let cpu = || cpu_time::of_process(self.process.id()).unwrap_or(f64::NAN);

@@ -9,7 +9,6 @@ use std::sync::mpsc::{Receiver, Sender};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use wad_cosim::agent::action::Action;
-use wad_cosim::cores::Cores;
 
 /// Environments after an episode's end, by Gymnasium's names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -184,12 +183,6 @@ pub fn spawn(
     shared.begin(1);
     let counted = Arc::clone(&shared);
     let thread = std::thread::Builder::new().name(format!("environment {index}")).spawn(move || {
-        // One core per environment and its SUMO, in turn; a single one goes where there is room.
-        if shared.answers.len() > setup.egos
-            && let Some(core) = Cores::nth(index / setup.egos)
-        {
-            core.confine(0);
-        }
         if setup.egos > 1 {
             serve_egos(index, &shared, &tasks, &setup, &jobs);
         } else {

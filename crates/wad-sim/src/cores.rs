@@ -1,10 +1,12 @@
 //! Pins threads and processes to cores.
 //!
 //! SUMO and the bridge never run at the same time, and waking another core costs more than the work
-//! of a quiet tick, so the two share one core. Linux only; elsewhere nothing happens.
+//! of a quiet tick, so the two share one core, as long as they have it for themselves. Linux only; elsewhere nothing
+//! happens.
 
 use rayon::prelude::*;
 use std::sync::OnceLock;
+use std::time::{Duration, Instant};
 
 /// The cores that the process may use, as its first thread with a SUMO found them.
 static ALL: OnceLock<Option<Cores>> = OnceLock::new();
@@ -62,20 +64,6 @@ impl Cores {
         Some(Self(set))
     }
 
-    /// The n-th of the cores that this thread may run on, counted round and round.
-    pub fn nth(n: usize) -> Option<Self> {
-        let allowed = Self::allowed()?;
-        // SAFETY: `core` is within the set, and the set is live.
-        let mine = |core: &usize| unsafe { libc::CPU_ISSET(*core, &allowed.0) };
-        let cores: Vec<usize> = (0..8 * std::mem::size_of::<libc::cpu_set_t>()).filter(mine).collect();
-        let core = *cores.get(n % cores.len().max(1))?;
-        // SAFETY: an all-zero cpu_set_t is the empty set.
-        let mut set: libc::cpu_set_t = unsafe { std::mem::zeroed() };
-        // SAFETY: `core` is within the set, as just checked.
-        unsafe { libc::CPU_SET(core, &mut set) };
-        Some(Self(set))
-    }
-
     /// These cores without `other`'s; None if none would be left.
     pub fn without(&self, other: &Self) -> Option<Self> {
         // SAFETY: an all-zero cpu_set_t is the empty set.
@@ -103,25 +91,79 @@ impl Cores {
 }
 
 /// While it lives, this thread and SUMO share a core; afterwards the thread may roam again.
+///
+/// Where others crowd that core (another training's bridge began on it, a compiler runs), both may roam for a moment, so
+/// that the scheduler can put them where there is room, and stay there.
 pub struct SharedCore {
     before: Option<Cores>,
+    sumo: u32,
+    pinned: bool,
+    /// When it was last looked at, and how long the thread had waited for its core until then.
+    looked: Instant,
+    waited: Option<Duration>,
 }
 
 impl SharedCore {
+    /// Time between two looks whether the core is crowded.
+    const LOOK_EVERY: Duration = Duration::from_secs(1);
+
+    /// A core is crowded if this thread waits for it longer than this share of the time.
+    const CROWDED: f64 = 0.2;
+
     /// Puts the calling thread and the process `sumo` on the thread's present core. Threads that the
     /// calling thread starts later inherit that core: start them before, or let them
     /// [`Cores::confine`] themselves elsewhere.
     pub fn with(sumo: u32) -> Self {
         let before = Cores::allowed();
         ALL.get_or_init(|| before);
+        let mut shared = Self { before, sumo, pinned: false, looked: Instant::now(), waited: waited() };
+        shared.pin();
+        shared
+    }
+
+    /// Call it at every tick, on the thread that made it: it moves both where the core is crowded. Cheap but once a
+    /// second.
+    pub fn settle(&mut self) {
+        let since = self.looked.elapsed();
+        if since < Self::LOOK_EVERY {
+            return;
+        }
+        let waited = std::mem::replace(&mut self.waited, waited());
+        let share = match (waited, self.waited) {
+            (Some(before), Some(now)) => now.saturating_sub(before).as_secs_f64() / since.as_secs_f64(),
+            _ => 0.0,
+        };
+        self.looked = Instant::now();
+        if !self.pinned {
+            self.pin();
+        } else if share > Self::CROWDED {
+            self.roam();
+        }
+    }
+
+    fn pin(&mut self) {
         if let Some(core) = Cores::current() {
             // SUMO first: where that is refused the thread stays free.
-            if core.confine(sumo) {
+            if core.confine(self.sumo) {
                 core.confine(0);
             }
         }
-        Self { before }
+        self.pinned = true;
     }
+
+    fn roam(&mut self) {
+        if let Some(before) = self.before {
+            before.confine(self.sumo);
+            before.confine(0);
+        }
+        self.pinned = false;
+    }
+}
+
+/// How long this thread has waited for a core while it could have run; None where the system does not tell.
+fn waited() -> Option<Duration> {
+    let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
+    text.split_whitespace().nth(1)?.parse().ok().map(Duration::from_nanos)
 }
 
 impl Drop for SharedCore {
@@ -141,7 +183,7 @@ mod tests {
         // SAFETY: both are plain bit sets read through shared references.
         let count = |cores: &Cores| unsafe { libc::CPU_COUNT(&cores.0) };
         let all = Cores::allowed().unwrap();
-        let rest = Cores::nth(0).and_then(|first| all.without(&first));
+        let rest = Cores::current().and_then(|mine| all.without(&mine));
         assert_eq!(rest.map_or(0, |rest| count(&rest)), count(&all) - 1);
         let before = Cores::allowed().map(|cores| count(&cores));
         let mut child = std::process::Command::new("sleep").arg("10").spawn().unwrap();
@@ -149,6 +191,29 @@ mod tests {
         assert_eq!(Cores::allowed().map(|cores| count(&cores)), Some(1));
         drop(shared);
         assert_eq!(Cores::allowed().map(|cores| count(&cores)), before);
+        child.kill().unwrap();
+        child.wait().unwrap();
+    }
+
+    #[test]
+    fn a_crowded_core_is_left() {
+        // SAFETY: a plain bit set read through a shared reference.
+        let count = |cores: Option<Cores>| cores.map(|cores| unsafe { libc::CPU_COUNT(&cores.0) });
+        let all = Cores::allowed();
+        let mut child = std::process::Command::new("sleep").arg("60").spawn().unwrap();
+        let mut shared = SharedCore::with(child.id());
+        let over = std::sync::atomic::AtomicBool::new(false);
+        std::thread::scope(|scope| {
+            // It inherits the core.
+            scope.spawn(|| while !over.load(std::sync::atomic::Ordering::Relaxed) {});
+            let begun = Instant::now();
+            while count(Cores::allowed()) != count(all) && begun.elapsed() < Duration::from_secs(50) {
+                shared.settle();
+            }
+            over.store(true, std::sync::atomic::Ordering::Relaxed);
+        });
+        assert_eq!(count(Cores::allowed()), count(all));
+        drop(shared);
         child.kill().unwrap();
         child.wait().unwrap();
     }

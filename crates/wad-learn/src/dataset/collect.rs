@@ -19,7 +19,6 @@ use wad_camera::CameraConfig;
 use wad_camera::model::ObjectClass;
 use wad_sim::assets::Assets;
 use wad_sim::bundled;
-use wad_sim::cores::Cores;
 use wad_sim::traffic::TrafficSpec;
 
 /// The progress of collecting.
@@ -284,14 +283,7 @@ pub fn collect(
     };
     std::thread::scope(|scope| {
         let jobs = options.jobs.clamp(1, shared.missing.len().max(1));
-        let workers: Vec<_> = (0..jobs)
-            .map(|job| {
-                scope.spawn({
-                    let shared = &shared;
-                    move || work(shared, job)
-                })
-            })
-            .collect();
+        let workers: Vec<_> = (0..jobs).map(|_| scope.spawn(|| work(&shared))).collect();
         while workers.iter().any(|worker| !worker.is_finished()) {
             report(Progress { frames: shared.frames.load(Ordering::Relaxed), wanted });
             std::thread::sleep(Duration::from_millis(100));
@@ -321,11 +313,7 @@ fn missing_segments(folder: &Path, segments: &[Segment]) -> Result<(Vec<Segment>
 }
 
 /// One thread: takes segment after segment.
-fn work(shared: &Shared<'_>, job: usize) {
-    // Side by side on the cores rather than where the scheduler first put them: bridge and SUMO stay there.
-    if let Some(core) = Cores::nth(job) {
-        core.confine(0);
-    }
+fn work(shared: &Shared<'_>) {
     let runtime = match runtime() {
         Ok(runtime) => runtime,
         Err(error) => return shared.fail(error),

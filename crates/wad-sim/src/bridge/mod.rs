@@ -103,7 +103,7 @@ pub struct Bridge {
     client: TcpClient,
     /// None where attached to a SUMO that is not ours.
     process: Option<SumoProcess>,
-    _core: Option<SharedCore>,
+    core: Option<SharedCore>,
     network: Arc<Network>,
     config: SumoConfig,
     catalog: ActorCatalog,
@@ -221,7 +221,7 @@ impl Bridge {
         Ok(Self {
             client,
             process,
-            _core: core,
+            core,
             signals: SignalWatch::new(&network, options.sight),
             network,
             config,
@@ -368,6 +368,9 @@ impl Bridge {
         let replies = self.exchange(egos).await?;
         for refusal in replies.failures() {
             tracing::debug!("SUMO refused: {refusal}");
+        }
+        if let Some(core) = &mut self.core {
+            core.settle();
         }
         Ok(())
     }

@@ -76,17 +76,11 @@ pub fn train(
         let mut result = Ok(());
         for index in 0..collectors {
             let (out, shared) = (out.clone(), &shared);
-            let started = std::thread::Builder::new().name(format!("collector {index}")).spawn_scoped(
-                scope,
-                move || {
-                    // One core per collector and its SUMO; the learner goes where there is room.
-                    if let Some(core) = wad_sim::cores::Cores::nth(index) {
-                        core.confine(0);
-                    }
-                    let record = limits.record.as_deref();
-                    collect(index, config, shared, maker, record, &out);
-                },
-            );
+            let started = std::thread::Builder::new()
+                .name(format!("collector {index}"))
+                .spawn_scoped(scope, move || {
+                    collect(index, config, shared, maker, limits.record.as_deref(), &out)
+                });
             if let Err(error) = started {
                 result = Err(TrainError::Thread(error));
             }
