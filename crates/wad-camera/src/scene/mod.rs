@@ -4,6 +4,7 @@
 //! walkingareas: `ground` knows the use of each half metre, and every builder checks it first.
 
 mod areas;
+mod bridges;
 mod buildings;
 mod furniture;
 mod ground;
@@ -45,8 +46,10 @@ pub fn build(network: &Network, shapes: &Shapes, seed: u64) -> (Scene, Cast) {
     let terrain = Terrain::of(network);
     let mut ground = Ground::of_ways(network);
     roads::mark(network, &mut ground);
+    bridges::clear(network, &terrain, &mut ground);
     let mut tiles = Tiles::default();
     roads::build(network, &ground, &terrain, &materials, &mut tiles);
+    bridges::build(network, &terrain, &materials, &mut tiles);
     markings::build(network, seed, &mut tiles);
     if !terrain.flat {
         roads::terrain(&terrain, &materials, &mut tiles);

@@ -122,7 +122,7 @@ fn band(
 }
 
 /// An upright band along stations at `d` (m left), from `low` to `high`; it faces left where `to_left`.
-fn face(
+pub(super) fn face(
     tiles: &mut Tiles,
     line: &[Station],
     d: f64,

@@ -1,5 +1,6 @@
 //! Things along the streets: lamps, trees, hedges, benches, bins, bus stops, parked cars, signs, rails.
 
+use super::bridges;
 use super::furniture::{BENCH, Furniture, LAMP_HEIGHT, LAMP_REACH};
 use super::ground::{Ground, Terrain, uses};
 use super::markings::opposite;
@@ -439,8 +440,15 @@ fn rail(site: &mut Site<'_>, side: &Side<'_>, rail: &Rail) {
             !site.ground.disc_free(station.at.xy(), BANK, uses::WATER)
                 && site.ground.at(beyond) & uses::WAY == 0
         };
+        // Also where the road stands above the ground, but not between its own lanes.
+        let above = || {
+            let beyond = pair[0].off(d + side.side * 0.5, 0.0);
+            let beside = site.network.lanes_near(beyond.xy(), Some(beyond.z), 6.0);
+            bridges::carries(site.terrain, pair[0].at, pair[1].at)
+                && beside.iter().all(|near| near.distance > 0.5 * site.network.lane(near.lane).width)
+        };
         let placed = match rail.bridge {
-            true => pair.iter().all(over_water),
+            true => pair.iter().all(over_water) || above(),
             false => free(a.xy()) && free(middle) && free(b.xy()),
         };
         if !placed {

@@ -184,6 +184,47 @@ fn bridges_have_rails_over_the_water_and_nowhere_else() {
     assert_eq!(rails, 0, "no road of town3 crosses its river");
 }
 
+/// A road over another: at both ends on the ground, in the middle 9 m above it.
+const OVERPASS: &str = r#"<net><junction id="a" type="dead_end" x="0" y="-300"/><junction id="b" type="dead_end" x="0" y="300"/>
+    <junction id="c" type="dead_end" x="-300" y="0"/><junction id="d" type="dead_end" x="300" y="0"/>
+    <edge id="over" from="a" to="b"><lane id="over_0" index="0" allow="pedestrian" width="2" speed="2.8" length="600" shape="2.6,-300,0 2.6,-100,9 2.6,100,9 2.6,300,0"/>
+    <lane id="over_1" index="1" disallow="pedestrian" speed="13.9" length="600" shape="0,-300,0 0,-100,9 0,100,9 0,300,0"/></edge>
+    <edge id="under" from="c" to="d"><lane id="under_0" index="0" speed="13.9" length="600" shape="-300,0,0 300,0,0"/></edge>
+    <edge id="by" from="c" to="d"><lane id="by_0" index="0" speed="13.9" length="600" shape="-300,-60,0 300,-60,0"/></edge></net>"#;
+
+#[test]
+fn a_road_above_another_is_a_bridge_with_rails_and_piers() {
+    let network = Network::from_xml(Path::new("over.net.xml"), OVERPASS).unwrap();
+    let (scene, _) = build(&network, &Shapes::default(), 1);
+    // Over the road below there are rails on both sides, a metre above the deck.
+    let rails = standing_points(&scene, f32::MIN, f32::MAX);
+    for side in [-1.0, 1.0] {
+        let there = |(p, what): &&(Point3<f64>, &str)| {
+            *what == "guard rail" && p.y.abs() < 10.0 && p.x * side > 1.0 && (9.5..10.5).contains(&p.z)
+        };
+        assert!(rails.iter().any(|point| there(&point)), "side {side}");
+    }
+    // What carries it stands on the ground, beside the road below.
+    let mut piers = 0;
+    for chunk in &scene.chunks {
+        let mesh = &chunk.levels[0].1;
+        for vertex in &mesh.vertices {
+            let p = chunk.origin.cast::<f32>() + nalgebra::Vector3::from(vertex.position);
+            // A pier's upper end, below the deck.
+            if p.x.abs() < 1.0 && p.y.abs() < 90.0 && (7.0..7.6).contains(&p.z) {
+                piers += 1;
+                assert!(p.y.abs() > 1.6 + 1.0, "a pier on the road at {p:?}");
+            }
+        }
+    }
+    assert!(piers > 0, "nothing carries it");
+    // And nothing stands under it that would reach it.
+    for (p, what) in standing_points(&scene, 3.0, 30.0) {
+        let under = p.y.abs() < 12.0 && p.x.abs() < 4.0;
+        assert!(!under || what == "guard rail", "{what} at {p:?}");
+    }
+}
+
 #[test]
 fn equal_seeds_give_equal_towns() {
     let (network, shapes) = town("town5");
