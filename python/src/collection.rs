@@ -1,12 +1,12 @@
 //! Collecting a dataset whose segments are driven elsewhere.
 
 use crate::errors::Failure;
+use crate::held::{Held, json, parse};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use serde::Deserialize;
-use serde::de::DeserializeOwned;
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, OnceLock};
 use wad_cosim::assets::{Assets, AssetsError};
 use wad_cosim::bridge::BridgeError;
 use wad_cosim::camera::Preset;
@@ -53,14 +53,6 @@ impl Wanted {
     }
 }
 
-fn parse<T: DeserializeOwned>(text: &str) -> Result<T, Failure> {
-    serde_json::from_str(text).map_err(|e| Failure::Input(e.to_string()))
-}
-
-fn json(value: &impl serde::Serialize) -> Result<String, Failure> {
-    serde_json::to_string(value).map_err(|e| Failure::Other(e.to_string()))
-}
-
 fn failure(error: DatasetError) -> Failure {
     let text = error.to_string();
     match error {
@@ -83,20 +75,15 @@ fn identity(assets: &Assets) -> String {
 
 /// A dataset's folder with its plan. It holds the folder's lock.
 #[pyclass(frozen)]
-pub struct Collection(Mutex<Option<dataset::Collection>>);
+pub struct Collection(Held<dataset::Collection>);
 
 impl Collection {
     fn with<T>(
         &self,
         then: impl FnOnce(&dataset::Collection) -> Result<T, DatasetError>,
     ) -> Result<T, Failure> {
-        let collection = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        then(collection.as_ref().ok_or_else(finished)?).map_err(failure)
+        self.0.with(|collection| then(collection).map_err(failure))
     }
-}
-
-fn finished() -> Failure {
-    Failure::Other("the collection is finished".to_string())
 }
 
 #[pymethods]
@@ -106,7 +93,7 @@ impl Collection {
     fn new(py: Python<'_>, wanted: &str) -> PyResult<Self> {
         let options = Wanted::options(wanted)?;
         let opened = py.detach(|| dataset::Collection::open(&options).map_err(failure));
-        Ok(Self(Mutex::new(Some(opened?))))
+        Ok(Self(Held::new("the collection", opened?)))
     }
 
     /// What a [`Collector`] must find where it is.
@@ -135,9 +122,7 @@ impl Collection {
 
     /// Writes the manifest, says in JSON what is there, and frees the folder.
     fn finish(&self, interrupted: bool) -> PyResult<String> {
-        let collection = self.0.lock().unwrap_or_else(PoisonError::into_inner).take();
-        let collected = collection.ok_or_else(finished)?.finish(interrupted).map_err(failure)?;
-        Ok(json(&collected)?)
+        Ok(json(&self.0.finish()?.finish(interrupted).map_err(failure)?)?)
     }
 }
 

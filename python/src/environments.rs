@@ -292,8 +292,7 @@ impl Open {
 
 /// A value as Python's dictionaries, lists and numbers; seldom needed, so the way over text is short enough.
 fn json<'py>(py: Python<'py>, value: &impl serde::Serialize) -> PyResult<Bound<'py, PyAny>> {
-    let text = serde_json::to_string(value).map_err(|e| Error::new_err(e.to_string()))?;
-    py.import("json")?.call_method1("loads", (text,))
+    py.import("json")?.call_method1("loads", (crate::held::json(value)?,))
 }
 
 /// Numbers of [`Part::Vector`]: the surroundings, then the raw states.

@@ -1,10 +1,11 @@
 //! Benchmarks: the same plan, seeds and records as the command line's `eval`, with a driver of Python's.
 
 use crate::errors::{Error, Failure, InputError};
+use crate::held::{Held, json, parse};
 use numpy::{PyArray1, PyReadonlyArray1};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 use std::collections::HashSet;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -17,7 +18,7 @@ use wad_cosim::agent::policy::{Policy, PolicyCard, find_encoder};
 use wad_cosim::agent::{Agent, AgentError};
 use wad_cosim::assets::Assets;
 use wad_cosim::camera::CameraConfig;
-use wad_cosim::env::{EnvOptions, ObservationMode};
+use wad_cosim::env::{EnvError, EnvOptions, ObservationMode};
 use wad_cosim::eval::{
     self, Case, Driven, DriverError, DriverSpec, EvalError, Evaluation, Keep, Made, Manifest, Order, Packed,
     Results, Selection, StoreError, Suite, Towns, report,
@@ -99,7 +100,7 @@ pub fn save_agent(
     layers: Vec<(usize, usize)>,
     values: PyReadonlyArray1<'_, f32>,
 ) -> PyResult<()> {
-    let trained: Trained = serde_json::from_str(trained).map_err(|e| Failure::Input(e.to_string()))?;
+    let trained: Trained = parse(trained)?;
     let encoder = find_encoder(&trained.encoder).map_err(|e| Failure::Input(e.to_string()))?;
     let dims = trained.inputs.dims();
     let algorithm = trained.algorithm;
@@ -264,10 +265,6 @@ impl Drivers {
 }
 
 impl Wanted {
-    fn parse(text: &str) -> Result<Self, Failure> {
-        serde_json::from_str(text).map_err(|e| Failure::Input(e.to_string()))
-    }
-
     /// Calls `then` with the evaluation.
     fn with_order<T>(
         self,
@@ -289,6 +286,7 @@ impl Wanted {
             evaluation: Evaluation {
                 options,
                 jobs: self.jobs,
+                egos: 1,
                 make_agent: &|spec| drivers.make(spec),
                 keep: if self.out.is_some() { self.keep } else { Keep::None },
                 build: wad_cosim::program::version(),
@@ -309,7 +307,7 @@ pub fn evaluate(
     act: Option<Py<PyAny>>,
     watch: Option<Py<PyAny>>,
 ) -> PyResult<String> {
-    let wanted = Wanted::parse(wanted)?;
+    let wanted = parse::<Wanted>(wanted)?;
     let drivers = Arc::new(Drivers::new(act, wanted.observation, &wanted.encoder));
     let thread = {
         let drivers = Arc::clone(&drivers);
@@ -347,69 +345,54 @@ fn drive(wanted: Wanted, watch: Option<Py<PyAny>>, drivers: &Drivers) -> Result<
     json(&outcome.summary)
 }
 
-fn json(value: &impl Serialize) -> Result<String, Failure> {
-    serde_json::to_string(value).map_err(|e| Failure::Other(e.to_string()))
-}
-
 /// An evaluation's folder with its plan, for episodes that are driven elsewhere. It holds the folder's lock.
 #[pyclass(frozen)]
-pub struct Ledger(Mutex<Option<eval::Ledger>>);
-
-impl Ledger {
-    /// With the ledger, unless it is finished.
-    fn with<T>(&self, then: impl FnOnce(&mut eval::Ledger) -> Result<T, Failure>) -> PyResult<T> {
-        let mut ledger = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let finished = || Failure::Other("the evaluation is finished".to_string());
-        Ok(then(ledger.as_mut().ok_or_else(finished)?)?)
-    }
-}
+pub struct Ledger(Held<eval::Ledger>);
 
 #[pymethods]
 impl Ledger {
     /// Opens the folder; `act` is Python's driver, if it is one.
     #[new]
     fn new(py: Python<'_>, wanted: &str, act: Option<Py<PyAny>>) -> PyResult<Self> {
-        let wanted = Wanted::parse(wanted)?;
+        let wanted = parse::<Wanted>(wanted)?;
         let drivers = Drivers::new(act, wanted.observation, &wanted.encoder);
         let opened = py.detach(|| wanted.with_order(&drivers, |order| eval::Ledger::open(&order)));
-        Ok(Self(Mutex::new(Some(opened?.0))))
+        Ok(Self(Held::new("the evaluation", opened?.0)))
     }
 
     /// What the results are made by, in JSON: a [`Worker`] drives by it.
     #[getter]
     fn manifest(&self) -> PyResult<String> {
-        self.with(|ledger| json(ledger.manifest()))
+        Ok(self.0.with(|ledger| json(ledger.manifest()))?)
     }
 
     /// Episodes of the plan.
     #[getter]
     fn planned(&self) -> PyResult<u64> {
-        self.with(|ledger| Ok(ledger.planned()))
+        Ok(self.0.with(|ledger| Ok(ledger.planned()))?)
     }
 
     /// Episodes with a result.
     #[getter]
     fn done(&self) -> PyResult<u64> {
-        self.with(|ledger| Ok(ledger.done()))
+        Ok(self.0.with(|ledger| Ok(ledger.done()))?)
     }
 
     /// The episodes without a result, each in JSON.
     fn left(&self) -> PyResult<Vec<String>> {
-        self.with(|ledger| ledger.left().iter().map(json).collect())
+        Ok(self.0.with(|ledger| ledger.left().iter().map(json).collect())?)
     }
 
     /// Takes what a [`Worker`] drove. False: the episode has a result already.
     fn add(&self, py: Python<'_>, line: &[u8], recording: Option<(Vec<u8>, Vec<u8>)>) -> PyResult<bool> {
         let record = serde_json::from_slice(line).map_err(|e| Failure::Other(e.to_string()))?;
         let recording = recording.map(|(episode, states)| Packed { episode, states });
-        py.detach(|| self.with(|ledger| ledger.add(Driven { record, recording }).map_err(failure)))
+        Ok(py.detach(|| self.0.with(|ledger| ledger.add(Driven { record, recording }).map_err(failure)))?)
     }
 
     /// Writes the table, gives summary.json's text, and frees the folder.
     fn finish(&self) -> PyResult<String> {
-        let ledger = self.0.lock().unwrap_or_else(PoisonError::into_inner).take();
-        let finished = || Failure::Other("the evaluation is finished".to_string());
-        Ok(json(&ledger.ok_or_else(finished)?.finish().map_err(failure)?)?)
+        Ok(json(&self.0.finish()?.finish().map_err(failure)?)?)
     }
 }
 
@@ -468,6 +451,7 @@ impl Worker {
         let evaluation = Evaluation {
             options: self.manifest.options.clone(),
             jobs: 1,
+            egos: 1,
             make_agent: &|spec| self.drivers.make(spec),
             keep: self.keep,
             build: wad_cosim::program::version(),
@@ -483,7 +467,8 @@ impl Worker {
             self.manifest.require_here(&evaluation, &case.agent, &case.town, &town)?;
             checked.insert(pair);
         }
-        worker.drive(&evaluation, case, &town)
+        let mut driven = worker.drive(&evaluation, std::slice::from_ref(case), &town)?;
+        driven.pop().ok_or_else(|| EnvError::NoEpisode.into())
     }
 }
 

@@ -9,6 +9,7 @@ mod environments;
 mod episode;
 mod errors;
 mod evaluation;
+mod held;
 mod setup;
 mod worker;
 

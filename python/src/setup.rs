@@ -80,7 +80,7 @@ pub struct Setup {
 impl Setup {
     /// Reads what Python wrote.
     pub fn parse(text: &str) -> Result<Self, Failure> {
-        let mut setup: Self = serde_json::from_str(text).map_err(|e| Failure::Input(e.to_string()))?;
+        let mut setup: Self = crate::held::parse(text)?;
         setup.options.gui = setup.gui;
         let encodes = setup.observation.iter().any(|part| part.encodes());
         setup.options.observation = match (setup.observation.contains(&Part::Vector), encodes) {

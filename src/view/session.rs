@@ -351,7 +351,6 @@ impl RunView {
     }
 
     async fn grant(&mut self, viewer: u64, request: Request, drive: &mut Drive) -> Result<(), DriveError> {
-        let own = |holder: Option<u64>| holder.is_none_or(|holder| holder == viewer);
         match request {
             Request::Pause { on } => {
                 self.state.paused = on;
@@ -391,14 +390,10 @@ impl RunView {
                 self.state.wanted_traffic = Some((vehicles, pedestrians));
             }
             Request::Record { on } => self.film = Some(on),
-            Request::Driver { name } if !own(self.state.holder) => {
-                let holder = self.state.holder.unwrap_or_default();
-                self.say(format!("viewer {viewer} asks for {name}, but viewer {holder} is driving"));
-            }
+            Request::Driver { name } if self.denies(viewer, &name) => {}
             Request::Driver { name } if name == MANUAL => self.take_over(viewer, drive),
             Request::Driver { name } if name == AUTOPILOT => {
-                self.loading = None;
-                self.state.loading = None;
+                self.stop_loading();
                 self.give_back(drive).await?;
             }
             Request::Driver { name } => self.load(name, drive).await?,

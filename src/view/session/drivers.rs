@@ -18,13 +18,11 @@ impl RunView {
         viewer: u64,
         drive: &mut Drive,
     ) -> Result<(), DriveError> {
-        match self.state.holder {
-            Some(holder) if holder != viewer => {
-                self.say(format!("viewer {viewer} asks for ego {}, but viewer {holder} is driving", ego + 1));
-                return Ok(());
-            }
-            Some(_) => self.give_back(drive).await?,
-            None => {}
+        if self.denies(viewer, &format!("ego {}", ego + 1)) {
+            return Ok(());
+        }
+        if self.state.holder.is_some() {
+            self.give_back(drive).await?;
         }
         let name = std::mem::take(&mut self.state.driver);
         self.drivers.insert(drive.followed(), name);
@@ -35,8 +33,7 @@ impl RunView {
         };
         self.state.driver = self.drivers.remove(&drive.followed()).unwrap_or_else(own);
         if found {
-            self.loading = None;
-            self.state.loading = None;
+            self.stop_loading();
             self.score.reset();
             self.hub.forget_history();
             self.say(format!("following ego {}; the sums start again", ego + 1));
@@ -57,19 +54,26 @@ impl RunView {
         self.wheel = Some(Wheel::taken_from(self.state.control));
         self.state.holder = Some(viewer);
         self.state.driver = MANUAL.to_string();
+        self.stop_loading();
+        self.say(format!("viewer {viewer} takes the wheel"));
+    }
+
+    /// Whether another viewer drives, who keeps what `viewer` asks for.
+    pub(super) fn denies(&mut self, viewer: u64, wanted: &str) -> bool {
+        let Some(holder) = self.state.holder.filter(|&holder| holder != viewer) else { return false };
+        self.say(format!("viewer {viewer} asks for {wanted}, but viewer {holder} is driving"));
+        true
+    }
+
+    pub(super) fn stop_loading(&mut self) {
         self.loading = None;
         self.state.loading = None;
-        self.say(format!("viewer {viewer} takes the wheel"));
     }
 
     /// The autopilot drives from now on.
     pub(super) async fn give_back(&mut self, drive: &mut Drive) -> Result<(), DriveError> {
-        let by_hand = self.wheel.take().is_some();
-        self.hub.leave_wheel();
-        let own = self.setting.driver == AUTOPILOT;
-        self.hand_over(drive, Pilot::autopilot(), (!own).then_some(AUTOPILOT));
-        self.state.holder = None;
-        self.state.driver = AUTOPILOT.to_string();
+        let by_hand = self.wheel.is_some();
+        self.no_hands(AUTOPILOT, Pilot::autopilot(), drive);
         if by_hand {
             self.find_back(drive).await?;
             self.say("the autopilot drives".to_string());
@@ -155,12 +159,17 @@ impl RunView {
     fn seat(&mut self, name: String, pilot: Pilot, drive: &mut Drive) {
         #[cfg(feature = "learn")]
         crate::torch::one_thread();
+        self.no_hands(&name, pilot, drive);
+        self.say(format!("{name} drives"));
+    }
+
+    /// A driver that is no viewer takes the wheel.
+    fn no_hands(&mut self, name: &str, pilot: Pilot, drive: &mut Drive) {
         self.wheel = None;
         self.hub.leave_wheel();
-        let guest = (self.setting.driver != name).then_some(name.as_str());
+        let guest = (self.setting.driver != name).then_some(name);
         self.hand_over(drive, pilot, guest);
         self.state.holder = None;
-        self.say(format!("{name} drives"));
-        self.state.driver = name;
+        self.state.driver = name.to_string();
     }
 }
