@@ -76,7 +76,7 @@ pub struct Args {
     sheet: bool,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
 enum Place {
     /// Behind the windscreen, as the ego sees it.
     Front,
@@ -224,7 +224,7 @@ async fn take(args: Args, mut camera: Camera, stage: Option<StageParts>) -> anyh
         let until = begin + args.time + f64::from(number) * args.every;
         while drive.bridge().time() < until {
             drive.tick().await.map_err(run::with_exit)?;
-            town.follow(drive.ego().world(), None);
+            follow(&mut town, &drive, args.view);
             // Perception tracks the vehicle in front and the lanes over several ticks.
             if stage.is_some() && drive.bridge().time() > until - 2.0 {
                 drive.look().map_err(run::with_exit)?;
@@ -233,7 +233,7 @@ async fn take(args: Args, mut camera: Camera, stage: Option<StageParts>) -> anyh
         let picture = match stage {
             Some(stage) => stage_picture(drive.look().map_err(run::with_exit)?, stage)?,
             None => {
-                town.follow(drive.ego().world(), None);
+                follow(&mut town, &drive, args.view);
                 picture(&args, &mut camera, &town, &drive.ego().state().pose)
             }
         };
@@ -246,6 +246,12 @@ async fn take(args: Args, mut camera: Camera, stage: Option<StageParts>) -> anyh
     }
     drive.finish(false).await.map_err(run::with_exit)?;
     Ok(Exit::Done)
+}
+
+/// Moves the road users to their places, and the ego where the camera is not in it.
+fn follow(town: &mut Town, drive: &Drive, view: Place) {
+    let ego = (view != Place::Front).then(|| drive.ego().as_actor());
+    town.follow(drive.ego().world(), ego.as_ref());
 }
 
 fn stage_picture(eyes: &Eyes, stage: Stage) -> anyhow::Result<Picture> {

@@ -54,6 +54,24 @@ fn snapshot_shows_each_stage_and_the_same_one_again() {
 }
 
 #[test]
+fn from_outside_the_ego_is_in_the_picture() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let out = dir.path().join("c.png").to_string_lossy().into_owned();
+    let common = ["snapshot", "town5", "--traffic", "empty", "--time", "2", "--overlay", "semantic", "--out"];
+    for (view, seen) in [("front", false), ("chase", true), ("bird", true)] {
+        good(&[&common[..], &[&out, "--view", view]].concat());
+        let (width, height, bytes) = picture(Path::new(&out));
+        // CARLA's colour of cars, in the middle half of the picture; beside it some are parked.
+        let middle = |at: usize, size: u32| (size as usize / 4..3 * size as usize / 4).contains(&at);
+        let car = bytes.chunks_exact(3).enumerate().filter(|(i, pixel)| {
+            let (x, y) = (i % width as usize, i / width as usize);
+            middle(x, width) && middle(y, height) && *pixel == [0, 0, 142]
+        });
+        assert_eq!(car.count() > 400, seen, "{view}");
+    }
+}
+
+#[test]
 fn a_run_with_perception_says_what_it_sees_and_films_the_stages() {
     let dir = tempfile::tempdir().expect("a folder");
     let at = |name: &str| dir.path().join(name).to_string_lossy().into_owned();
