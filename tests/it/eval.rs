@@ -98,6 +98,51 @@ fn the_table_is_the_same_killed_and_resumed_in_parallel_or_in_shards() {
 }
 
 #[test]
+fn egos_that_share_a_sumo_drive_the_same_in_any_order_and_are_verified() {
+    let small = Small::new(40, 5);
+    let egos = ["--egos", "3", "--keep", "all"];
+    let with = |more: &[&'static str]| [&egos, more].concat();
+    let whole = json(&ok(&mut small.eval("whole", &egos)));
+    assert_eq!((whole["episodes"].as_u64(), whole["planned"].as_u64()), (Some(5), Some(5)));
+    assert_eq!(whole["rows"][0]["success_rate"], 1.0, "alive after 40 ticks: {}", whole["rows"][0]);
+    ok(&mut small.eval("jobs", &with(&["--jobs", "2"])));
+    ok(&mut small.eval("one", &with(&["--shard", "1/2"])));
+    ok(&mut small.eval("two", &with(&["--shard", "2/2"])));
+    let mut merge = wad(&["eval", "merge", "--out"]);
+    ok(merge.arg(small.out("merged")).args([small.out("two"), small.out("one")]));
+    let table = |out: &str| read(&small.out(out).join("summary.json"));
+    let lines = |out: &str| {
+        let text = read(&small.out(out).join("episodes.jsonl"));
+        text.lines().map(String::from).collect::<std::collections::BTreeSet<_>>()
+    };
+    for other in ["jobs", "merged"] {
+        assert_eq!(lines("whole"), lines(other));
+        assert_eq!(table("whole"), table(other));
+    }
+    // Cut after the first episode: the group is driven again, its results count once.
+    let episodes = small.out("jobs").join("episodes.jsonl");
+    let first = read(&episodes).lines().next().unwrap().to_string();
+    std::fs::write(&episodes, first + "\n").unwrap();
+    let resumed = json(&ok(&mut small.eval("jobs", &with(&["--resume"]))));
+    assert_eq!((resumed["driven"].as_u64(), resumed["episodes"].as_u64()), (Some(4), Some(5)));
+    assert_eq!(lines("whole"), lines("jobs"));
+    // Alone they would drive otherwise: the numbers are not mixed.
+    let alone = small.eval("whole", &["--keep", "all", "--resume"]).output().unwrap();
+    assert_eq!(alone.status.code(), Some(2));
+    assert!(stderr(&alone).contains("egos: expected 3, found"), "{}", stderr(&alone));
+    // Another than the first of a group is driven again among its fellows.
+    let mut kept: Vec<PathBuf> =
+        std::fs::read_dir(small.out("whole").join("episodes")).unwrap().map(|e| e.unwrap().path()).collect();
+    kept.sort();
+    assert_eq!(kept.len(), 5);
+    for episode in [&kept[1], &kept[4]] {
+        let answer = json(&ok(wad(&["replay", "--verify", "--json"]).arg(episode)));
+        assert_eq!(answer["verify"]["same"], true, "{answer}");
+        assert_eq!(answer["verify"]["ticks"], 41, "{answer}");
+    }
+}
+
+#[test]
 fn results_of_others_are_not_trusted() {
     let small = Small::new(10, 2);
     // What is asked for twice counts once, and a word is said.

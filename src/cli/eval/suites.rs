@@ -24,6 +24,7 @@ Examples:
   wad-cosim eval nocrash --out runs/nocrash --agent wad-t --resume     goes on where it stopped
   wad-cosim eval nocrash --agent 'exec:python3 scripts/example_agent.py'  your own model
   wad-cosim eval nocrash --shard 1/2 --out a  (elsewhere: --shard 2/2 --out b), then eval merge a b --out all
+  wad-cosim eval composite --agent wad-t --egos 10                     ten of it in each SUMO, among each other
   wad-cosim report runs/nocrash                                        tables, figures, maps
 
 Exit codes: 0 done; 2 usage or input; 3 SUMO failed; 4 interrupted, results kept; 1 anything else.";
@@ -63,9 +64,13 @@ pub struct Args {
     routes: Option<PathBuf>,
     #[arg(long, help = format!("The detector: {}", wad_cosim::perception::DETECTORS), default_value = "truth", value_name = "NAME")]
     detector: String,
-    /// Environments in parallel; each takes a core.
+    /// SUMOs in parallel; each takes a core.
     #[arg(long, value_name = "N", default_value_t = 1)]
     jobs: usize,
+    /// Egos in each SUMO: they drive episodes of one row of the table at the same time, see each other and hit each other;
+    /// fewer where places lie too near. The tables then tell collisions between egos apart.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..=1000))]
+    egos: usize,
     /// Drive only the K-th of N parts of the suite; `eval merge` joins them.
     #[arg(long, value_name = "K/N")]
     shard: Option<Shard>,
@@ -156,6 +161,7 @@ pub fn run(suite: &str, args: Args) -> anyhow::Result<Exit> {
         evaluation: Evaluation {
             options,
             jobs: args.jobs,
+            egos: args.egos,
             make_agent: &make_agent,
             keep: if args.out.is_some() { args.keep } else { Keep::None },
             build: env!("WAD_COSIM_VERSION"),

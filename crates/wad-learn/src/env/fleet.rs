@@ -12,7 +12,7 @@ use wad_see::observation::RAW_SIZE;
 use wad_sim::bridge::Ego;
 use wad_sim::criteria::Event;
 use wad_sim::session::Act;
-use wad_sim::tasks::TaskSpec;
+use wad_sim::tasks::{Placement, TaskSpec};
 use wad_vehicle::{Control, PartnerKind};
 
 /// N egos in one SUMO, each with its own task, route, seed, eyes, criteria and reward. They see each other and
@@ -157,6 +157,22 @@ impl Fleet {
         Ok(&self.observations)
     }
 
+    /// Begins the episode of each ego with its own task and seed; the traffic is the first one's.
+    ///
+    /// # Errors
+    /// As [`Fleet::reset`].
+    ///
+    /// # Panics
+    /// There is not one of them for each ego.
+    pub fn reset_each(&mut self, starts: &[(TaskSpec, u64)]) -> Result<&[f32], EnvError> {
+        assert_eq!(starts.len(), self.egos(), "one start for each ego");
+        self.tasks = starts.iter().map(|(task, _)| task.clone()).collect();
+        self.chosen = starts.iter().map(|(_, seed)| Some(*seed)).collect();
+        self.episodes.fill(0);
+        self.begin()?;
+        Ok(&self.observations)
+    }
+
     fn begin(&mut self) -> Result<(), EnvError> {
         let seeds: Vec<u64> = (0..self.egos()).map(|ego| self.next_seed(ego)).collect();
         let starts: Vec<_> = self.tasks.iter().zip(&seeds).map(|(task, seed)| (task, *seed)).collect();
@@ -266,6 +282,14 @@ impl Fleet {
         }
     }
 
+    /// Ends the episode of ego `index` without an outcome, because its driver has failed.
+    ///
+    /// # Panics
+    /// `index` is out of range.
+    pub fn give_up(&mut self, index: usize) {
+        self.world.give_up(index);
+    }
+
     /// The observations of the last reset or step, [N, D] row by row: latent (or surroundings), then raw states.
     pub fn observations(&self) -> &[f32] {
         &self.observations
@@ -287,6 +311,11 @@ impl Fleet {
     /// Ego `index` as an actor, for cameras outside it.
     pub fn ego(&self, index: usize) -> Option<&Ego> {
         self.world.ego(index)
+    }
+
+    /// Where the episode of ego `index` takes place.
+    pub fn placement(&self, index: usize) -> Option<&Placement> {
+        self.world.slots().get(index)?.placement()
     }
 
     /// The eyes of ego `index`.

@@ -90,6 +90,13 @@ impl Slot {
         (self.obstacle, self.held) = Default::default();
     }
 
+    /// Ends the episode without an outcome; where it took place is still known.
+    pub fn give_up(&mut self) {
+        if let Some(episode) = &mut self.episode {
+            episode.over = true;
+        }
+    }
+
     /// Ends the episode without an outcome.
     pub fn forget(&mut self) {
         self.episode = None;

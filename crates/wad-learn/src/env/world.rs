@@ -376,7 +376,9 @@ impl World {
             if *act != Act::Stay {
                 slot.count();
             }
-            let times = slot.look(network, seat.ego(), duration)?;
+            // Off the road there is nothing to see.
+            let away = seat.ego().is_away();
+            let times = if away { LookTimes::default() } else { slot.look(network, seat.ego(), duration)? };
             Ok((times, slot.outcome(&judge, seat.ego(), tick)))
         });
         let outcomes: Result<Vec<(LookTimes, Outcome)>, EnvError> = outcomes.into_iter().collect();
@@ -434,6 +436,11 @@ impl World {
         self.started(index, task, seed, placement)?;
         self.stages.resets += 1;
         Ok(true)
+    }
+
+    /// Ends the episode of ego `index` without an outcome: its driver has failed.
+    pub fn give_up(&mut self, index: usize) {
+        self.slots[index].give_up();
     }
 
     /// Takes ego `index`, whose episode has ended, off the road with the next step, in which it stays.

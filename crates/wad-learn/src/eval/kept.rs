@@ -1,9 +1,10 @@
 //! Kept episodes: a folder with `episode.json` and the recorded states, for `replay`.
 
 use super::{Case, EpisodeRecord};
-use crate::env::{Env, EnvOptions};
+use crate::env::{EnvOptions, Fleet};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
+use wad_sim::bridge::Ego;
 use wad_sim::criteria::Event;
 use wad_sim::replay::{self, Body, Header, Moment, Recorder, Recording, ReplayError};
 use wad_sim::telemetry::{WriteError, pretty_json, write_whole};
@@ -18,6 +19,9 @@ pub struct Kept {
     pub net: String,
     /// The environment's options.
     pub options: EnvOptions,
+    /// All episodes that were driven in its SUMO, its own among them; empty where it was driven alone.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub group: Vec<Case>,
     /// The episode's result.
     pub episode: EpisodeRecord,
 }
@@ -110,11 +114,11 @@ impl Packed {
 const ROUTE_STEP: f64 = 5.0;
 
 /// The recording's header for an episode that has just begun.
-pub(super) fn header(env: &Env, case: &Case) -> Header {
-    let (assets, options) = (env.assets(), env.options());
+pub(super) fn header(fleet: &Fleet, ego: usize, case: &Case) -> Header {
+    let (assets, options) = (fleet.assets(), fleet.options());
     let body = Body::of(&options.ego);
     let mut header = Header::new(&case.town, assets.name(), options.tick_ms, case.spec.weather, body);
-    if let Some(route) = env.ego().map(|ego| ego.route()) {
+    if let Some(route) = fleet.ego(ego).map(|ego| ego.route()) {
         let points = (route.length() / ROUTE_STEP).ceil() as usize;
         header.route = (0..=points)
             .map(|i| route.at((i as f64 * ROUTE_STEP).min(route.length())).pose.xy())
@@ -125,15 +129,15 @@ pub(super) fn header(env: &Env, case: &Case) -> Header {
     header
 }
 
-/// Calls `then` with the current state of `env`.
+/// Calls `then` with the current state of an ego.
 pub(super) fn with_moment(
-    env: &Env,
+    ego: Option<&Ego>,
     tick: u64,
     control: Control,
     events: &[Event],
     then: impl FnOnce(&Moment<'_>),
 ) {
-    let Some(ego) = env.ego() else { return };
+    let Some(ego) = ego else { return };
     let at = ego.on_route();
     then(&Moment { tick, control, ego: &at.state, s: at.s, d: at.d, world: ego.world(), events });
 }

@@ -19,6 +19,9 @@ pub struct Manifest {
     pub selection: Selection,
     /// The environment's options.
     pub options: EnvOptions,
+    /// Egos that drive their episodes in one SUMO.
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    pub egos: usize,
     /// Each agent's identity: the hashes of its weights and of its encoder; empty for agents without weights.
     pub agents: BTreeMap<String, String>,
     /// Hashes of the towns' nets.
@@ -31,6 +34,14 @@ pub struct Manifest {
     pub detector: Option<String>,
     /// The driven part of the plan; None: all of it.
     pub shard: Option<Shard>,
+}
+
+fn one() -> usize {
+    1
+}
+
+fn is_one(egos: &usize) -> bool {
+    *egos == 1
 }
 
 impl Manifest {
@@ -79,6 +90,7 @@ mod tests {
             suite: Suite::find("nocrash").unwrap(),
             selection: Selection::default(),
             options: EnvOptions::evaluation(),
+            egos: 1,
             agents: [("wad-t".to_string(), "abc".to_string())].into(),
             nets: BTreeMap::new(),
             towns: BTreeMap::new(),

@@ -70,10 +70,24 @@ pub fn plan(suite: &Suite, selection: &Selection) -> Result<(Vec<Case>, Towns), 
     Ok((plan, towns))
 }
 
+/// The episodes that drive in one SUMO: up to `egos` of one row of the table, in the plan's order.
+fn groups(plan: Vec<Case>, egos: usize) -> Vec<Vec<Case>> {
+    let mut groups: Vec<Vec<Case>> = Vec::new();
+    for case in plan {
+        match groups.last_mut() {
+            Some(group) if group.len() < egos.max(1) && group[0].is_of_the_row_of(&case) => group.push(case),
+            _ => groups.push(vec![case]),
+        }
+    }
+    groups
+}
+
 /// An evaluation's plan and its results, wherever they are driven: what is left, and each episode once.
 pub struct Ledger {
     manifest: Manifest,
     plan: Vec<Case>,
+    /// How many of these each group has, in the plan's order.
+    sizes: Vec<usize>,
     /// Places in the plan, by case.
     places: HashMap<String, usize>,
     /// The results, in the plan's order.
@@ -89,14 +103,17 @@ impl Ledger {
     pub fn open(order: &Order<'_>) -> Result<(Self, Towns), EvalError> {
         let Order { suite, selection, shard, out, resume, evaluation } = order;
         let (plan, towns) = plan(suite, selection)?;
-        let mine = plan.into_iter().enumerate().filter(|(i, _)| shard.is_none_or(|s| s.has(*i)));
-        let plan: Vec<Case> = mine.map(|(_, case)| case).collect();
+        let groups = groups(plan, evaluation.egos).into_iter().enumerate();
+        let groups: Vec<Vec<Case>> =
+            groups.filter(|(i, _)| shard.is_none_or(|s| s.has(*i))).map(|(_, group)| group).collect();
+        let plan = groups.concat();
         let named = Manifest {
             build: String::new(),
             sumo: String::new(),
             suite: suite.clone(),
             selection: selection.clone(),
             options: evaluation.options.clone(),
+            egos: evaluation.egos,
             agents: BTreeMap::new(),
             nets: BTreeMap::new(),
             towns: BTreeMap::new(),
@@ -111,7 +128,8 @@ impl Ledger {
             };
         let places = plan.iter().enumerate().map(|(place, case)| (key(case), place)).collect();
         let done = vec![None; plan.len()];
-        let mut ledger = Self { manifest, plan, places, done, store };
+        let sizes = groups.iter().map(Vec::len).collect();
+        let mut ledger = Self { manifest, plan, sizes, places, done, store };
         // Episodes in which SUMO died do not count for the agent, and are driven again.
         for episode in episodes.into_iter().filter(|episode| episode.fault != Some(Fault::Simulator)) {
             if let Some(&place) = ledger.places.get(&key(&episode.case)) {
@@ -140,6 +158,20 @@ impl Ledger {
     pub fn left(&self) -> Vec<Case> {
         let missing = self.plan.iter().zip(&self.done).filter(|(_, done)| done.is_none());
         missing.map(|(case, _)| case.clone()).collect()
+    }
+
+    /// The same with their groups, whole where one of a group is left: a group drives in one SUMO.
+    fn left_groups(&self) -> Vec<Vec<Case>> {
+        let mut from = 0;
+        let mut left = Vec::new();
+        for size in &self.sizes {
+            let range = from..from + size;
+            from = range.end;
+            if self.done[range.clone()].iter().any(Option::is_none) {
+                left.push(self.plan[range].to_vec());
+            }
+        }
+        left
     }
 
     /// Takes an episode: its recording is written, then its line. False: it has a result already, and nothing is written.
@@ -237,10 +269,10 @@ pub fn evaluate(order: Order<'_>, mut watch: impl FnMut(Progress<'_>)) -> Result
     watch(Progress { planned, done: before, record: None });
     let began = Instant::now();
     let mut driven = 0;
-    run(&ledger.left(), &towns, &order.evaluation, |episode| {
-        driven += 1;
+    run(&ledger.left_groups(), &towns, &order.evaluation, |episode| {
         let record = episode.record.clone();
-        ledger.add(episode)?;
+        // One of a group may be done already.
+        driven += u64::from(ledger.add(episode)?);
         watch(Progress { planned, done: before + driven, record: Some(&record) });
         Ok(())
     })?;

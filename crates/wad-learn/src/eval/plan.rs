@@ -69,6 +69,15 @@ impl Case {
         seeds::derive(self.seed, &format!("{} {} {} {}", self.suite, self.town, self.task, self.episode))
     }
 
+    /// Whether both differ in the episode's number, and in nothing else but the places that follow from it.
+    pub(super) fn is_of_the_row_of(&self, other: &Self) -> bool {
+        let row = |case: &Self| {
+            let spec = TaskSpec { placement: None, tick_limit: None, ..case.spec.clone() };
+            Self { spec, episode: 0, ..case.clone() }
+        };
+        row(self) == row(other)
+    }
+
     /// A unique name for the episode's folder.
     pub fn name(&self) -> String {
         let text = format!(

@@ -1,10 +1,10 @@
-//! Drives the episodes of a plan, several at a time.
+//! Drives the episodes of a plan: several SUMOs at a time, one or several egos in each.
 
 use super::kept::{self, Kept, Packed};
 use super::record::Fault;
 use super::tally::Tally;
 use super::{Case, Driver, DriverError, DriverSpec, EpisodeRecord, Made, RecordingFolder};
-use crate::env::{Assets, End, Ending, Env, EnvError, EnvOptions, ObservationMode};
+use crate::env::{Assets, End, Ending, EnvError, EnvOptions, Fleet, FleetStep, Info, ObservationMode};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::str::FromStr;
@@ -12,7 +12,9 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, mpsc};
 use wad_see::latent::{Encoder, PooledEncoder};
 use wad_sim::assets::AssetsError;
+use wad_sim::bridge::Ego;
 use wad_sim::replay::{Moment, Recorder};
+use wad_sim::session::Act;
 use wad_vehicle::Control;
 
 /// Why an evaluation stopped.
@@ -89,8 +91,10 @@ impl FromStr for Keep {
 pub struct Evaluation<'a> {
     /// The environment's options.
     pub options: EnvOptions,
-    /// Environments in parallel.
+    /// SUMOs in parallel.
     pub jobs: usize,
+    /// Egos in each, which drive the episodes of one row of the table and see each other.
+    pub egos: usize,
     /// Makes trained and external agents.
     pub make_agent: &'a MakeAgent<'a>,
     /// The episodes to record.
@@ -110,12 +114,12 @@ pub struct Driven {
     pub recording: Option<Packed>,
 }
 
-/// Drives the episodes of `plan` in `towns`. `done` gets each one when it ends, in any order.
+/// Drives the groups of `plan` in `towns`, each in one SUMO. `done` gets the episodes of each when it ends, in any order.
 ///
 /// # Errors
 /// A town, a task or an agent cannot be opened, or `done` fails. Finished episodes stay with `done`.
 pub fn run(
-    plan: &[Case],
+    plan: &[Vec<Case>],
     towns: &BTreeMap<String, Arc<Assets>>,
     evaluation: &Evaluation<'_>,
     mut done: impl FnMut(Driven) -> Result<(), EvalError>,
@@ -132,9 +136,10 @@ pub fn run(
                 loop {
                     let stopped = evaluation.stop.load(Ordering::Relaxed) || failed.load(Ordering::Relaxed);
                     let index = next.fetch_add(1, Ordering::Relaxed);
-                    let Some(case) = plan.get(index).filter(|_| !stopped) else { break };
-                    let town = towns.get(&case.town).ok_or_else(|| EnvError::NoEpisode.into());
-                    let driven = town.and_then(|town| worker.drive(evaluation, case, town));
+                    let Some(group) = plan.get(index).filter(|_| !stopped) else { break };
+                    let town = group.first().and_then(|case| towns.get(&case.town));
+                    let town = town.ok_or_else(|| EnvError::NoEpisode.into());
+                    let driven = town.and_then(|town| worker.drive(evaluation, group, town));
                     failed.fetch_or(driven.is_err(), Ordering::Relaxed);
                     if sender.send(driven).is_err() {
                         break;
@@ -145,7 +150,7 @@ pub fn run(
         drop(sender);
         let mut result = Ok(());
         for driven in receiver {
-            let outcome = driven.and_then(&mut done);
+            let outcome = driven.and_then(|driven| driven.into_iter().try_for_each(&mut done));
             failed.fetch_or(outcome.is_err(), Ordering::Relaxed);
             // The first error is returned; episodes that other jobs finished meanwhile are kept.
             if result.is_ok() {
@@ -156,158 +161,241 @@ pub fn run(
     })
 }
 
-/// One thread's environment and driver, kept while town and agent stay.
+/// One thread's fleet and its drivers, kept while town, agent and number of egos stay.
 #[derive(Default)]
 pub struct Worker {
-    current: Option<(String, DriverSpec, Env, Driver)>,
+    current: Option<(String, DriverSpec, Fleet, Vec<Driver>)>,
 }
 
 impl Worker {
-    /// Drives one episode of `evaluation` in its town `assets`; once more if SUMO dies.
+    /// Drives a group's episodes in their town `assets`, all in one SUMO as far as there is room for them; once more if SUMO dies.
     ///
     /// # Errors
     /// The environment, the task or the agent cannot be opened.
     pub fn drive(
         &mut self,
         evaluation: &Evaluation<'_>,
-        case: &Case,
+        group: &[Case],
         assets: &Arc<Assets>,
-    ) -> Result<Driven, EvalError> {
-        let fits = |(town, agent, ..): &(String, DriverSpec, Env, Driver)| {
-            (town, agent) == (&case.town, &case.agent)
+    ) -> Result<Vec<Driven>, EvalError> {
+        match self.drive_together(evaluation, group, assets) {
+            Err(EvalError::Env(EnvError::Full { fit, .. })) if (1..group.len()).contains(&fit) => {
+                let (these, others) = group.split_at(fit);
+                tracing::debug!(
+                    "`{}`: {} egos have no room beside {fit} others",
+                    these[0].task,
+                    others.len()
+                );
+                let mut driven = self.drive(evaluation, these, assets)?;
+                driven.extend(self.drive(evaluation, others, assets)?);
+                Ok(driven)
+            }
+            driven => driven,
+        }
+    }
+
+    fn drive_together(
+        &mut self,
+        evaluation: &Evaluation<'_>,
+        group: &[Case],
+        assets: &Arc<Assets>,
+    ) -> Result<Vec<Driven>, EvalError> {
+        let Some(first) = group.first() else { return Ok(Vec::new()) };
+        let fits = |(town, agent, fleet, _): &(String, DriverSpec, Fleet, Vec<Driver>)| {
+            (town, agent, fleet.egos()) == (&first.town, &first.agent, group.len())
         };
         if !self.current.as_ref().is_some_and(fits) {
-            // The old environment's SUMO ends before the new one starts.
+            // The old SUMO ends before the new one starts.
             self.current = None;
-            let (env, driver) = make(assets, &evaluation.options, &case.agent, evaluation.make_agent)?;
-            self.current = Some((case.town.clone(), case.agent.clone(), env, driver));
+            let (options, make_agent) = (&evaluation.options, evaluation.make_agent);
+            let (fleet, drivers) = make(assets, options, &first.agent, group.len(), make_agent)?;
+            self.current = Some((first.town.clone(), first.agent.clone(), fleet, drivers));
         }
-        let Some((_, _, env, driver)) = &mut self.current else { return Err(EnvError::NoEpisode.into()) };
+        let Some((_, _, fleet, drivers)) = &mut self.current else { return Err(EnvError::NoEpisode.into()) };
         let keeps = evaluation.keep != Keep::None;
-        let (mut record, mut recorder) = drive(env, driver, case, keeps)?;
-        if record.fault == Some(Fault::Simulator) {
-            let cause = &record.ending.cause;
+        let mut runs = drive(fleet, drivers, group, keeps)?;
+        let lost = runs.iter().find(|(record, _)| record.fault == Some(Fault::Simulator));
+        if let Some((record, _)) = lost {
+            let (case, cause) = (&record.case, &record.ending.cause);
             tracing::warn!("`{}` episode {} is driven again: {cause}", case.task, case.episode);
-            (record, recorder) = drive(env, driver, case, keeps)?;
+            runs = drive(fleet, drivers, group, keeps)?;
         }
-        let wanted = evaluation.keep == Keep::All || !record.ending.success;
-        let mut recording = None;
-        if let Some(recorder) = recorder.filter(|_| wanted) {
-            record.recording = Some(RecordingFolder::of(case));
-            let kept = Kept {
-                build: evaluation.build.to_string(),
-                net: env.assets().net_hash().to_string(),
-                options: env.options().clone(),
-                episode: record.clone(),
-            };
-            recording = Some(kept.pack(&recorder)?);
-        }
-        Ok(Driven { record, recording })
+        let together = if group.len() > 1 { group.to_vec() } else { Vec::new() };
+        let pack = |(mut record, recorder): (EpisodeRecord, Option<Recorder>)| {
+            let wanted = evaluation.keep == Keep::All || !record.ending.success;
+            let mut recording = None;
+            if let Some(recorder) = recorder.filter(|_| wanted) {
+                record.recording = Some(RecordingFolder::of(&record.case));
+                let kept = Kept {
+                    build: evaluation.build.to_string(),
+                    net: fleet.assets().net_hash().to_string(),
+                    options: fleet.options().clone(),
+                    group: together.clone(),
+                    episode: record.clone(),
+                };
+                recording = Some(kept.pack(&recorder)?);
+            }
+            Ok(Driven { record, recording })
+        };
+        runs.into_iter().map(pack).collect()
     }
 }
 
-/// An environment, and the driver for it.
+/// A fleet of egos that do not return, and their drivers.
 pub(super) fn make(
     assets: &Arc<Assets>,
     options: &EnvOptions,
     spec: &DriverSpec,
+    egos: usize,
     make_agent: &MakeAgent<'_>,
-) -> Result<(Env, Driver), EvalError> {
+) -> Result<(Fleet, Vec<Driver>), EvalError> {
     let mut options = options.clone();
-    let mut encoder: Box<dyn Encoder> = Box::new(PooledEncoder);
     if *spec == DriverSpec::Manual {
         return Err(DriverError::Manual.into());
     }
-    let driver = match Driver::blind(spec) {
-        Some(driver) => driver,
-        None => {
-            let made = make_agent(spec)?;
-            encoder = made.encoder;
-            options.observation = made.agent.observes();
-            Driver::Agent(made.agent)
-        }
-    };
+    let (mut encoders, mut drivers) = (Vec::with_capacity(egos), Vec::with_capacity(egos));
+    for _ in 0..egos {
+        let mut encoder: Box<dyn Encoder> = Box::new(PooledEncoder);
+        drivers.push(match Driver::blind(spec) {
+            Some(driver) => driver,
+            None => {
+                let made = make_agent(spec)?;
+                encoder = made.encoder;
+                options.observation = made.agent.observes();
+                Driver::Agent(made.agent)
+            }
+        });
+        encoders.push(encoder);
+    }
     if !spec.looks() {
         options.observation = ObservationMode::Blind;
     }
-    Ok((Env::new(Arc::clone(assets), options, encoder)?, driver))
+    let mut fleet = Fleet::new(Arc::clone(assets), options, encoders)?;
+    fleet.set_returning(false);
+    Ok((fleet, drivers))
 }
 
-/// Drives one episode, and records it if it may be kept.
-fn drive(
-    env: &mut Env,
-    driver: &mut Driver,
-    case: &Case,
-    keeps: bool,
-) -> Result<(EpisodeRecord, Option<Recorder>), EvalError> {
-    let seed = case.episode_seed();
-    env.reset(&case.spec, seed)?;
-    driver.reset(seed);
-    let mut recorder = keeps.then(|| Recorder::new(&kept::header(env, case)));
-    record(recorder.as_mut(), env, 0, Control::default(), &[]);
-    let mut tally = Tally::at(env.ego().map(|ego| ego.state().pose.xy()));
-    let tick_s = env.tick().as_secs_f64();
-    let (mut ticks, mut route_length, mut driven) =
-        (0, env.ego().map_or(0.0, |ego| ego.route().length()), 0.0);
-    let (ending, fault) = loop {
-        let act = match driver.act(env.eyes()) {
-            Ok(act) => act,
-            Err(error) => {
-                let ending = Ending { end: End::Error, cause: error.to_string(), success: false };
-                break (ending, Some(Fault::Agent));
-            }
+/// An episode that is being driven.
+struct Run {
+    recorder: Option<Recorder>,
+    tally: Tally,
+    ticks: u64,
+    route_length: f64,
+    driven: f64,
+    /// How it ended, and by which fault.
+    ended: Option<(Ending, Option<Fault>)>,
+}
+
+impl Run {
+    /// At its begin, recorded if it may be kept.
+    fn begin(fleet: &Fleet, ego: usize, case: &Case, keeps: bool) -> Self {
+        let recorder = keeps.then(|| Recorder::new(&kept::header(fleet, ego, case)));
+        let ego = fleet.ego(ego);
+        let mut run = Self {
+            recorder,
+            tally: Tally::at(ego.map(|ego| ego.state().pose.xy())),
+            ticks: 0,
+            route_length: ego.map_or(0.0, |ego| ego.route().length()),
+            driven: 0.0,
+            ended: None,
         };
-        let step = env.act(act)?;
-        let control = step.control;
-        let lost = step.info.ending.as_ref().is_some_and(|ending| ending.end == End::Error);
+        run.record(ego, Control::default(), &[]);
+        run
+    }
+
+    /// Adds a tick.
+    fn add(&mut self, ego: Option<&Ego>, control: Control, info: &Info) {
+        (self.ticks, self.route_length, self.driven) = (info.tick, info.route_length, info.driven);
+        let lost = info.ending.as_ref().is_some_and(|ending| ending.end == End::Error);
         if !lost {
-            tally.add(&step, env.ego(), control.steer);
-            record(recorder.as_mut(), env, step.info.tick, control, &step.info.events);
+            self.tally.add(info, ego, control.steer);
+            self.record(ego, control, &info.events);
         }
-        (ticks, route_length, driven) = (step.info.tick, step.info.route_length, step.info.driven);
-        if let Some(ending) = step.info.ending {
-            break (ending, lost.then_some(Fault::Simulator));
+        if let Some(ending) = &info.ending {
+            self.ended = Some((ending.clone(), lost.then_some(Fault::Simulator)));
         }
-    };
-    let n = ticks.max(1) as f64;
-    let Some(placement) = env.placement().cloned() else { return Err(EnvError::NoEpisode.into()) };
-    let record = EpisodeRecord {
-        case: case.clone(),
-        episode_seed: seed,
-        placement,
-        ending,
-        fault,
-        ticks,
-        tick_s,
-        route_length_m: route_length,
-        driven_m: driven,
-        distance_m: tally.distance,
-        mean_speed_mps: tally.speed / n,
-        top_speed_mps: tally.top_speed,
-        rms_acceleration: (tally.acceleration / n).sqrt(),
-        rms_steer_change: (tally.steer_change / n).sqrt(),
-        episodic_return: tally.terms.total(),
-        terms: tally.terms,
-        vehicles_mean: tally.vehicles / n,
-        pedestrians_mean: tally.pedestrians / n,
-        events: tally.events,
-        speeds: tally.speeds,
-        gaps: tally.gaps,
-        end_at: tally.last.map_or([0.0; 2], |at| [at.x, at.y]),
-        recording: None,
-    };
-    Ok((record, recorder))
+    }
+
+    /// Adds the ego's current state.
+    fn record(&mut self, ego: Option<&Ego>, control: Control, events: &[wad_sim::criteria::Event]) {
+        if let Some(recorder) = &mut self.recorder {
+            kept::with_moment(ego, self.ticks, control, events, |moment: &Moment<'_>| recorder.add(moment));
+        }
+    }
 }
 
-/// Adds the current state of `env`.
-fn record(
-    recorder: Option<&mut Recorder>,
-    env: &Env,
-    tick: u64,
-    control: Control,
-    events: &[wad_sim::criteria::Event],
-) {
-    if let Some(recorder) = recorder {
-        kept::with_moment(env, tick, control, events, |moment: &Moment<'_>| recorder.add(moment));
+/// Drives a group's episodes; each gives what it did, and its recording if it may be kept.
+fn drive(
+    fleet: &mut Fleet,
+    drivers: &mut [Driver],
+    group: &[Case],
+    keeps: bool,
+) -> Result<Vec<(EpisodeRecord, Option<Recorder>)>, EvalError> {
+    let starts: Vec<_> = group.iter().map(|case| (case.spec.clone(), case.episode_seed())).collect();
+    fleet.reset_each(&starts)?;
+    let mut runs = Vec::with_capacity(group.len());
+    for (ego, case) in group.iter().enumerate() {
+        drivers[ego].reset(case.episode_seed());
+        runs.push(Run::begin(fleet, ego, case, keeps));
     }
+    let mut acts = vec![Act::Stay; group.len()];
+    loop {
+        for (ego, run) in runs.iter_mut().enumerate() {
+            acts[ego] = Act::Stay;
+            if run.ended.is_some() {
+                continue;
+            }
+            match drivers[ego].act(fleet.eyes(ego)) {
+                Ok(act) => acts[ego] = act,
+                Err(error) => {
+                    let ending = Ending { end: End::Error, cause: error.to_string(), success: false };
+                    run.ended = Some((ending, Some(Fault::Agent)));
+                    fleet.give_up(ego);
+                }
+            }
+        }
+        if runs.iter().all(|run| run.ended.is_some()) {
+            break;
+        }
+        fleet.step(&acts)?;
+        let FleetStep { controls, infos, .. } = fleet.last();
+        for (ego, run) in runs.iter_mut().enumerate().filter(|(_, run)| run.ended.is_none()) {
+            run.add(fleet.ego(ego), controls[ego], &infos[ego]);
+        }
+    }
+    let tick_s = fleet.tick().as_secs_f64();
+    let record = |(ego, run): (usize, Run)| {
+        let Run { recorder, tally, ticks, route_length, driven, ended } = run;
+        let (Some(placement), Some((ending, fault))) = (fleet.placement(ego).cloned(), ended) else {
+            return Err(EnvError::NoEpisode.into());
+        };
+        let n = ticks.max(1) as f64;
+        let record = EpisodeRecord {
+            case: group[ego].clone(),
+            episode_seed: starts[ego].1,
+            placement,
+            ending,
+            fault,
+            ticks,
+            tick_s,
+            route_length_m: route_length,
+            driven_m: driven,
+            distance_m: tally.distance,
+            mean_speed_mps: tally.speed / n,
+            top_speed_mps: tally.top_speed,
+            rms_acceleration: (tally.acceleration / n).sqrt(),
+            rms_steer_change: (tally.steer_change / n).sqrt(),
+            episodic_return: tally.terms.total(),
+            terms: tally.terms,
+            vehicles_mean: tally.vehicles / n,
+            pedestrians_mean: tally.pedestrians / n,
+            events: tally.events,
+            speeds: tally.speeds,
+            gaps: tally.gaps,
+            end_at: tally.last.map_or([0.0; 2], |at| [at.x, at.y]),
+            recording: None,
+        };
+        Ok((record, recorder))
+    };
+    runs.into_iter().enumerate().map(record).collect()
 }

@@ -423,6 +423,7 @@ mod tests {
                 ..Selection::default()
             },
             options: EnvOptions::evaluation(),
+            egos: 1,
             agents: Default::default(),
             nets: Default::default(),
             towns: BTreeMap::new(),

@@ -1,6 +1,6 @@
 //! Sums over an episode.
 
-use crate::env::Step;
+use crate::env::{Info, is_ego};
 use crate::reward::RewardTerms;
 use serde::{Deserialize, Serialize};
 use sumo_network::geometry::Point;
@@ -14,6 +14,9 @@ use wad_vehicle::PartnerKind;
 pub struct EventCounts {
     /// Collisions with vehicles.
     pub collisions_vehicle: u64,
+    /// Of these, with other egos.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub collisions_ego: u64,
     /// Collisions with pedestrians.
     pub collisions_pedestrian: u64,
     /// Collisions with fixed objects.
@@ -30,11 +33,19 @@ pub struct EventCounts {
     pub vehicle_blocked: u64,
 }
 
+fn is_zero(n: &u64) -> bool {
+    *n == 0
+}
+
 impl EventCounts {
+    /// The name of collisions with other egos, which only an evaluation with several egos has.
+    pub const WITH_EGOS: &str = "of these with other egos";
+
     /// Kinds by name, in the order of tables.
-    pub fn named(&self) -> [(&'static str, u64); 7] {
+    pub fn named(&self) -> [(&'static str, u64); 8] {
         [
             ("collisions with vehicles", self.collisions_vehicle),
+            (Self::WITH_EGOS, self.collisions_ego),
             ("collisions with pedestrians", self.collisions_pedestrian),
             ("collisions with fixed things", self.collisions_static),
             ("red lights run", self.red_lights),
@@ -47,6 +58,7 @@ impl EventCounts {
     /// Adds another episode's.
     pub fn add(&mut self, other: &Self) {
         self.collisions_vehicle += other.collisions_vehicle;
+        self.collisions_ego += other.collisions_ego;
         self.collisions_pedestrian += other.collisions_pedestrian;
         self.collisions_static += other.collisions_static;
         self.collisions_caused += other.collisions_caused;
@@ -58,7 +70,8 @@ impl EventCounts {
 
     fn note(&mut self, event: &Event) {
         match event {
-            Event::Collision { kind, cause, .. } => {
+            Event::Collision { kind, cause, partner, .. } => {
+                self.collisions_ego += u64::from(*kind == PartnerKind::Vehicle && is_ego(partner));
                 self.collisions_caused += u64::from(*cause == Cause::Ego);
                 *match kind {
                     PartnerKind::Vehicle => &mut self.collisions_vehicle,
@@ -128,18 +141,18 @@ impl Tally {
     }
 
     /// Adds a tick with steering `steer`.
-    pub fn add(&mut self, step: &Step, ego: Option<&Ego>, steer: f64) {
-        let state = &step.info.ego;
+    pub fn add(&mut self, info: &Info, ego: Option<&Ego>, steer: f64) {
+        let state = &info.ego;
         let speed = state.speed.max(0.0);
         self.speed += speed;
         self.top_speed = self.top_speed.max(speed);
         self.acceleration += state.acceleration.powi(2);
         self.steer_change += (steer - self.steer).powi(2);
         self.steer = steer;
-        self.terms.add(&step.info.reward);
-        self.vehicles += step.info.traffic.0 as f64;
-        self.pedestrians += step.info.traffic.1 as f64;
-        step.info.events.iter().for_each(|event| self.events.note(event));
+        self.terms.add(&info.reward);
+        self.vehicles += info.traffic.0 as f64;
+        self.pedestrians += info.traffic.1 as f64;
+        info.events.iter().for_each(|event| self.events.note(event));
         self.speeds.note(3.6 * speed, Histogram::SPEED);
         if let Some(gap) = ego.and_then(gap) {
             self.gaps.note(gap, Histogram::GAP);
@@ -173,6 +186,28 @@ fn gap(ego: &Ego) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn egos_that_are_hit_are_counted_apart() {
+        let mut events = EventCounts::default();
+        for partner in ["ego2", "vehicle7", "ego"] {
+            let partner = partner.to_string();
+            let kind = PartnerKind::Vehicle;
+            events.note(&Event::Collision {
+                kind,
+                partner,
+                impulse: 1.0,
+                cause: Cause::Ego,
+                point: Point::origin(),
+                ego_speed: 3.0,
+                partner_speed: 0.0,
+                reason: String::new(),
+            });
+        }
+        assert_eq!((events.collisions_vehicle, events.collisions_ego), (3, 2));
+        let alone = serde_json::to_string(&EventCounts::default()).unwrap();
+        assert!(!alone.contains("ego\""), "{alone}");
+    }
 
     #[test]
     fn bins_hold_everything() {

@@ -45,6 +45,12 @@ pub enum VerifyError {
         /// How it failed.
         cause: String,
     },
+    /// It was driven among external agents' egos, whose controls are not in its recording.
+    #[error(
+        "the episode was driven beside other egos of an external agent, whose controls are not in this recording; \
+         `replay` without --verify shows it"
+    )]
+    Others,
     /// The recording has fewer ticks than the episode.
     #[error("the recording is cut short: expected {expected} ticks, found {found}")]
     Short {
@@ -105,33 +111,52 @@ pub fn verify(
     let external = matches!(case.agent, DriverSpec::Exec(_));
     // Blind: an external agent's observations do not matter if its controls are given.
     let spec = if external { DriverSpec::Random } else { case.agent.clone() };
-    let (mut env, mut driver) = make(&assets, &options, &spec, make_agent)?;
+    let alone = std::slice::from_ref(case);
+    let group = if kept.group.is_empty() { alone } else { &kept.group };
+    let ego = group.iter().position(|other| other == case).unwrap_or_default();
+    let (mut fleet, mut drivers) = make(&assets, &options, &spec, group.len(), make_agent)?;
     let driven = if external { Driven::Recorded } else { Driven::Agent };
+    if external && group.len() > 1 {
+        return Err(VerifyError::Others);
+    }
     let mut verdict = Verdict { ticks: 0, same: true, first_difference: None, driven };
-    env.reset(&case.spec, kept.episode.episode_seed)?;
-    driver.reset(kept.episode.episode_seed);
+    let starts: Vec<_> = group.iter().map(|case| (case.spec.clone(), case.episode_seed())).collect();
+    fleet.reset_each(&starts)?;
+    for (driver, (_, seed)) in drivers.iter_mut().zip(&starts) {
+        driver.reset(*seed);
+    }
+    let mut ended = vec![false; group.len()];
+    let mut acts = vec![Act::Stay; group.len()];
     let frames = recording.frames();
     for (index, frame) in frames.iter().enumerate() {
         let (mut control, mut events) = (Control::default(), Vec::new());
         if index > 0 {
-            let act = if external { Act::Control(frame.control) } else { driver.act(env.eyes())? };
-            let step = env.act(act)?;
-            (control, events) = (step.control, step.info.events);
-            let ending = step.info.ending;
-            if let Some(ending) = ending.as_ref().filter(|ending| ending.end == End::Error) {
+            for (other, act) in acts.iter_mut().enumerate().filter(|(other, _)| !ended[*other]) {
+                *act = match external {
+                    true => Act::Control(frame.control),
+                    false => drivers[other].act(fleet.eyes(other))?,
+                };
+            }
+            let step = fleet.step(&acts)?;
+            for (other, info) in step.infos.iter().enumerate() {
+                ended[other] |= info.ending.is_some();
+            }
+            let info = &step.infos[ego];
+            (control, events) = (step.controls[ego], info.events.clone());
+            if let Some(ending) = info.ending.as_ref().filter(|ending| ending.end == End::Error) {
                 // With a recorded fault the recording may end here too.
                 if kept.episode.fault.is_none() {
                     return Err(VerifyError::Lost { tick: frame.tick, cause: ending.cause.clone() });
                 }
             }
-            if ending.is_some() && index + 1 < frames.len() {
+            if info.ending.is_some() && index + 1 < frames.len() {
                 verdict.same = false;
                 verdict.first_difference.get_or_insert((frame.tick, "it ended earlier".to_string()));
                 break;
             }
         }
         verdict.ticks += 1;
-        with_moment(&env, frame.tick, control, &events, |now| {
+        with_moment(fleet.ego(ego), frame.tick, control, &events, |now| {
             if digest(now) != frame.bits || now.events != frame.events {
                 verdict.same = false;
                 verdict.first_difference.get_or_insert_with(|| (frame.tick, difference(frame, now)));

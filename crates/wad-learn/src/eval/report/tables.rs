@@ -3,7 +3,7 @@
 use super::published::published;
 use super::{Section, Table, short};
 use crate::env::End;
-use crate::eval::{DriverSpec, EpisodeRecord, Score, grouped};
+use crate::eval::{DriverSpec, EpisodeRecord, EventCounts, Score, grouped};
 use wad_camera::Preset;
 
 /// The weathers that encoder, detector and agents were trained in.
@@ -193,11 +193,13 @@ fn driving(section: &Section) -> Table {
 }
 
 fn infractions(section: &Section) -> Table {
-    let kinds = crate::eval::EventCounts::default().named().map(|(name, _)| name);
+    let among = section.episodes.iter().any(|(_, episode)| episode.events.collisions_ego > 0);
+    let shown = |name: &str| among || name != EventCounts::WITH_EGOS;
+    let kinds = EventCounts::default().named().into_iter().map(|(name, _)| name).filter(|name| shown(name));
     let row = |(mut cells, group): (Vec<String>, Vec<&EpisodeRecord>)| {
         let s = Score::of(&group);
         cells.push(format!("{:.2}", s.distance_km));
-        cells.extend(s.events.named().map(|(_, n)| {
+        cells.extend(s.events.named().into_iter().filter(|(name, _)| shown(name)).map(|(_, n)| {
             match s.distance_km {
                 _ if n == 0 => "0".to_string(),
                 // An agent that does not move has no rate per km.
