@@ -221,5 +221,6 @@ fn follow(raw: &[f32]) -> Control {
         throttle: (0.3 * error).clamp(0.0, 1.0),
         brake: (-0.3 * error).clamp(0.0, 1.0),
         steer: (1.3 * number(9)).clamp(-1.0, 1.0),
+        reverse: false,
     }
 }

@@ -288,9 +288,9 @@ impl Viewer {
     /// Passes a request on. False if too many wait already: it is dropped.
     pub fn ask(&mut self, request: Request) -> bool {
         match request {
-            Request::Drive { steer, throttle, brake, analog } => {
+            Request::Drive { steer, throttle, brake, reverse, analog } => {
                 if let Some(grip) = lock(&self.hub.grip).as_mut().filter(|grip| grip.viewer == self.id) {
-                    grip.wanted = Wanted { steer, throttle, brake, analog };
+                    grip.wanted = Wanted { steer, throttle, brake, reverse, analog };
                     grip.told = Instant::now();
                 }
                 true
@@ -337,7 +337,13 @@ mod tests {
         let (hub, _requests) = Hub::new();
         let (mut one, two) = (Viewer::join(&hub), Viewer::join(&hub));
         assert!(hub.take_wheel(one.id) && !hub.take_wheel(two.id));
-        assert!(one.ask(Request::Drive { steer: 0.5, throttle: 1.0, brake: 0.0, analog: false }));
+        assert!(one.ask(Request::Drive {
+            steer: 0.5,
+            throttle: 1.0,
+            brake: 0.0,
+            reverse: false,
+            analog: false
+        }));
         assert!(matches!(hub.hands(), Hands::On(id, wanted) if id == one.id && wanted.steer == 0.5));
         one.is_there();
         let id = one.id;

@@ -34,6 +34,9 @@ pub enum Request {
         throttle: f64,
         /// Brake, 0 to 1.
         brake: f64,
+        /// Reverse gear.
+        #[serde(default)]
+        reverse: bool,
         /// From a gamepad or touch, not from keys.
         #[serde(default)]
         analog: bool,

@@ -10,6 +10,8 @@ pub struct Wanted {
     /// 0..1.
     pub throttle: f64,
     pub brake: f64,
+    /// Reverse gear.
+    pub reverse: bool,
     /// From a stick or pedal that is smooth itself.
     pub analog: bool,
 }
@@ -54,6 +56,7 @@ impl Wheel {
         let rates = |keys| if wanted.analog { (ANALOG, ANALOG) } else { keys };
         now.throttle = pedal(now.throttle, wanted.throttle, rates(THROTTLE));
         now.brake = pedal(now.brake, wanted.brake, rates(BRAKE));
+        now.reverse = wanted.reverse;
         *now
     }
 }
@@ -85,8 +88,9 @@ mod tests {
     #[test]
     fn a_stick_is_followed_at_once_and_nothing_leaves_its_range() {
         let mut wheel = Wheel::default();
-        let wild = Wanted { steer: -7.0, throttle: 9.0, brake: -3.0, analog: true };
+        let wild = Wanted { steer: -7.0, throttle: 9.0, brake: -3.0, analog: true, reverse: true };
         let control = wheel.follow(&wild, 0.0, 0.167);
         assert_eq!((control.steer, control.throttle, control.brake), (-1.0, 1.0, 0.0));
+        assert!(control.reverse);
     }
 }

@@ -13,8 +13,8 @@ use wad_cosim::traffic::{Counts, TrafficSpec};
 use wad_cosim::vehicle::{Control, EgoParams};
 use wad_cosim::world::{Actor, VehicleSignals};
 
-const STAND: Control = Control { throttle: 0.0, steer: 0.0, brake: 1.0 };
-const GO: Control = Control { throttle: 0.5, steer: 0.0, brake: 0.0 };
+const STAND: Control = Control { throttle: 0.0, steer: 0.0, brake: 1.0, reverse: false };
+const GO: Control = Control { throttle: 0.5, steer: 0.0, brake: 0.0, reverse: false };
 
 const VEHICLE_TYPE: &str = r#"<vType id="car" length="4.5" width="1.8" sigma="0"/>"#;
 

@@ -63,7 +63,7 @@ fn the_expert_arrives_and_reckless_driving_ends_badly() {
     assert!((sum - last.reward).abs() < 1e-9, "the named terms are the reward");
 
     env.reset(&TaskSpec::new(TaskKind::Straight), 4).unwrap();
-    let control = Control { throttle: 1.0, steer: 0.6, brake: 0.0 };
+    let control = Control { throttle: 1.0, steer: 0.6, brake: 0.0, reverse: false };
     let last = (0..100).map(|_| env.step(control).unwrap()).find(|step| step.terminated);
     let last = last.expect("full throttle and steering do not stay on a road");
     let ending = last.info.ending.unwrap();

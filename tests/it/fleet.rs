@@ -154,7 +154,12 @@ fn both_egos_of_a_crash_are_told() {
                 assert!(raw[LIGHT_NEARNESS] <= 1.0);
                 let steer = f64::from(1.3 * raw[9]).clamp(-1.0, 1.0);
                 let slow = raw[0] < 0.5;
-                Act::Control(Control { throttle: if slow { 0.5 } else { 0.0 }, brake: 0.0, steer })
+                Act::Control(Control {
+                    throttle: if slow { 0.5 } else { 0.0 },
+                    brake: 0.0,
+                    steer,
+                    reverse: false,
+                })
             })
             .collect();
         let step = fleet.step(&acts).unwrap();

@@ -14,7 +14,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut arguments = std::env::args().skip(1);
     let config = arguments.next().ok_or("usage: episode CONFIG [THROTTLE [STEER]]")?;
     let mut number = |default: f64| arguments.next().map_or(Ok(default), |number| number.parse());
-    let control = Control { throttle: number(0.4)?, steer: number(0.0)?, brake: 0.0 };
+    let control = Control { throttle: number(0.4)?, steer: number(0.0)?, brake: 0.0, reverse: false };
 
     let assets = Assets::load(&config)?;
     let mut env = Env::new(assets, EnvOptions::evaluation(), Box::new(PooledEncoder))?;

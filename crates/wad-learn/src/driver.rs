@@ -99,7 +99,7 @@ impl Made {
 }
 
 /// Half throttle, straight on.
-const CONSTANT: Control = Control { throttle: 0.5, steer: 0.0, brake: 0.0 };
+const CONSTANT: Control = Control { throttle: 0.5, steer: 0.0, brake: 0.0, reverse: false };
 
 impl FromStr for DriverSpec {
     type Err = DriverError;
@@ -116,7 +116,7 @@ impl FromStr for DriverSpec {
                         numbers.split(',').map(|n| n.trim().parse().ok()).collect();
                     match parsed.as_deref() {
                         Some(&[throttle, steer, brake]) => {
-                            Ok(Self::Constant(Control { throttle, steer, brake }.clamped()))
+                            Ok(Self::Constant(Control { throttle, steer, brake, reverse: false }.clamped()))
                         }
                         _ => Err(DriverError::Constant { found: text.to_string() }),
                     }
@@ -178,7 +178,7 @@ pub enum Driver {
 }
 
 /// Brakes: a person who is not there yet.
-const PARKED: Control = Control { throttle: 0.0, steer: 0.0, brake: 1.0 };
+const PARKED: Control = Control { throttle: 0.0, steer: 0.0, brake: 1.0, reverse: false };
 
 impl Driver {
     /// The driver of a specification without an agent; None if it names one.
@@ -226,6 +226,7 @@ impl Driver {
                     throttle: pedal.max(0.0),
                     steer: rng.random_range(-1.0..1.0),
                     brake: (-pedal).max(0.0),
+                    reverse: false,
                 }
             }
             Self::Agent(agent) => {

@@ -18,7 +18,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     for second in 1..=seconds {
         for _ in 0..(1.0 / TICK) as u32 {
             let throttle = (0.3 + 0.5 * (WANTED - ego.state().speed)).clamp(0.0, 1.0);
-            let contacts = ego.tick(Control { throttle, steer: 0.3, brake: 0.0 }, TICK, &[]);
+            let contacts = ego.tick(Control { throttle, steer: 0.3, brake: 0.0, reverse: false }, TICK, &[]);
             assert!(contacts.is_empty(), "there is nothing to hit");
         }
         let state = ego.state();

@@ -11,12 +11,20 @@ pub(super) struct Actuators {
     brake: f64,
     /// Angle of the bicycle model's front wheel (rad, left positive).
     pub(super) steer_angle: f64,
+    /// The gear that is engaged.
+    reverse: bool,
 }
+
+/// Slowest speed forward (m/s) at which reverse gear does not engage yet.
+const GEAR_CHANGE: f64 = 0.5;
+
+/// Fastest speed backwards (m/s).
+const REVERSE_TOP: f64 = 6.0;
 
 /// What the wheels are asked for in one sub-step.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Demand {
-    /// Force at the front axle, forward (N).
+    /// Force at the front axle, forward (N); negative in reverse gear.
     pub(super) drive_force: f64,
     /// Force of all brakes, against the motion (N).
     pub(super) brake_force: f64,
@@ -30,8 +38,11 @@ impl Actuators {
     /// Moves the actuators towards `control` for `dt` (s) at a longitudinal `speed` (m/s).
     pub(super) fn advance(&mut self, params: &EgoParams, control: &Control, speed: f64, dt: f64) -> Demand {
         let braking = control.brake > 0.0;
-        // Brake wins over throttle, at once: no engine force is left under a pressed brake.
-        if braking {
+        if !control.reverse || speed < GEAR_CHANGE {
+            self.reverse = control.reverse;
+        }
+        // Brake wins over throttle, at once: no engine force is left under a pressed brake, nor in the other gear.
+        if braking || self.reverse != control.reverse {
             self.throttle = 0.0;
         } else {
             self.throttle = follow(self.throttle, control.throttle, params.engine_lag, dt);
@@ -41,9 +52,12 @@ impl Actuators {
         let step = params.steer_rate * dt;
         self.steer_angle += (target - self.steer_angle).clamp(-step, step);
 
+        let forward = self.throttle * full_throttle_force(params, speed);
+        let drive_force =
+            if self.reverse { -forward * (1.0 + speed / REVERSE_TOP).clamp(0.0, 1.0) } else { forward };
         let engine_drag = params.engine_braking * (1.0 - self.throttle) * (speed.abs() / 3.0).min(1.0);
         Demand {
-            drive_force: self.throttle * full_throttle_force(params, speed),
+            drive_force,
             brake_force: self.brake * params.max_brake_force,
             resistance: engine_drag + params.rolling_resistance * params.mass * super::GRAVITY,
             wheel_angles: ackermann(params, self.steer_angle),

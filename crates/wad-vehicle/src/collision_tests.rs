@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use std::f64::consts::FRAC_PI_2;
 use sumo_network::geometry::{Point, Pose, Vector};
 
-const COAST: Control = Control { throttle: 0.0, steer: 0.0, brake: 0.0 };
+const COAST: Control = Control { throttle: 0.0, steer: 0.0, brake: 0.0, reverse: false };
 const FULL_THROTTLE: Control = Control { throttle: 1.0, ..COAST };
 
 fn ego(speed: f64) -> EgoVehicle {
@@ -352,7 +352,8 @@ fn crashes_repeat_bit_for_bit_also_after_a_respawn() {
             [car(1, 25.0, 0.8, 0.0, 2.0), car(2, 30.0, -6.0, 2.0, 4.0), pedestrian(3, 18.0, 0.0, 1.5, 0.5)];
         let mut numbers = Vec::new();
         for _ in 0..60 {
-            let contacts = run(ego, Control { throttle: 0.6, steer: 0.02, brake: 0.0 }, &mut others, 1);
+            let contacts =
+                run(ego, Control { throttle: 0.6, steer: 0.02, brake: 0.0, reverse: false }, &mut others, 1);
             numbers.extend(contacts.iter().flat_map(|c| [c.key, c.impulse.to_bits(), c.point.x.to_bits()]));
             let state = ego.state();
             numbers.extend([state.pose.position.x, state.pose.position.y, state.roll].map(f64::to_bits));
@@ -423,7 +424,7 @@ proptest! {
             fastest = fastest.max(body.speed);
         }
         for _ in 0..50 {
-            run(&mut ego, Control { throttle, steer, brake: 0.0 }, &mut bodies, 1);
+            run(&mut ego, Control { throttle, steer, brake: 0.0, reverse: false }, &mut bodies, 1);
             let state = ego.state();
             prop_assert!(state.velocity.norm() < fastest + 0.5 + 6.0 * 5.0 * throttle, "{:?}", state);
             prop_assert!(state.roll.abs() < 1.6 && state.pitch.abs() < 1.2, "{:?}", state);

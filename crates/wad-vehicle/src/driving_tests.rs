@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use sumo_network::geometry::{Pose, direction};
 
 const TICK: f64 = 0.167;
-const COAST: Control = Control { throttle: 0.0, steer: 0.0, brake: 0.0 };
+const COAST: Control = Control { throttle: 0.0, steer: 0.0, brake: 0.0, reverse: false };
 const FULL_THROTTLE: Control = Control { throttle: 1.0, ..COAST };
 const FULL_BRAKE: Control = Control { brake: 1.0, ..COAST };
 
@@ -40,6 +40,7 @@ fn varied(i: usize) -> Control {
         throttle: (0.3 * t).sin().max(0.0),
         steer: 0.6 * (0.17 * t).sin(),
         brake: if i % 23 > 19 { 0.4 } else { 0.0 },
+        reverse: false,
     }
 }
 
@@ -97,7 +98,7 @@ fn low_speed_turning_circle_is_the_bicycle_models() {
         let (mut low, mut high) = (f64::MAX, f64::MIN);
         for i in 0..1600 {
             let throttle = if ego.state().speed < 2.0 { 0.2 } else { 0.0 };
-            ego.tick(Control { throttle, steer, brake: 0.0 }, 0.05, &[]);
+            ego.tick(Control { throttle, steer, brake: 0.0, reverse: false }, 0.05, &[]);
             if i > 100 {
                 low = low.min(ego.state().pose.position.y);
                 high = high.max(ego.state().pose.position.y);
@@ -119,7 +120,9 @@ fn low_speed_turning_circle_is_the_bicycle_models() {
 fn lateral_acceleration_is_bounded_by_grip_and_the_ego_does_not_spin() {
     let params = EgoParams::default();
     for speed in [8.0, 14.0, 20.0, 30.0] {
-        for control in [0.2, 0.5, 1.0].map(|steer| Control { throttle: 0.3, steer, brake: 0.0 }) {
+        for control in
+            [0.2, 0.5, 1.0].map(|steer| Control { throttle: 0.3, steer, brake: 0.0, reverse: false })
+        {
             let mut ego = ego(speed);
             let mut most: f64 = 0.0;
             for _ in 0..240 {
@@ -145,7 +148,7 @@ fn steady_cornering_beyond_the_limit_runs_wide_at_the_grip_limit() {
     for i in 0..180 {
         let before = ego.state().velocity;
         let throttle = if ego.state().speed < 20.0 { 0.3 } else { 0.0 };
-        ego.tick(Control { throttle, steer: 0.4, brake: 0.0 }, 1.0 / 60.0, &[]);
+        ego.tick(Control { throttle, steer: 0.4, brake: 0.0, reverse: false }, 1.0 / 60.0, &[]);
         if i >= 120 {
             let turned = before.perp(&ego.state().velocity) / before.norm();
             mean += turned; // 60 changes of velocity over one second
@@ -247,7 +250,7 @@ fn the_origin_moves_without_a_jump() {
 
 #[test]
 fn brake_wins_over_throttle_and_holds_at_rest() {
-    let both = Control { throttle: 1.0, brake: 1.0, steer: 0.0 };
+    let both = Control { throttle: 1.0, brake: 1.0, steer: 0.0, reverse: false };
     let (mut braked, mut both_pressed) = (ego(15.0), ego(15.0));
     for _ in 0..30 {
         braked.tick(FULL_BRAKE, TICK, &[]);
@@ -285,7 +288,7 @@ fn tick_lengths_agree() {
     let run = |tick: f64| {
         let mut ego = ego(10.0);
         for _ in 0..(6.0 / tick).round() as usize {
-            ego.tick(Control { throttle: 0.4, steer: 0.08, brake: 0.0 }, tick, &[]);
+            ego.tick(Control { throttle: 0.4, steer: 0.08, brake: 0.0, reverse: false }, tick, &[]);
         }
         ego.state()
     };
@@ -307,10 +310,10 @@ fn control_out_of_range_is_clamped_and_nan_is_nothing() {
         }
         bits(&ego.state())
     };
-    let nan = Control { throttle: f64::NAN, steer: f64::NAN, brake: f64::NAN };
+    let nan = Control { throttle: f64::NAN, steer: f64::NAN, brake: f64::NAN, reverse: false };
     assert_eq!(run(nan), run(COAST));
-    let most = Control { throttle: f64::INFINITY, steer: 1e300, brake: -3.0 };
-    assert_eq!(run(most), run(Control { throttle: 1.0, steer: 1.0, brake: 0.0 }));
+    let most = Control { throttle: f64::INFINITY, steer: 1e300, brake: -3.0, reverse: false };
+    assert_eq!(run(most), run(Control { throttle: 1.0, steer: 1.0, brake: 0.0, reverse: false }));
 }
 
 #[test]
@@ -344,4 +347,26 @@ fn acceleration_and_velocities_fit_together() {
         assert!((ahead * after.speed + left * after.lateral_speed - after.velocity).norm() < 1e-9);
         assert!(after.steer_angle.abs() <= EgoParams::default().max_steer_angle);
     }
+}
+
+#[test]
+fn reverse_gear_drives_backwards_once_the_ego_stands() {
+    let mut ego = ego(5.0);
+    let back = Control { throttle: 1.0, reverse: true, ..COAST };
+    ego.tick(back, 0.1, &[]);
+    assert!(ego.state().speed > 4.0, "no gear box changes at 5 m/s");
+    while ego.state().speed > 0.2 {
+        ego.tick(Control { brake: 0.6, reverse: true, ..COAST }, 0.1, &[]);
+    }
+    for _ in 0..100 {
+        ego.tick(Control { steer: 0.4, ..back }, 0.1, &[]);
+    }
+    let state = ego.state();
+    assert!((-6.1..-4.0).contains(&state.speed), "{}", state.speed);
+    // To the left and backwards: the tail swings to the left, the heading turns to the right.
+    assert!(state.yaw_rate < -0.05, "{}", state.yaw_rate);
+    for _ in 0..100 {
+        ego.tick(Control { throttle: 0.5, ..COAST }, 0.1, &[]);
+    }
+    assert!(ego.state().speed > 3.0);
 }

@@ -207,6 +207,7 @@ impl Control {
             throttle: within(self.throttle, 0.0),
             steer: within(self.steer, -1.0),
             brake: within(self.brake, 0.0),
+            reverse: self.reverse,
         }
     }
 }

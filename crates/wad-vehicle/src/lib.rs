@@ -45,6 +45,10 @@ pub struct Control {
     pub steer: f64,
     /// 0..1.
     pub brake: f64,
+    /// Reverse gear: the throttle drives backwards. It is engaged once the ego (nearly) stands. Only people at the wheel use
+    /// it; agents and the autopilot never do.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub reverse: bool,
 }
 
 /// The ego's motion after a tick.

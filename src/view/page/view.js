@@ -313,6 +313,7 @@ function paint() {
   bar("steer", -s.control.steer, true);
   bar("throttle", s.control.throttle);
   bar("brake", s.control.brake);
+  put("gear", s.control.reverse ? "reverse" : "throttle");
   const total = s.reward.reduce((a, b) => a + b, 0);
   put("reward-now", (total >= 0 ? "+" : "−") + Math.abs(total).toFixed(2));
   reward($("reward"), shownPoints(), s.sums);

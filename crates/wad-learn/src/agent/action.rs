@@ -27,7 +27,12 @@ pub fn to_control(action: Action) -> Control {
         f64::from(value.clamp(LOW[i], HIGH[i]))
     };
     let free = f64::from(BRAKE_FREE_TRAVEL);
-    Control { steer: within(0), throttle: within(1), brake: ((within(2) - free) / (1.0 - free)).max(0.0) }
+    Control {
+        steer: within(0),
+        throttle: within(1),
+        brake: ((within(2) - free) / (1.0 - free)).max(0.0),
+        reverse: false,
+    }
 }
 
 /// The action of `control`: the inverse of [`to_control`], for demonstrations.
@@ -61,7 +66,7 @@ mod tests {
         for (steer, throttle, brake) in
             [(-1.0, 0.0, 0.0), (0.25, 1.0, 0.0), (0.0, 0.0, 0.05), (1.0, 0.0, 1.0)]
         {
-            let back = to_control(from_control(Control { throttle, steer, brake }));
+            let back = to_control(from_control(Control { throttle, steer, brake, reverse: false }));
             for (found, expected) in [(back.steer, steer), (back.throttle, throttle), (back.brake, brake)] {
                 assert!((found - expected).abs() < 1e-6, "{back:?}");
             }

@@ -145,7 +145,8 @@ pub fn read_control(line: &str) -> Result<Control, String> {
     if !(within(answer.throttle, 0.0) && within(answer.steer, -1.0) && within(answer.brake, 0.0)) {
         return Err(format!("it answered {}: {expected}", shortened(line)));
     }
-    Ok(Control { throttle: answer.throttle, steer: answer.steer, brake: answer.brake }.clamped())
+    Ok(Control { throttle: answer.throttle, steer: answer.steer, brake: answer.brake, reverse: false }
+        .clamped())
 }
 
 fn shortened(line: &str) -> String {
@@ -393,7 +394,10 @@ mod tests {
         for seed in [1, 2] {
             agent.reset(seed);
             for _ in 0..3 {
-                assert_eq!(act(&mut agent), Ok(Control { throttle: 0.5, steer: -0.25, brake: 0.0 }));
+                assert_eq!(
+                    act(&mut agent),
+                    Ok(Control { throttle: 0.5, steer: -0.25, brake: 0.0, reverse: false })
+                );
             }
         }
     }

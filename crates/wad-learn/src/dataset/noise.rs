@@ -121,7 +121,7 @@ mod tests {
     #[test]
     fn pushes_are_short_and_rest_is_left_alone() {
         let mut noise = Disturber::new(NoiseParams::default(), seeds::rng(3, "noise"));
-        let plain = Control { throttle: 0.3, steer: 0.1, brake: 0.0 };
+        let plain = Control { throttle: 0.3, steer: 0.1, brake: 0.0, reverse: false };
         let (mut changed, mut longest, mut run) = (0, 0, 0);
         for _ in 0..6_000 {
             let out = noise.disturb(plain, 10.0, 0.2, 0.167);
@@ -139,7 +139,7 @@ mod tests {
     fn no_pause_means_no_noise() {
         let params = NoiseParams { pause: 0.0, ..NoiseParams::default() };
         let mut noise = Disturber::new(params, seeds::rng(3, "noise"));
-        let plain = Control { throttle: 0.3, steer: 0.1, brake: 0.0 };
+        let plain = Control { throttle: 0.3, steer: 0.1, brake: 0.0, reverse: false };
         assert!((0..500).all(|_| noise.disturb(plain, 10.0, 0.2, 0.167) == plain));
         assert!(!noise.is_disturbed());
     }

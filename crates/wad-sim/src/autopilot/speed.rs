@@ -177,7 +177,7 @@ impl Pedals {
         if speed < 0.35 && acceleration < 0.1 {
             self.asked = None;
             self.correction = 0.0;
-            return Control { throttle: 0.0, steer: 0.0, brake: 0.35 };
+            return Control { throttle: 0.0, steer: 0.0, brake: 0.35, reverse: false };
         }
         let force = acceleration + self.correction + model.resistance(speed);
         let drag = model.engine_drag(speed);
@@ -187,6 +187,6 @@ impl Pedals {
             (0.0, ((-force - drag) / model.max_brake).clamp(0.001, 1.0))
         };
         self.asked = (throttle < 1.0 && brake < 1.0).then_some((acceleration, speed));
-        Control { throttle, steer: 0.0, brake }
+        Control { throttle, steer: 0.0, brake, reverse: false }
     }
 }

@@ -299,7 +299,11 @@ mod tests {
                 last = path.locate(state.pose.xy(), path.index_at(s)).d;
                 most = most.max(last);
                 let steer = wheel_angle(&path, s, &state, &model, 0.0, tick_s) / model.max_steer;
-                ego.tick(wad_vehicle::Control { throttle: 0.1, steer, brake: 0.0 }, tick_s, &[]);
+                ego.tick(
+                    wad_vehicle::Control { throttle: 0.1, steer, brake: 0.0, reverse: false },
+                    tick_s,
+                    &[],
+                );
             }
             assert!(most < 0.7, "tick {tick_s}: overshot by {most}");
             assert!(last.abs() < 0.1, "tick {tick_s}: still off by {last}");
@@ -332,7 +336,7 @@ mod tests {
             let here = path.locate(state.pose.xy(), path.index_at(s));
             most = most.max(here.d);
             let steer = wheel_angle(&path, s, &state, &model, 0.0, 0.167) / model.max_steer;
-            ego.tick(wad_vehicle::Control { throttle: 0.1, steer, brake: 0.0 }, 0.167, &[]);
+            ego.tick(wad_vehicle::Control { throttle: 0.1, steer, brake: 0.0, reverse: false }, 0.167, &[]);
         }
         assert!(most < 0.15, "overshot by {most}");
     }

@@ -81,6 +81,8 @@ pub struct Line {
     pub time: f64,
     /// Throttle, steering and brake: as text, so that no reader rounds them.
     pub control: [String; 3],
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub reverse: bool,
     pub ego: EgoText,
     pub s: f64,
     pub d: f64,
@@ -179,7 +181,12 @@ impl Memory {
         let [throttle, steer, brake] = &line.control;
         Ok(Frame {
             tick: line.tick,
-            control: Control { throttle: exact(throttle)?, steer: exact(steer)?, brake: exact(brake)? },
+            control: Control {
+                throttle: exact(throttle)?,
+                steer: exact(steer)?,
+                brake: exact(brake)?,
+                reverse: line.reverse,
+            },
             ego: ego_state(&line.ego)?,
             s: line.s,
             d: line.d,

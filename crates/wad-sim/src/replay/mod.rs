@@ -272,7 +272,7 @@ mod tests {
             }
             let state: Arc<str> = Arc::from(if tick < 2 { "rG" } else { "Gr" });
             world.traffic_lights = vec![None, (tick > 0).then_some(state)];
-            let control = Control { throttle: 0.1 + 0.2, steer: -1.0 / 7.0, brake: 0.0 };
+            let control = Control { throttle: 0.1 + 0.2, steer: -1.0 / 7.0, brake: 0.0, reverse: false };
             let events = if tick == 2 { vec![Event::Sidewalk] } else { Vec::new() };
             let ego = ego(tick as f64 / 3.0);
             recorder.add(&Moment {
@@ -296,7 +296,10 @@ mod tests {
         assert_eq!((recording.header().town.as_str(), recording.frames().len()), ("town3", 3));
         let last = &recording.frames()[2];
         assert_eq!(last.ego, ego(2.0 / 3.0));
-        assert_eq!(last.control, Control { throttle: 0.1 + 0.2, steer: -1.0 / 7.0, brake: 0.0 });
+        assert_eq!(
+            last.control,
+            Control { throttle: 0.1 + 0.2, steer: -1.0 / 7.0, brake: 0.0, reverse: false }
+        );
         let ids: Vec<&str> = last.world.vehicles.iter().map(|actor| &*actor.id).collect();
         assert_eq!(ids, ["car 1", "car 2"]);
         assert!((last.world.vehicles[0].pose.position.x - 2.0).abs() < 1e-3);

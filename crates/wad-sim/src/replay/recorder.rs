@@ -74,6 +74,7 @@ impl Recorder {
             tick,
             time: world.time,
             control: [control.throttle, control.steer, control.brake].map(|x| x.to_string()),
+            reverse: control.reverse,
             ego: ego_numbers(ego).map(|x| x.to_string()),
             s: rounded(s, 1e3),
             d: rounded(d, 1e3),
