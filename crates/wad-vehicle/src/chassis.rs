@@ -27,6 +27,9 @@ const YAW_RATE_TOUCHING: f32 = 3.0;
 /// A body slower than this (m/s) counts as standing: touching it never adds energy.
 const STANDING: f32 = 0.05;
 
+/// Room (m) round a body that nothing can touch, beside the way that it goes.
+const ROOM: f32 = 0.05;
+
 /// Largest squeeze between two bodies that reports count, as a multiple of the ego's weight.
 const SQUEEZE: f64 = 2.0;
 
@@ -211,6 +214,11 @@ impl Chassis {
 
         let (speed, spin) = self.planar();
         self.world.integration_parameters.dt = dt as f32;
+        if self.is_free(dt as f32) {
+            self.fly(dt as f32);
+            self.bound(params, speed, spin, None);
+            return;
+        }
         self.world.step();
         let touches = self.touches();
         if touches.is_empty() {
@@ -221,6 +229,40 @@ impl Chassis {
         self.release(params, &touches);
         let fastest = touches.iter().map(|touch| touch.partner_speed).fold(0.0, f32::max);
         self.bound(params, speed, spin, Some(fastest));
+    }
+
+    /// Whether nothing can touch the body within `dt` (s).
+    fn is_free(&self, dt: f32) -> bool {
+        let body = &self.world.bodies[self.body];
+        let Some(collider) = self.world.colliders.get(self.collider) else { return false };
+        let Some(in_body) = collider.position_wrt_parent() else { return false };
+        // The collider's own position is that of the last step of the physics world.
+        let bounds = collider.shape().compute_aabb(&(*body.position() * *in_body));
+        if bounds.mins.z < ROOM || !self.surroundings.movers_are_away() {
+            return false;
+        }
+        let queries = self.world.broad_phase.as_query_pipeline(
+            self.world.narrow_phase.query_dispatcher(),
+            &self.world.bodies,
+            &self.world.colliders,
+            QueryFilter::new().groups(groups(EGO, OBSTACLE)),
+        );
+        let reach = bounds.loosened(body.linvel().length() * dt + ROOM);
+        queries.intersect_aabb_conservative(reach).next().is_none()
+    }
+
+    /// A step of `dt` (s) of a free body, as the physics world makes it, without its search for contacts and its
+    /// solver: half the cost of a tick.
+    fn fly(&mut self, dt: f32) {
+        let parts = self.world.integration_parameters.num_solver_iterations;
+        let part = dt / parts as f32;
+        let fall = self.world.gravity * part;
+        let Some(body) = self.world.bodies.get_mut(self.body) else { return };
+        for _ in 0..parts {
+            body.set_linvel(body.linvel() + fall, false);
+            body.set_angvel(body.angvel_with_gyroscopic_forces(part), false);
+            body.set_position(body.predict_position_using_velocity(part), false);
+        }
     }
 
     /// Rays and springs. The springs' force is upright to the surface, so on a kerb's flank it also

@@ -245,6 +245,11 @@ impl Surroundings {
 }
 
 impl Surroundings {
+    /// Whether the ego can meet no moving body in this tick.
+    pub(super) fn movers_are_away(&self) -> bool {
+        self.movers.is_empty()
+    }
+
     /// Sends the moving bodies on their way from `elapsed` (s) after the tick's begin, for `dt` (s).
     pub(super) fn drive_movers(&self, world: &mut PhysicsWorld, elapsed: f64, dt: f64) {
         for mover in self.movers.values() {

@@ -167,7 +167,9 @@ fn a_person_drives_goes_and_the_drive_can_be_driven_again() {
     let speed = |state: &Value| state["ego"]["speed"].as_f64().unwrap();
     while speed(&end) > -1.0 && began.elapsed() < Duration::from_secs(60) {
         let (throttle, brake) = if speed(&end) > 0.5 { (0.0, 0.7) } else { (0.6, 0.0) };
-        viewer.send(json!({ "do": "drive", "steer": 0, "throttle": throttle, "brake": brake, "reverse": true }));
+        viewer.send(
+            json!({ "do": "drive", "steer": 0, "throttle": throttle, "brake": brake, "reverse": true }),
+        );
         end = viewer.tick().0;
     }
     assert!(speed(&end) <= -1.0 && end["control"]["reverse"] == true, "{end}");

@@ -198,7 +198,7 @@ mod tests {
                 partner,
                 impulse: 1.0,
                 cause: Cause::Ego,
-                point: Point::origin(),
+                point: sumo_network::geometry::Vector::zeros(),
                 ego_speed: 3.0,
                 partner_speed: 0.0,
                 reason: String::new(),
