@@ -56,6 +56,8 @@ pub(super) struct Chassis {
     origin: Point,
     /// Height of the road under the ego (m), where it is known.
     elevation: Option<f64>,
+    /// A moving body may touch the ego in this tick.
+    pressed: bool,
 }
 
 /// The body's motion in double precision, world frame.
@@ -127,6 +129,7 @@ impl Chassis {
             collider,
             origin: pose.xy(),
             elevation: None,
+            pressed: false,
         }
     }
 
@@ -184,6 +187,8 @@ impl Chassis {
             self.collider,
             params.body_friction as f32,
         );
+        let pose = self.motion().pose;
+        self.pressed = self.surroundings.press(&pose, [params.length, params.width], reach);
     }
 
     /// One sub-step of `dt` (s), `elapsed` (s) after the tick's begin.
@@ -238,7 +243,7 @@ impl Chassis {
         let Some(in_body) = collider.position_wrt_parent() else { return false };
         // The collider's own position is that of the last step of the physics world.
         let bounds = collider.shape().compute_aabb(&(*body.position() * *in_body));
-        if bounds.mins.z < ROOM || !self.surroundings.movers_are_away() {
+        if bounds.mins.z < ROOM || self.pressed {
             return false;
         }
         let queries = self.world.broad_phase.as_query_pipeline(

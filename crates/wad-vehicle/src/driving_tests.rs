@@ -371,31 +371,44 @@ fn reverse_gear_drives_backwards_once_the_ego_stands() {
     assert!(ego.state().speed > 3.0);
 }
 
-#[test]
-fn a_neighbour_out_of_touch_changes_nothing() {
-    // Beside a moving body the physics world steps in full; alone the ego flies on by itself. Single precision adds up
-    // to a centimetre over 20 s.
-    let (mut alone, mut beside) = (ego(8.0), ego(8.0));
-    for i in 0..200 {
-        let pose = beside.state().pose;
-        let at = pose.to_world(sumo_network::geometry::Vector::new(0.0, 4.0));
-        let neighbour = MovingBody {
+/// Drives 20 s beside another vehicle whose centre is so far (m) to the left; None: alone.
+fn drive_beside(distance: Option<f64>) -> Vec<EgoState> {
+    let mut ego = ego(8.0);
+    let mut tick = |i| {
+        let EgoState { pose, speed, yaw_rate, .. } = ego.state();
+        let neighbour = distance.map(|distance| MovingBody {
             key: 1,
             kind: PartnerKind::Vehicle,
-            pose: Pose::new(at.x, at.y, 0.0, pose.heading),
-            speed: beside.state().speed,
+            pose: {
+                let at = pose.to_world(sumo_network::geometry::Vector::new(0.0, distance));
+                Pose::new(at.x, at.y, 0.0, pose.heading)
+            },
+            speed,
             acceleration: 0.0,
-            turn_rate: beside.state().yaw_rate,
+            turn_rate: yaw_rate,
             length: 4.5,
             width: 1.8,
             height: 1.5,
-        };
-        let control = varied(i);
-        assert!(alone.tick(control, 0.1, &[]).is_empty());
-        assert!(beside.tick(control, 0.1, &[neighbour]).is_empty());
-        let (a, b) = (alone.state(), beside.state());
+        });
+        let bodies: Vec<MovingBody> = neighbour.into_iter().collect();
+        assert!(ego.tick(varied(i), 0.1, &bodies).is_empty(), "touched in tick {i}");
+        ego.state()
+    };
+    (0..200).map(&mut tick).collect()
+}
+
+#[test]
+fn a_neighbour_out_of_touch_changes_nothing() {
+    let alone = drive_beside(None);
+    for (a, b) in alone.iter().zip(drive_beside(Some(4.0))) {
+        assert_eq!(bits(a), bits(&b));
+    }
+    // So near that the physics world steps in full; single precision adds up to a centimetre over 20 s.
+    let near = drive_beside(Some(2.25));
+    assert!(alone.iter().zip(&near).any(|(a, b)| bits(a) != bits(b)));
+    for (a, b) in alone.iter().zip(&near) {
         let apart = (a.pose.xy() - b.pose.xy()).norm();
-        assert!(apart < 0.03, "{apart} m apart after {i} ticks");
+        assert!(apart < 0.03, "{apart} m apart");
         assert!((a.speed - b.speed).abs() < 0.01 && (a.pitch - b.pitch).abs() < 1e-3, "{a:?} {b:?}");
     }
 }

@@ -5,7 +5,7 @@ use super::statics::{OBSTACLE_SPAN, StaticKind, Statics, same_level};
 use super::{GRAVITY, MovingBody, PartnerKind};
 use rapier3d::prelude::*;
 use std::collections::BTreeMap;
-use sumo_network::geometry::{Point, direction};
+use sumo_network::geometry::{self, Point, direction};
 
 /// Fixed bodies within this distance (m) are in the physics world ...
 const STATIC_RADIUS: f64 = 40.0;
@@ -15,6 +15,8 @@ const CLIMB_STEP: f64 = 1.0;
 /// A moving body is in the physics world when it can come this close (m) within the tick: as much as
 /// the ego may be thrown off its way by a collision.
 const REACH_MARGIN: f64 = 2.0;
+/// A moving body that stays further away than this (m) if both keep their motion does not touch the ego within the tick.
+const TOUCH_MARGIN: f64 = 0.5;
 
 /// Collision groups.
 pub(super) const GROUND: Group = Group::GROUP_1;
@@ -245,9 +247,21 @@ impl Surroundings {
 }
 
 impl Surroundings {
-    /// Whether the ego can meet no moving body in this tick.
-    pub(super) fn movers_are_away(&self) -> bool {
-        self.movers.is_empty()
+    /// Whether a moving body comes within [`TOUCH_MARGIN`] of the ego, a box of `size` (length and width, m) at `pose`, in a tick in
+    /// which both keep their motion.
+    pub(super) fn press(&self, pose: &geometry::Pose, size: [f64; 2], reach: Reach) -> bool {
+        self.movers.values().any(|mover| {
+            let MovingBody { pose: from, length, width, .. } = mover.motion;
+            let to = mover.motion.at(reach.duration).xy() - reach.velocity * reach.duration;
+            let (from, to, turn) = (pose.to_local(from.xy()), pose.to_local(to), from.heading - pose.heading);
+            let (sin, cos) = (turn.sin().abs(), turn.cos().abs());
+            let meet = |from: f64, to: f64, own: f64, its: f64| {
+                let apart = 0.5 * (own + its) + TOUCH_MARGIN;
+                from.min(to) < apart && from.max(to) > -apart
+            };
+            meet(from.x, to.x, size[0], length * cos + width * sin)
+                && meet(from.y, to.y, size[1], length * sin + width * cos)
+        })
     }
 
     /// Sends the moving bodies on their way from `elapsed` (s) after the tick's begin, for `dt` (s).
