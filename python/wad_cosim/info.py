@@ -18,7 +18,7 @@ from . import _native
 
 REWARD, TERMINATED, TRUNCATED = 0, 1, 2
 _WHOLE = {"tick", "vehicles", "pedestrians"}
-_TERMS = 10
+_TERMS = _native.NUMBERS.index("timeout")
 _NAMES = [(i, name) for i, name in enumerate(_native.NUMBERS[:_TERMS]) if i > TRUNCATED]
 _TERM_NAMES = list(enumerate(_native.NUMBERS[_TERMS:], _TERMS))
 
