@@ -2,11 +2,14 @@
 
 import dataclasses
 import json
+import os
 import pathlib
+import signal
 import subprocess
 
 import numpy as np
 import pytest
+from conftest import sumos
 
 import wad_cosim
 
@@ -353,4 +356,25 @@ def test_a_collector_drives_what_a_learner_learns_from():
         state = learner.take(found)
     assert steps == state.steps > 128 and state.updates == steps - 128
     collector.drive(3, state.weights, True)
+    collector.close()
+
+
+def test_a_collector_outlives_its_sumo_but_not_five_in_a_row():
+    settings = Settings(egos=2, segment=10, **SMALL)
+    collector, weights = training.Collector(0, settings), Learner(settings).published().weights
+    turns = 0
+
+    def drive(dies):
+        episodes, found = collector.drive(turns, weights, False)
+        assert not any(episode["end"] == "error" for episode in episodes), "SUMO's death is no episode"
+        for sumo in sumos() if dies else ():
+            os.kill(sumo, signal.SIGKILL)
+        return found
+
+    for turns in range(4):
+        assert drive(dies=turns == 1) or turns == 2
+    with pytest.raises(wad_cosim.Error):
+        for turns in range(4, 20):
+            drive(dies=True)
+    assert turns == 9, "the fifth turn after a death in each"
     collector.close()

@@ -123,7 +123,7 @@ CURRICULUM = {
 }
 
 
-def test_sumo_dies_and_a_collector_hangs_on_the_way_through_a_curriculum(nodes, start, tmp_path):
+def test_sumo_dies_and_collector_and_learner_hang_on_the_way_through_a_curriculum(nodes, start, tmp_path):
     out, file = tmp_path / "out", tmp_path / "curriculum.json"
     file.write_text(json.dumps(CURRICULUM))
     driver = start([*COMMAND, "--curriculum", str(file), "--task-timeout", "15"], out, "--steps", str(STEPS))
@@ -136,10 +136,15 @@ def test_sumo_dies_and_a_collector_hangs_on_the_way_through_a_curriculum(nodes, 
     before = step(out)
     wait_for(driver, lambda: step(out) > before)
     assert processes("ray::Collector") == [collector], "it goes on with another SUMO"
+    # They hang for good: nothing wakes them.
     os.kill(collector, signal.SIGSTOP)
-    # It hangs for good: nothing wakes it.
+    wait_for(driver, lambda: processes("ray::Collector") not in ([], [collector]))
+    before = step(out)
+    wait_for(driver, lambda: step(out) > before and saved(out))
+    (learner,) = processes("ray::Learner")
+    os.kill(learner, signal.SIGSTOP)
     said = finish(driver)
-    assert " 1 restarts" in said and "stage 1 (straight) is left, its steps are spent" in said
+    assert "on from the last checkpoint" in said and " 2 restarts" in said and "stage 1 (straight) is left, its steps are spent" in said
     assert not any(line.get("end") == "error" for line in log(out)), "SUMO's death is no episode"
     assert_trained(out, said)
     (passed,) = (line["passed"] for line in log(out) if "passed" in line)

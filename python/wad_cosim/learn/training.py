@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 
 from .. import _native
-from .._native import Error, InputError
+from .._native import Error, InputError, SumoError
 from ..evaluation import save_agent
 from ..registry import suites
 from ..vector import DrivingVectorEnv
@@ -269,7 +269,7 @@ class Collector:
             The log's lines of the episodes that ended, and the segments.
 
         Raises:
-            SumoError: SUMO does not start.
+            SumoError: SUMO does not start, again and again.
             Error: It died again and again.
         """
         settings = self._settings
@@ -277,10 +277,22 @@ class Collector:
             # After the loss of a process its successor drives other episodes.
             self._rng = np.random.default_rng([settings.seed, self._number, turn])
         index = settings.choose(self._number, stage, self._rng)
-        if index not in self._fleets:
-            self._fleets[index] = _Fleet(settings, index, self._rng)
-        fleet = self._fleets[index]
         self._actor.load_state_dict({name: torch.tensor(values) for name, values in weights.items()})
+        while True:
+            try:
+                if index not in self._fleets:
+                    self._fleets[index] = _Fleet(settings, index, self._rng)
+                return self._drive(self._fleets[index], learns)
+            except SumoError:
+                # It died where that ends no episode, such as between two.
+                self._deaths += 1
+                if self._deaths >= _PATIENCE:
+                    raise
+                if index in self._fleets:
+                    self._fleets.pop(index).envs.close()
+
+    def _drive(self, fleet: _Fleet, learns: bool) -> tuple[list[dict[str, Any]], list[Segment]]:
+        settings = self._settings
         observations = [fleet.now]
         ticks: list[tuple[NDArray[Any], ...]] = []
         episodes: list[dict[str, Any]] = []
@@ -304,7 +316,7 @@ class Collector:
             observations.append(fleet.now)
             ticks.append((action, reward, driven, terminated, began))
         self._deaths = self._deaths + 1 if died else 0
-        if self._deaths == _PATIENCE:
+        if self._deaths >= _PATIENCE:
             raise Error(f"SUMO died in {_PATIENCE} segments in a row")
         actions, rewards, valid, ended, began = (np.stack(part) for part in zip(*ticks))
         return episodes, list(segments(np.stack(observations), actions, rewards, valid, ended, began))
