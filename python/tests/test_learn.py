@@ -265,8 +265,10 @@ def test_a_checkpoint_goes_on_bit_for_bit_and_becomes_an_agent(tmp_path, algo, o
     for layer in actor.layers:
         for parameter in layer.parameters():
             parameter.data = parameter.data.half().float()
-    if observation != "raw":
+    if observation == "latent":
         assert (actor.factor[: size - 15] != 1).all() and (actor.factor[size - 15 :] == 1).all()
+    else:
+        assert (actor.factor == 1).all() and (actor.offset == 0).all()
     for numbers in rng.normal(0, 1, (10, size)).astype(np.float32):
         with torch.no_grad():
             expected = actor(actor.scaled(torch.from_numpy(numbers)[None]))[0].numpy()

@@ -71,7 +71,7 @@ class Settings:
     near_ends: float = 0.3
     #: Transitions that are kept.
     buffer: int = 200_000
-    #: Deviation to which the latent, or the surroundings, are scaled.
+    #: Deviation to which the latent is scaled.
     latent_gain: float = 0.1
     #: Steps between checkpoints.
     checkpoint_every: int = 10_000
@@ -434,8 +434,8 @@ class Learner:
         learned = self._steps - max(before, settings.learning_starts)
         if learned <= 0:
             return {}
-        if agent.updates == 0:
-            # On the first experience, and part of the actor from then on.
+        if agent.updates == 0 and settings.observation == "latent":
+            # On the first experience, and part of the actor from then on. All other numbers are scaled by definition.
             agent.actor.measure(self._buffer.observations(20_000), settings.latent_gain)
         self._due += learned * settings.update_ratio
         sums: dict[str, list[float]] = {}
