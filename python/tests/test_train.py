@@ -14,7 +14,8 @@ from ray_cluster import children, cluster, finish, nodes, processes, raylet, sta
 import wad_cosim
 
 pytest.importorskip("torch")
-from wad_cosim.learn.training import steps_of  # noqa: E402
+from wad_cosim.learn.training import Settings, steps_of  # noqa: E402
+from wad_cosim.ray.training import Folder  # noqa: E402
 
 #: `cargo build` makes it.
 PROGRAM = pathlib.Path(__file__).parents[2] / "target" / "release" / "wad-cosim"
@@ -109,6 +110,14 @@ def test_the_learners_node_and_the_driver_die(cluster, nodes, start, tmp_path):
     assert saved(out) > done
     last = saved(out) + 200
     assert_trained(out, finish(start(MORE, out, "--steps", str(last), "--resume")), last)
+
+
+def test_a_folder_of_train_agent_is_left_alone(tmp_path):
+    (tmp_path / "config.json").write_text("{}")
+    for resume, text in ((False, "holds a training already"), (True, "no training of this program")):
+        with pytest.raises(wad_cosim.InputError, match=text):
+            Folder(tmp_path, Settings(), resume)
+    assert (tmp_path / "config.json").read_text() == "{}"
 
 
 #: Two stages, the first of which is left after its steps.

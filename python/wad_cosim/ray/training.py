@@ -50,23 +50,23 @@ class Folder:
 
     def __init__(self, path: str | os.PathLike[str], settings: Settings, resume: bool) -> None:
         self.path = pathlib.Path(path)
-        self._checkpoint, config = self.path / "checkpoint.pt", self.path / "settings.json"
+        self._checkpoint, own, config = (self.path / name for name in ("checkpoint.pt", "settings.json", "config.json"))
         try:
             self.path.mkdir(parents=True, exist_ok=True)
             # As the command line locks its folders; the system releases it however this process ends.
             self._lock = open(self.path / ".lock", "a")
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if resume and config.exists():
-                settings = _settings(config)
+            if resume and own.exists():
+                settings = _settings(own)
             elif resume:
-                raise InputError(f"{self.path}: there is no training to resume")
-            elif config.exists():
+                raise InputError(f"{self.path}: there is no training of this program to resume")
+            elif own.exists() or config.exists():
                 raise InputError(f"{self.path} holds a training already: --resume goes on with it, or name another folder")
             settings.check()
-            if not config.exists():
-                # For `report learning`; the settings last, so that they are there only where all is.
-                _write(self.path / "config.json", json.dumps(settings.config(), indent=2).encode() + b"\n")
-                _write(config, json.dumps(dataclasses.asdict(settings), indent=2).encode() + b"\n")
+            # The second is for `report learning`.
+            for path, content in ((own, dataclasses.asdict(settings)), (config, settings.config())):
+                if not path.exists():
+                    _write(path, json.dumps(content, indent=2).encode() + b"\n")
         except BlockingIOError:
             raise InputError(f"another process is writing into {self.path}: let it end, or name another folder with --out") from None
         except OSError as error:
