@@ -19,7 +19,7 @@ import tempfile
 import time
 import uuid
 
-# Before Ray is imported: on loopback, with a token; and as nice as the plain evaluation, not nicer.
+# Before Ray is imported: on loopback, with a token; and with the priority of the plain evaluation.
 os.environ.update(
     RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER="0",
     RAY_AUTH_MODE="token",
@@ -103,7 +103,8 @@ def median(pairs: list[tuple[float, float]]) -> tuple[float, float]:
 
 with tempfile.TemporaryDirectory() as folder:
     new = iter(pathlib.Path(folder) / str(number) for number in range(10_000))
-    print(f"{options.suite}, {options.agent}, {options.episodes} episodes, {options.turns} turns; load {os.getloadavg()[0]:.1f}\n")
+    what = f"WAD-S, {options.train} steps" if options.train else f"{options.suite}, {options.agent}, {options.episodes} episodes"
+    print(f"{what}, {options.turns} turns; load {os.getloadavg()[0]:.1f}\n")
     if options.delays:
         row("delay (ms)", "nodes", "episodes/h", "steps/s")
         row("---:", "---:", "---:", "---:")
