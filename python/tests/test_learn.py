@@ -352,6 +352,9 @@ def test_a_collector_drives_what_a_learner_learns_from():
     steps = 0
     for episodes, found in driven:
         assert len(found) >= 3 and all(len(segment.observations) == len(segment.actions) + 1 for segment in found)
+        assert all((segment.places != places.UNKNOWN).all() for segment in found)
+        # An ego moves a metre in a tick at most: neighbours in time are neighbours in place.
+        assert all(len(set(segment.places.tolist())) <= 1 + len(segment.actions) // 2 for segment in found)
         assert all(np.abs(segment.observations).max() <= 2 and (segment.rewards != 0).any() for segment in found)
         steps += sum(len(segment.actions) for segment in found)
         assert all(episode["charts/episodic_length"] > 0 for episode in episodes)

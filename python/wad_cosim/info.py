@@ -1,7 +1,8 @@
 """``info``: facts for logs, tables and people, never for the agent.
 
 Every ``info`` has ``tick`` (ticks of the episode so far), ``time`` (SUMO's clock, s), ``speed`` (m/s), ``driven`` (m along the
-route), ``route_done`` (its share, 0 to 1), ``vehicles`` and ``pedestrians`` (in the net) and ``reward_terms`` (by name).
+route), ``route_done`` (its share, 0 to 1), ``vehicles`` and ``pedestrians`` (in the net), ``x``, ``y`` (m) and ``heading`` (rad, counter-clockwise from east) in the
+net's frame, and ``reward_terms`` (by name).
 A tick with events has ``events``, a list of dictionaries. The last tick of an episode has ``end`` (arrival, survived,
 collision, red_light, outside_lane, sidewalk, vehicle_blocked, timeout or error), ``cause`` (its reason as text) and
 ``success``.

@@ -242,9 +242,7 @@ class _Fleet:
             sums[i] = 0
 
     def places(self) -> NDArray[np.int64]:
-        """Where the egos are; unknown where the simulator does not say."""
-        if "heading" not in self.info:
-            return np.full(len(self.lengths), places.UNKNOWN)
+        """Where the egos are."""
         return places.of(self.info["x"], self.info["y"], self.info["heading"])
 
 
