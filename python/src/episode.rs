@@ -3,17 +3,19 @@
 use crate::errors::Failure;
 use crate::setup::{Part, Setup, Tasks};
 use wad_cosim::agent::action::{self, Action};
+use wad_cosim::bridge::Ego;
 use wad_cosim::criteria::Event;
 use wad_cosim::env::{Ending, Env, EnvError, Fleet, Info};
 use wad_cosim::eyes::Eyes;
 use wad_cosim::foxglove::{DriveLog, Moment};
+use wad_cosim::geometry::Pose;
 use wad_cosim::record::RecordError;
 use wad_cosim::reward::RewardTerms;
 use wad_cosim::session::Act;
 use wad_cosim::tasks::TaskSpec;
 
 /// Names of the numbers of a tick, in their order: [`Numbers`].
-pub const NUMBERS: [&str; 16] = [
+pub const NUMBERS: [&str; 19] = [
     "reward",
     "terminated",
     "truncated",
@@ -24,6 +26,9 @@ pub const NUMBERS: [&str; 16] = [
     "route_done",
     "vehicles",
     "pedestrians",
+    "x",
+    "y",
+    "heading",
     RewardTerms::NAMES[0],
     RewardTerms::NAMES[1],
     RewardTerms::NAMES[2],
@@ -32,7 +37,7 @@ pub const NUMBERS: [&str; 16] = [
     RewardTerms::NAMES[5],
 ];
 
-/// The numbers of a tick: flags as 0 and 1, SI units, the route done as a share, then the reward's terms.
+/// The numbers of a tick: flags as 0 and 1, SI units, the route done as a share, the ego's place in the net (m, rad), then the reward's terms.
 pub type Numbers = [f64; NUMBERS.len()];
 
 /// What seldom happens in a tick.
@@ -77,7 +82,7 @@ impl Episodes {
             painter.reset(task.weather, seed);
         }
         self.look();
-        Ok(standing(self.env.speed()))
+        Ok(standing(self.env.ego()))
     }
 
     /// Drives one tick.
@@ -233,7 +238,7 @@ impl Egos {
     }
 
     fn standing(&self, ego: usize) -> Numbers {
-        standing(self.fleet.ego(ego).map_or(0.0, |ego| ego.state().speed))
+        standing(self.fleet.ego(ego))
     }
 
     /// Writes a part of an ego's observation.
@@ -253,10 +258,18 @@ impl Egos {
 }
 
 /// The numbers of an episode that begins.
-fn standing(speed: f64) -> Numbers {
+fn standing(ego: Option<&Ego>) -> Numbers {
     let mut numbers = [0.0; NUMBERS.len()];
-    numbers[5] = speed;
+    if let Some(state) = ego.map(Ego::state) {
+        numbers[5] = state.speed;
+        numbers[10..13].copy_from_slice(&place(&state.pose));
+    }
     numbers
+}
+
+/// Where an ego is: x, y (m) and heading (rad, counter-clockwise from east), in the net's frame.
+fn place(pose: &Pose) -> [f64; 3] {
+    [pose.position.x, pose.position.y, pose.heading]
 }
 
 /// An environment's row of an array.
@@ -268,7 +281,7 @@ pub enum Row<'a> {
 }
 
 fn numbers(reward: f64, terminated: bool, truncated: bool, info: &Info) -> Numbers {
-    let terms = info.reward.values();
+    let (terms, [x, y, heading]) = (info.reward.values(), place(&info.ego.pose));
     [
         reward,
         f64::from(terminated),
@@ -280,6 +293,9 @@ fn numbers(reward: f64, terminated: bool, truncated: bool, info: &Info) -> Numbe
         (info.driven / info.route_length.max(1.0)).clamp(0.0, 1.0),
         info.traffic.0 as f64,
         info.traffic.1 as f64,
+        x,
+        y,
+        heading,
         terms[0],
         terms[1],
         terms[2],

@@ -1,16 +1,22 @@
 """WAD-T and WAD-S in PyTorch: their updates are the Rust trainer's, and their files are its files."""
 
+import dataclasses
+import json
+import os
 import pathlib
+import signal
 import subprocess
 
 import numpy as np
 import pytest
+from conftest import sumos
 
 import wad_cosim
 
 torch = pytest.importorskip("torch")
 from wad_cosim import learn  # noqa: E402
-from wad_cosim.learn import replay, training  # noqa: E402
+from wad_cosim.learn import places, replay, training  # noqa: E402
+from wad_cosim.learn.curriculum import Curriculum, Passed, Progress  # noqa: E402
 from wad_cosim.learn.training import Learner, Settings  # noqa: E402
 
 #: `cargo test --workspace` builds it.
@@ -127,10 +133,98 @@ def test_segments_end_where_episodes_do():
     valid, terminated = np.ones((ticks, egos), bool), np.zeros((ticks, egos), bool)
     # The first ego's episode ends in tick 2; in tick 3 it waits, and in tick 4 it begins another.
     terminated[2, 0], valid[3:5, 0] = True, False
-    found = list(training.segments(observations, actions, observations[:-1, :, 0], valid, terminated))
+    places = np.arange(ticks * egos).reshape(ticks, egos)
+    found = list(training.segments(observations, actions, observations[:-1, :, 0], valid, terminated, places))
+    assert [segment.places.tolist() for segment in found] == [[0, 2, 4], [10], [1, 3, 5, 7, 9, 11]]
     assert [segment.observations[:, 0].tolist() for segment in found] == [[0, 1, 2, 3], [5, 6], [*range(100, 107)]]
     assert [segment.rewards.tolist() for segment in found] == [[0, 1, 2], [5], [*range(100, 106)]]
     assert [segment.terminated for segment in found] == [True, False, False]
+
+
+def test_a_place_is_ten_metres_of_ground_in_one_direction():
+    here = places.of(12, -3, 0.1)
+    assert here == places.of(18, -9, -0.3) and places.of(5, 5, 3.1) == places.of(5, 5, -3.1)
+    # The number that crates/wad-learn/src/agent/places.rs gives it.
+    assert here == 1 << 31 | 1 << 15 | 0x1FFF << 2
+    assert here not in places.of([21, 12, 12], [-3, 3, -3], [0.1, 0.1, 1.6]).tolist()
+
+
+def test_the_share_near_ends_is_drawn_from_all_that_was_driven_there():
+    buffer = replay.ReplayBuffer(1024, 1)
+    # Every tenth episode drives at another place than the rest, and half of those end there; the ring overwrites the first 40.
+    for episode in range(100):
+        numbers = np.full((18, 1), episode, np.float32)
+        terminated, there = episode % 20 == 0, np.full(17, 8 if episode % 10 == 0 else 7)
+        buffer.push(replay.Segment(numbers, np.zeros((17, 3), np.float32), np.zeros(17, np.float32), terminated, there))
+
+    def episodes(buffer, near_ends):
+        batch = buffer.sample(np.random.default_rng(1), 2000, 3, 0.9, near_ends)
+        return batch.observation[:, 0].numpy()
+
+    drawn = episodes(buffer, 0.5)
+    # Of the forty before an end seventeen are its own, the others of the episodes before, elsewhere.
+    there = drawn[drawn % 10 == 0]
+    assert 0.2 < len(there) / len(drawn) < 0.35, "expected 0.5 * 17 / 39 + 0.5 * 0.1"
+    assert 0.35 < (there % 20 == 0).mean() < 0.65, "half of what was driven there ended there"
+    assert (episodes(buffer, 0) % 10 == 0).mean() < 0.15
+    # The same from a checkpoint.
+    other = replay.ReplayBuffer(1024, 1)
+    other.load(buffer.state())
+    assert (episodes(other, 0.5) == drawn).all()
+
+
+def test_where_places_are_not_known_all_is_drawn_alike():
+    buffer = replay.ReplayBuffer(1024, 1)
+    for episode in range(40):
+        numbers = np.full((18, 1), episode, np.float32)
+        buffer.push(replay.Segment(numbers, np.zeros((17, 3), np.float32), np.zeros(17, np.float32), episode == 0))
+    assert (buffer.sample(np.random.default_rng(1), 1000, 1, 0.9, 1.0).observation == 0).float().mean() < 0.08
+
+
+CURRICULUM = pathlib.Path(__file__).parents[2] / "scenarios" / "curriculum.json"
+
+
+def test_stages_follow_on_success_and_at_the_latest_when_their_steps_are_spent():
+    curriculum, progress = Curriculum.load(CURRICULUM), Progress()
+    for _ in range(19):
+        assert progress.note(curriculum, "straight", 100, True) is None
+    assert progress.note(curriculum, "straight", 100, True) == Passed(0, True, 2000, 1.0)
+    assert (progress.stage, progress.steps) == (1, 0)
+    # An earlier task's success says nothing about this stage.
+    assert not any(progress.note(curriculum, "straight", 100, True) for _ in range(40))
+    spent = progress.note(curriculum, "one_turn", curriculum.stages[1].most_steps, False)
+    assert (spent.stage, spent.threshold, progress.stage) == (1, False, 2)
+    last = Progress(stage=5)
+    passed = [last.note(curriculum, "composite", 1000, True) for _ in range(60)]
+    assert sum(one is not None for one in passed) == 1 and (last.stage, last.done) == (5, True)
+
+
+def test_earlier_stages_are_driven_again():
+    curriculum, rng = Curriculum.load(CURRICULUM), np.random.default_rng(3)
+    drawn = [curriculum.draw(2, rng) for _ in range(400)]
+    assert 80 < sum(stage < 2 for stage in drawn) < 160 and set(drawn) == {0, 1, 2}
+    assert {curriculum.draw(0, rng) for _ in range(50)} == {0}
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "text"),
+    [
+        ('"replay"', '"repaly"', "repaly"),
+        ('"window": 20, "most_steps": 60000', '"window": 20, "most_step": 1', "most_step"),
+        ("0.3", "1.5", "1.5"),
+        ('"one_turn"', '"two_turns"', "two_turns"),
+        ('"window": 50', '"window": 0', "window"),
+        ('"ClearNoon", ', '"Fog", ', "Fog"),
+        ('"town": "town3",', "", "town"),
+        ("{", "", "curriculum"),
+    ],
+)
+def test_a_curriculum_that_cannot_be(tmp_path, before, after, text):
+    path = tmp_path / "c.json"
+    path.write_text(CURRICULUM.read_text().replace(before, after, 1))
+    with pytest.raises(wad_cosim.InputError, match=text) as error:
+        Curriculum.load(path)
+    assert "c.json" in str(error.value)
 
 
 SMALL = {"learning_starts": 128, "buffer": 2048, "batch": 32}
@@ -171,8 +265,10 @@ def test_a_checkpoint_goes_on_bit_for_bit_and_becomes_an_agent(tmp_path, algo, o
     for layer in actor.layers:
         for parameter in layer.parameters():
             parameter.data = parameter.data.half().float()
-    if observation != "raw":
+    if observation == "latent":
         assert (actor.factor[: size - 15] != 1).all() and (actor.factor[size - 15 :] == 1).all()
+    else:
+        assert (actor.factor == 1).all() and (actor.offset == 0).all()
     for numbers in rng.normal(0, 1, (10, size)).astype(np.float32):
         with torch.no_grad():
             expected = actor(actor.scaled(torch.from_numpy(numbers)[None]))[0].numpy()
@@ -214,17 +310,76 @@ def test_settings_that_cannot_be(given, text):
         Settings(**given).check()
 
 
+STEPWISE = {
+    "town": "town3",
+    "weathers": ["ClearNoon", "CloudyNoon"],
+    "replay": 0.5,
+    "stages": [
+        {"task": "straight", "threshold": 0.9, "window": 2, "most_steps": 200},
+        {"task": "one_turn", "threshold": 1.0, "window": 5},
+    ],
+}
+
+
+def test_a_training_goes_through_its_curriculum_and_resumes_in_it():
+    settings = Settings(curriculum=Curriculum.of(STEPWISE), egos=2, segment=30, **SMALL)
+    settings.check()
+    assert Settings.of(json.loads(json.dumps(dataclasses.asdict(settings)))) == settings
+    episode = {"task": "straight", "charts/episodic_length": 150, "success": False}
+    learner, rng = Learner(settings), np.random.default_rng(6)
+    assert learner.take([drawn(rng, 150, 15)], [episode]).passed == []
+    (passed,) = learner.take([drawn(rng, 150, 15)], [episode]).passed
+    assert (passed["stage"], passed["threshold"], passed["step"]) == (0, False, 300) and passed["hours"] > 0
+    again = Learner(settings, learner.save())
+    assert again.published().stage == learner.published().stage == 1
+    assert again.published().hours >= passed["hours"]
+    collector, tasks = training.Collector(0, settings), set()
+    for turn in range(40):
+        tasks |= {episode["task"] for episode in collector.drive(turn, again.published().weights, False, 1)[0]}
+        if tasks == {"straight", "one_turn"}:
+            break
+    collector.close()
+    assert tasks == {"straight", "one_turn"}
+    for wrong in ({"town": "town5"}, {"environments": ("wad_cosim/OneTurn-v0",)}, {"near_ends": 2}):
+        with pytest.raises(wad_cosim.InputError, match="curriculum|near_ends"):
+            dataclasses.replace(settings, **wrong).check()
+
+
 def test_a_collector_drives_what_a_learner_learns_from():
     settings = Settings(egos=3, segment=20, **SMALL)
     collector, learner = training.Collector(0, settings), Learner(settings)
     driven = [collector.drive(turn, learner.published().weights, False) for turn in range(3)]
     steps = 0
-    for news, found in driven:
+    for episodes, found in driven:
         assert len(found) >= 3 and all(len(segment.observations) == len(segment.actions) + 1 for segment in found)
+        assert all((segment.places != places.UNKNOWN).all() for segment in found)
+        # An ego moves a metre in a tick at most: neighbours in time are neighbours in place.
+        assert all(len(set(segment.places.tolist())) <= 1 + len(segment.actions) // 2 for segment in found)
         assert all(np.abs(segment.observations).max() <= 2 and (segment.rewards != 0).any() for segment in found)
         steps += sum(len(segment.actions) for segment in found)
-        assert all(episode["charts/episodic_length"] > 0 for episode in news.episodes)
+        assert all(episode["charts/episodic_length"] > 0 for episode in episodes)
         state = learner.take(found)
     assert steps == state.steps > 128 and state.updates == steps - 128
     collector.drive(3, state.weights, True)
+    collector.close()
+
+
+def test_a_collector_outlives_its_sumo_but_not_five_in_a_row():
+    settings = Settings(egos=2, segment=10, **SMALL)
+    collector, weights = training.Collector(0, settings), Learner(settings).published().weights
+    turns = 0
+
+    def drive(dies):
+        episodes, found = collector.drive(turns, weights, False)
+        assert not any(episode["end"] == "error" for episode in episodes), "SUMO's death is no episode"
+        for sumo in sumos() if dies else ():
+            os.kill(sumo, signal.SIGKILL)
+        return found
+
+    for turns in range(4):
+        assert drive(dies=turns == 1) or turns == 2
+    with pytest.raises(wad_cosim.Error):
+        for turns in range(4, 20):
+            drive(dies=True)
+    assert turns == 9, "the fifth turn after a death in each"
     collector.close()

@@ -21,6 +21,8 @@ EPISODES = PART["episodes"]
 SCHEDULE = random.Random(22)
 #: What a full disk is in these tests (bytes): the settings and some episodes fit.
 LIMIT = 6000
+
+
 def lines(out):
     """The episodes' lines, in no order: they come as episodes end."""
     file = out / "episodes.jsonl"
@@ -62,6 +64,13 @@ def kill_sumo(cluster, node):
         os.kill(sumo, signal.SIGKILL)
 
 
+def stop_worker(cluster, node):
+    """It hangs for good, while its node lives."""
+    assert until(lambda: children(raylet(node), "sumo"))
+    for worker in children(raylet(node), "ray::Worker"):
+        os.kill(worker, signal.SIGSTOP)
+
+
 def kill_node(cluster, node):
     cluster.remove_node(node, allow_graceful=False)
 
@@ -85,11 +94,11 @@ def stop_node(cluster, node):
     cluster.remove_node(node, allow_graceful=False)
 
 
-@pytest.mark.parametrize("fault", [kill_worker, kill_sumo, kill_node, stop_node])
+@pytest.mark.parametrize("fault", [kill_worker, kill_sumo, stop_worker, kill_node, stop_node])
 def test_a_death_on_the_way_changes_nothing(cluster, nodes, drive, one_machine, tmp_path, fault):
     out = tmp_path / "out"
     victim, after = SCHEDULE.choice(nodes), SCHEDULE.randrange(1, 4)
-    driver = drive(out)
+    driver = drive(out, "--task-timeout", "15")
     assert until(lambda: len(lines(out)) >= after or driver.poll() is not None, 60)
     assert driver.poll() is None, finish(driver)
     fault(cluster, victim)

@@ -2,7 +2,9 @@
 
 import json
 import os
+import pathlib
 import signal
+import subprocess
 
 import numpy as np
 import pytest
@@ -12,8 +14,11 @@ from ray_cluster import children, cluster, finish, nodes, processes, raylet, sta
 import wad_cosim
 
 pytest.importorskip("torch")
-from wad_cosim.learn.training import steps_of  # noqa: E402
+from wad_cosim.learn.training import Settings, steps_of  # noqa: E402
+from wad_cosim.ray.training import Folder  # noqa: E402
 
+#: `cargo build` makes it.
+PROGRAM = pathlib.Path(__file__).parents[2] / "target" / "release" / "wad-cosim"
 STEPS = 2_500
 #: Small, so that deaths meet every part of it within seconds.
 OPTIONS = {
@@ -105,3 +110,57 @@ def test_the_learners_node_and_the_driver_die(cluster, nodes, start, tmp_path):
     assert saved(out) > done
     last = saved(out) + 200
     assert_trained(out, finish(start(MORE, out, "--steps", str(last), "--resume")), last)
+
+
+def test_a_folder_of_train_agent_is_left_alone(tmp_path):
+    (tmp_path / "config.json").write_text("{}")
+    for resume, text in ((False, "holds a training already"), (True, "no training of this program")):
+        with pytest.raises(wad_cosim.InputError, match=text):
+            Folder(tmp_path, Settings(), resume)
+    assert (tmp_path / "config.json").read_text() == "{}"
+
+
+#: Two stages, the first of which is left after its steps.
+CURRICULUM = {
+    "town": "town3",
+    "weathers": ["ClearNoon"],
+    "replay": 0.5,
+    "stages": [
+        {"task": "straight", "threshold": 1.0, "window": 50, "most_steps": 400},
+        {"task": "one_turn", "threshold": 1.0, "window": 50},
+    ],
+}
+
+
+def test_sumo_dies_and_collector_and_learner_hang_on_the_way_through_a_curriculum(nodes, start, tmp_path):
+    out, file = tmp_path / "out", tmp_path / "curriculum.json"
+    file.write_text(json.dumps(CURRICULUM))
+    driver = start([*COMMAND, "--curriculum", str(file), "--task-timeout", "15"], out, "--steps", str(STEPS))
+    wait_for(driver, lambda: step(out) >= 300)
+    (collector,) = processes("ray::Collector")
+    sumos = children(collector, "sumo")
+    assert sumos
+    for sumo in sumos:
+        os.kill(sumo, signal.SIGKILL)
+    before = step(out)
+    wait_for(driver, lambda: step(out) > before)
+    assert processes("ray::Collector") == [collector], "it goes on with another SUMO"
+    # They hang for good: nothing wakes them.
+    os.kill(collector, signal.SIGSTOP)
+    wait_for(driver, lambda: processes("ray::Collector") not in ([], [collector]))
+    before = step(out)
+    wait_for(driver, lambda: step(out) > before and saved(out))
+    (learner,) = processes("ray::Learner")
+    os.kill(learner, signal.SIGSTOP)
+    said = finish(driver)
+    assert "on from the last checkpoint" in said and " 2 restarts" in said and "stage 1 (straight) is left, its steps are spent" in said
+    assert not any(line.get("end") == "error" for line in log(out)), "SUMO's death is no episode"
+    assert_trained(out, said)
+    (passed,) = (line["passed"] for line in log(out) if "passed" in line)
+    assert (passed["stage"], passed["threshold"]) == (0, False) and passed["step"] >= 400 and passed["hours"] > 0
+    assert "one_turn" in {line["task"] for line in log(out) if "end" in line}
+    if not PROGRAM.exists():
+        pytest.skip(f"the rest needs {PROGRAM}: cargo build --release --workspace")
+    subprocess.run([PROGRAM, "report", "learning", out, "--out", tmp_path / "report"], check=True)
+    table = (tmp_path / "report" / "learning.md").read_text()
+    assert "wad-t, raw, reward only" in table and f"{passed['step']} steps" in table and "its steps were spent" in table

@@ -1,7 +1,8 @@
 """``info``: facts for logs, tables and people, never for the agent.
 
 Every ``info`` has ``tick`` (ticks of the episode so far), ``time`` (SUMO's clock, s), ``speed`` (m/s), ``driven`` (m along the
-route), ``route_done`` (its share, 0 to 1), ``vehicles`` and ``pedestrians`` (in the net) and ``reward_terms`` (by name).
+route), ``route_done`` (its share, 0 to 1), ``vehicles`` and ``pedestrians`` (in the net), ``x``, ``y`` (m) and ``heading`` (rad, counter-clockwise from east) in the
+net's frame, and ``reward_terms`` (by name).
 A tick with events has ``events``, a list of dictionaries. The last tick of an episode has ``end`` (arrival, survived,
 collision, red_light, outside_lane, sidewalk, vehicle_blocked, timeout or error), ``cause`` (its reason as text) and
 ``success``.
@@ -18,7 +19,7 @@ from . import _native
 
 REWARD, TERMINATED, TRUNCATED = 0, 1, 2
 _WHOLE = {"tick", "vehicles", "pedestrians"}
-_TERMS = 10
+_TERMS = _native.NUMBERS.index("timeout")
 _NAMES = [(i, name) for i, name in enumerate(_native.NUMBERS[:_TERMS]) if i > TRUNCATED]
 _TERM_NAMES = list(enumerate(_native.NUMBERS[_TERMS:], _TERMS))
 

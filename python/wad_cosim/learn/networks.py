@@ -61,10 +61,8 @@ class DrivingActor(nn.Module):
         return (observation - self.offset) * self.factor
 
     def measure(self, observations: Tensor, gain: float) -> None:
-        """Scales the latent, or the surroundings, to the deviation ``gain`` in these observations. The raw states are scaled by
-        definition. Numbers that hardly vary are not amplified: the smallest deviation used is a tenth of the mean one."""
-        if self.latent == 0:
-            return
+        """Scales the latent to the deviation ``gain`` in these observations. Numbers that hardly vary are not amplified: the smallest
+        deviation used is a tenth of the mean one."""
         latents = observations[:, : self.latent]
         deviation = latents.std(0, correction=0)
         self.offset[: self.latent] = latents.mean(0)

@@ -6,6 +6,7 @@ transition's next observation is the following entry; the last entry of a segmen
 
 from __future__ import annotations
 
+import collections
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,9 +16,12 @@ from torch import Tensor
 
 from .._native import InputError
 from .networks import ACTIONS
+from .places import UNKNOWN, Places, Visits
 
 #: What an entry is.
 _END, _MIDDLE, _TERMINATION = 0, 1, 2
+#: How many transitions before a termination lead to it: about seven seconds, in which it can still be averted.
+NEAR = 40
 
 
 class Segment(NamedTuple):
@@ -31,6 +35,8 @@ class Segment(NamedTuple):
     rewards: NDArray[np.float32]
     #: The last transition ended the task: the value of the next state is 0. After a truncation it is not.
     terminated: bool
+    #: Where each transition began, (n,); None: not known.
+    places: Places | None = None
 
 
 class Batch(NamedTuple):
@@ -61,6 +67,10 @@ class ReplayBuffer:
         self._actions = np.zeros((capacity, ACTIONS), np.float32)
         self._rewards = np.zeros(capacity, np.float32)
         self._kinds = np.zeros(capacity, np.uint8)
+        self._places = np.full(capacity, UNKNOWN, np.int64)
+        self._visits = Visits()
+        #: The entries that are terminations, oldest first.
+        self._terminations: collections.deque[int] = collections.deque()
         self._written = 0
 
     def __len__(self) -> int:
@@ -70,17 +80,42 @@ class ReplayBuffer:
         """Adds a segment; it replaces the oldest entries of a full buffer."""
         n = len(segment.actions)
         at = (self._written + np.arange(n + 1)) % len(self._kinds)
+        self._forget(at)
+        self._places[at[:n]] = UNKNOWN if segment.places is None else segment.places
+        self._places[at[n]] = UNKNOWN
         self._observations[at] = segment.observations
         self._actions[at[:n]] = segment.actions
         self._rewards[at[:n]] = segment.rewards
         self._kinds[at[:n]], self._kinds[at[n]] = _MIDDLE, _END
         if segment.terminated:
             self._kinds[at[n - 1]] = _TERMINATION
+        self._index(at)
         self._written += n + 1
 
-    def sample(self, rng: np.random.Generator, size: int, n_step: int, gamma: float) -> Batch:
-        """Draws ``size`` transitions uniformly, with rewards summed over ``n_step`` ticks."""
+    def _forget(self, overwritten: NDArray[np.intp]) -> None:
+        for entry in overwritten.tolist():
+            if self._terminations and self._terminations[0] == entry:
+                self._terminations.popleft()
+            self._visits.forget(int(self._places[entry]), entry)
+
+    def _index(self, new: NDArray[np.intp]) -> None:
+        for entry in new.tolist():
+            self._visits.add(int(self._places[entry]), entry)
+            if self._kinds[entry] == _TERMINATION:
+                self._terminations.append(entry)
+
+    def sample(self, rng: np.random.Generator, size: int, n_step: int, gamma: float, near_ends: float = 0.0) -> Batch:
+        """Draws ``size`` transitions with rewards summed over ``n_step`` ticks, the share ``near_ends`` of them where episodes end, the
+        others uniformly. All transitions at the places of the last :data:`NEAR` before a termination count, whatever came of them:
+        to draw by the outcome would have critics expect it more often than it comes."""
         first = self._draw(rng, size)
+        for i in np.flatnonzero(rng.random(size) < near_ends) if self._terminations else ():
+            # Where that is before the episode's begin it is a neighbour's transition, which does no harm.
+            back = int(rng.integers(min(NEAR, len(self))))
+            ended = self._terminations[int(rng.integers(len(self._terminations)))]
+            visits = self._visits.at(int(self._places[(ended - back) % len(self)]))
+            if visits:
+                first[i] = visits[int(rng.integers(len(visits)))]
         reward, discount, running = np.zeros(size), np.ones(size), np.ones(size, np.bool_)
         at = first.copy()
         for _ in range(n_step):
@@ -109,7 +144,7 @@ class ReplayBuffer:
         """For a checkpoint."""
         n = len(self)
         parts: dict[str, NDArray[Any]] = {"observations": self._observations, "actions": self._actions}
-        parts |= {"rewards": self._rewards, "kinds": self._kinds}
+        parts |= {"rewards": self._rewards, "kinds": self._kinds, "places": self._places}
         return {"written": self._written, **{name: torch.from_numpy(part[:n]) for name, part in parts.items()}}
 
     def load(self, state: dict[str, Any]) -> None:
@@ -119,4 +154,7 @@ class ReplayBuffer:
         self._actions[:n] = state["actions"].numpy()
         self._rewards[:n] = state["rewards"].numpy()
         self._kinds[:n] = state["kinds"].numpy()
+        self._places[:n] = state["places"].numpy()
         self._written = state["written"]
+        oldest = self._written if n == len(self._kinds) else 0
+        self._index((oldest + np.arange(n)) % max(n, 1))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import sys
+from typing import Any
 
 from .. import InputError, SumoError, _native, report
 from ..evaluation import wanted_by
@@ -44,6 +45,7 @@ def _parser() -> argparse.ArgumentParser:
     train = commands.add_parser("train", help="train WAD-T or WAD-S in PyTorch, or go on with it", epilog=_EXITS)
     train.add_argument("--algo", choices=("td3", "sac"), help="td3: WAD-T; sac: WAD-S [td3]")
     train.add_argument("--env", action="append", metavar="ID", help="collectors have them in turns [wad_cosim/Straight-v0]")
+    train.add_argument("--curriculum", metavar="FILE", help="tasks step by step, such as scenarios/curriculum.json, in place of --env")
     train.add_argument("--observation", choices=("raw", "vector", "latent"), help="what the agent gets [raw]")
     train.add_argument("--town", metavar="CONFIG", help="[the environment's]")
     train.add_argument("--traffic", metavar="NAME", help="[the environment's]")
@@ -60,6 +62,7 @@ def _parser() -> argparse.ArgumentParser:
         ("checkpoint-every", "steps between checkpoints [10000]"),
     ):
         train.add_argument(f"--{name}", type=int, metavar="N", help=what)
+    train.add_argument("--near-ends", type=float, metavar="SHARE", help="of each batch, from places where episodes end [0.3]")
     train.add_argument("--update-ratio", type=float, metavar="R", help="updates for a step [1]")
     train.add_argument("--steps", type=int, required=True, metavar="N", help="of all collectors together, those before included")
     train.add_argument("--resume", action="store_true", help="go on with the training in --out, with its settings")
@@ -72,6 +75,13 @@ def _shared(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--address", default="auto", help="the Ray cluster: auto (this machine is a part of it), local, HOST:PORT [auto]"
     )
+    parser.add_argument(
+        "--task-timeout",
+        type=float,
+        default=1800,
+        metavar="SECONDS",
+        help="after which the process that drives an episode, a segment or a turn counts as hung and is started again [1800]",
+    )
     parser.add_argument("--workers", type=int, metavar="N", help="actors of one core each [the cluster's cores]")
 
 
@@ -81,12 +91,19 @@ def main(arguments: list[str] | None = None) -> int:
     if asked.workers is not None and asked.workers < 1:
         print("error: --workers: expected 1 or more", file=sys.stderr)
         return 2
+    if not asked.task_timeout > 0:
+        print("error: --task-timeout: expected more than 0", file=sys.stderr)
+        return 2
     try:
         prepare(asked.address)
         return {"eval": _eval, "collect": _collect, "train": _train}[asked.command](asked)
     except (InputError, SumoError, RuntimeError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2 if isinstance(error, InputError) else 3 if isinstance(error, SumoError) else 1
+
+
+def _how(asked: argparse.Namespace) -> dict[str, Any]:
+    return {"address": asked.address, "workers": asked.workers, "limit": asked.task_timeout, "progress": True}
 
 
 def _eval(asked: argparse.Namespace) -> int:
@@ -108,7 +125,7 @@ def _eval(asked: argparse.Namespace) -> int:
         keep=asked.keep,
     )
     try:
-        evaluation.evaluate(wanted, None, address=asked.address, workers=asked.workers, progress=True)
+        evaluation.evaluate(wanted, None, **_how(asked))
     except KeyboardInterrupt:
         print(f"\ninterrupted: what was driven is in {asked.out}; --resume goes on", file=sys.stderr)
         return 4
@@ -121,7 +138,7 @@ def _collect(asked: argparse.Namespace) -> int:
 
     names = ("town", "frames", "out", "per_shard", "seed", "camera", "every", "noise_pause")
     wanted = {name: getattr(asked, name) for name in names} | {"weathers": asked.weather}
-    done = collection.collect(wanted, address=asked.address, workers=asked.workers, progress=True)
+    done = collection.collect(wanted, **_how(asked))
     print(f"{done['out']}: {done['frames']} frames in {done['shards']} shards, {done['bytes'] / 1e6:.1f} MB")
     if done["interrupted"]:
         print("interrupted; the same command continues from here", file=sys.stderr)
@@ -130,6 +147,7 @@ def _collect(asked: argparse.Namespace) -> int:
 
 
 def _train(asked: argparse.Namespace) -> int:
+    from ..learn.curriculum import Curriculum
     from ..learn.training import Settings
     from . import training
 
@@ -137,6 +155,8 @@ def _train(asked: argparse.Namespace) -> int:
     names = [field.name for field in dataclasses.fields(Settings) if field.name not in ("latent_gain", *named)]
     given = {name: getattr(asked, name) for name in names} | {name: tuple(value) for name, value in named.items() if value}
     given = {name: value for name, value in given.items() if value is not None}
+    if "curriculum" in given:
+        given["curriculum"] = Curriculum.load(given["curriculum"])
     if asked.resume and given:
         raise InputError(f"--resume goes on with the settings in {asked.out}: leave out {', '.join(given)}")
     try:
@@ -144,10 +164,8 @@ def _train(asked: argparse.Namespace) -> int:
             Settings(**given),
             asked.out,
             steps=asked.steps,
-            address=asked.address,
-            workers=asked.workers,
             resume=asked.resume,
-            progress=True,
+            **_how(asked),
         )
     except KeyboardInterrupt:
         print(f"\ninterrupted: {asked.out} has a checkpoint; --resume goes on", file=sys.stderr)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import collections
 import contextlib
+import dataclasses
 import os
 import sys
 import time
@@ -13,7 +15,6 @@ from .._native import Error, InputError
 
 try:
     import ray
-    from ray.util import ActorPool
 except ImportError as missing:
     raise InputError("Ray is not installed: pip install 'wad-cosim[ray]'") from missing
 
@@ -35,6 +36,107 @@ def connected(address: str, workers: int | None) -> Iterator[None]:
         yield
     finally:
         ray.shutdown()
+
+
+@contextlib.contextmanager
+def failures() -> Iterator[None]:
+    """Ray's exceptions as this package's: what a task raised itself, else that Ray failed. A result that was lost with its node is
+    the caller's: its task is to be given again."""
+    try:
+        yield
+    except ray.exceptions.ObjectLostError:
+        raise
+    except ray.exceptions.RayTaskError as error:
+        raise error.cause if isinstance(error.cause, Exception) else error from None
+    except ray.exceptions.RayError as error:
+        raise Error(f"Ray failed: {error}") from None
+
+
+#: Seconds after which a task counts as hung, unless the user says otherwise: much longer than an episode takes.
+LIMIT = 1800.0
+#: Processes that are ended for one task, one after the other, before the work ends with an error.
+_ATTEMPTS = 3
+
+
+class Located:
+    """An actor that says where it is."""
+
+    def where(self) -> str:
+        """The id of its node."""
+        found: str = ray.get_runtime_context().get_node_id()
+        return found
+
+
+@dataclasses.dataclass
+class _Asked:
+    """What an actor is asked for."""
+
+    actor: Any
+    since: float
+    #: Processes that were ended for it.
+    ended: int = 0
+
+
+class Watch:
+    """Ends the process of an actor that works on a task for ``limit`` seconds: Ray watches nodes and processes, not progress. Ray then
+    starts it again, and the task is done again.
+
+    An actor that waits for a core, at first or after its node's death, is not late: time counts where it is known to be on a node
+    that lives.
+    """
+
+    def __init__(self, limit: float) -> None:
+        self._limit = limit
+        self._asked: dict[Any, _Asked] = {}
+        #: By actor: its node's id, or what will say it.
+        self._nodes: dict[Any, Any] = {}
+
+    def begin(self, ref: Any, actor: Any) -> None:
+        """``actor`` is asked for ``ref``. Call :meth:`meet` before its first."""
+        self._asked[ref] = _Asked(actor, time.monotonic())
+
+    def meet(self, actor: Any) -> None:
+        """A new actor; it is asked where it is."""
+        self._nodes[actor] = actor.where.remote()
+
+    def end(self, ref: Any, node: str | None = None) -> None:
+        """``ref`` is there, from ``node``."""
+        asked = self._asked.pop(ref)
+        if node is not None:
+            self._nodes[asked.actor] = node
+
+    def look(self) -> None:
+        """Ends processes whose time is over.
+
+        Raises:
+            Error: It is over again and again for the same task.
+        """
+        now, alive = time.monotonic(), {node["NodeID"] for node in ray.nodes() if node["Alive"]}
+        for asked in self._asked.values():
+            if self._node(asked.actor) not in alive:
+                asked.since = now
+            elif now - asked.since >= self._limit:
+                asked.ended += 1
+                if asked.ended == _ATTEMPTS:
+                    raise Error(
+                        f"a worker was not done with a task after {self._limit:g} s, {_ATTEMPTS} times in a row: give it "
+                        "longer with --task-timeout, or look at the machine that it runs on"
+                    )
+                ray.kill(asked.actor, no_restart=False)
+                # As long again for the start of the next process.
+                asked.since = now + self._limit
+
+    def _node(self, actor: Any) -> str | None:
+        node = self._nodes[actor]
+        if isinstance(node, ray.ObjectRef):
+            if not ray.wait([node], timeout=0)[0]:
+                return None
+            try:
+                node = self._nodes[actor] = ray.get(node)
+            except ray.exceptions.RayError:
+                # Its answer was lost with its node; its next result says where it is.
+                node = self._nodes[actor] = ""
+        return str(node)
 
 
 class Progress:
@@ -69,6 +171,10 @@ class Progress:
             self._looked = now
         return due
 
+    def say(self, text: str) -> None:
+        """Writes a line of its own."""
+        print(f"\r{text}\033[K" if self._again else text, file=sys.stderr, flush=True)
+
     def show(self, last: bool = False) -> None:
         """Writes the line."""
         now = time.monotonic()
@@ -86,7 +192,7 @@ class Progress:
         print(f"\r{text}\033[K" if self._again else text, end=end, file=sys.stderr, flush=True)
 
 
-class Worker:
+class Worker(Located):
     """An actor: does tasks with what ``make`` made in its process, which stays warm between them."""
 
     def __init__(self, number: int, make: Callable[..., Callable[[Any], Any]], given: tuple[Any, ...]) -> None:
@@ -94,8 +200,7 @@ class Worker:
 
     def do(self, task: Any) -> tuple[int, tuple[str, int], Any]:
         """The task's result, and whose it is."""
-        node = ray.get_runtime_context().get_node_id()
-        return self._number, (node, os.getpid()), self._do(task)
+        return self._number, (self.where(), os.getpid()), self._do(task)
 
 
 def share(
@@ -103,41 +208,47 @@ def share(
     make: Callable[..., Callable[[Any], Any]],
     given: tuple[Any, ...],
     workers: int | None,
+    limit: float,
     progress: Progress,
     take: Callable[[Any], int],
 ) -> None:
-    """Has ``tasks`` done by actors, and hands each result to ``take``, which says how many are done.
+    """Has ``tasks`` done by actors, each within ``limit`` seconds, and hands each result to ``take``, which says how many are done.
 
     A task whose worker or node dies is done again by Ray, so ``take`` may get a result twice. A result that was lost with
     its node is missing: its task is to be given again.
     """
     # A core for each; a dead one comes back, here or on another node, and does its task again.
     actor: Any = ray.remote(num_cpus=1, max_restarts=-1, max_task_retries=-1)(Worker)
-    pool, waiting, made = ActorPool([]), len(tasks), 0
-    for task in tasks:
-        pool.submit(lambda worker, task: worker.do.remote(task), task)
-    while waiting:
+    waiting, made = collections.deque(tasks), 0
+    doing: dict[Any, Any] = {}
+    watch = Watch(limit)
+
+    def give(worker: Any) -> None:
+        ref = worker.do.remote(waiting.popleft())
+        doing[ref] = worker
+        watch.begin(ref, worker)
+
+    while waiting or doing:
         if progress.is_due():
             progress.show()
+            watch.look()
             # Nodes may join: then there are more cores.
             cores = workers or int(ray.cluster_resources().get("CPU", 1))
-            while made < min(cores, waiting):
-                pool.push(actor.remote(made, make, given))
+            while waiting and made < cores:
+                worker = actor.remote(made, make, given)
                 made += 1
-        # A worker without a task gives its core to those that wait for one after their node's death.
-        while pool.pop_idle() is not None:
-            pass
-        try:
-            number, process, result = pool.get_next_unordered(timeout=0.5)
-        except TimeoutError:
-            continue
-        except ray.exceptions.ObjectLostError:
-            waiting -= 1
-            continue
-        except ray.exceptions.RayTaskError as error:
-            raise error.cause if isinstance(error.cause, Exception) else error from None
-        except ray.exceptions.RayError as error:
-            raise Error(f"Ray failed: {error}") from None
-        waiting -= 1
-        progress.came_from(number, process)
-        progress.done = take(result)
+                watch.meet(worker)
+                give(worker)
+        for ref in ray.wait(list(doing), num_returns=1, timeout=0.5)[0] if doing else ():
+            worker, node = doing.pop(ref), None
+            with contextlib.suppress(ray.exceptions.ObjectLostError), failures():
+                number, process, result = ray.get(ref)
+                node, _ = process
+                progress.came_from(number, process)
+                progress.done = take(result)
+            watch.end(ref, node)
+            if waiting:
+                give(worker)
+            else:
+                # It ends, and gives its core to those that wait for one after their node's death.
+                ray.kill(worker)

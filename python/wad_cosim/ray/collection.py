@@ -18,11 +18,16 @@ def _worker(wanted: str, identity: str) -> Callable[[str], Driven]:
 
 
 def collect(
-    wanted: dict[str, Any], *, address: str, workers: int | None = None, progress: bool = False
+    wanted: dict[str, Any],
+    *,
+    address: str,
+    workers: int | None = None,
+    limit: float = cluster.LIMIT,
+    progress: bool = False,
 ) -> dict[str, Any]:
     """Collects the dataset ``wanted``, or goes on with it, as ``wad-cosim dataset collect`` does; returns what is there.
 
-    The driver writes each shard once. Ctrl-C keeps what is written.
+    A segment that takes longer than ``limit`` seconds counts as hung. The driver writes each shard once. Ctrl-C keeps what is written.
     """
     text = json.dumps(wanted)
     collection = _native.Collection(text)
@@ -37,7 +42,7 @@ def collect(
     try:
         with cluster.connected(address, workers):
             while missing:
-                cluster.share(missing, _worker, (text, collection.identity), workers, bar, take)
+                cluster.share(missing, _worker, (text, collection.identity), workers, limit, bar, take)
                 # Again for shards that were lost with their node.
                 missing, _ = collection.missing()
             bar.show(last=True)

@@ -17,11 +17,17 @@ def _worker(manifest: str, encoder: str, keep: str, act: Any) -> Callable[[str],
 
 
 def evaluate(
-    wanted: dict[str, Any], act: Any, *, address: str, workers: int | None = None, progress: bool = False
+    wanted: dict[str, Any],
+    act: Any,
+    *,
+    address: str,
+    workers: int | None = None,
+    limit: float = cluster.LIMIT,
+    progress: bool = False,
 ) -> dict[str, Any]:
     """Drives the evaluation ``wanted``, as ``_native.evaluate`` does here, and returns the contents of summary.json.
 
-    The driver writes each episode once, in the order in which they end. Ctrl-C keeps what is written, with its table.
+    An episode that takes longer than ``limit`` seconds counts as hung. The driver writes each once, in the order in which they end. Ctrl-C keeps what is written, with its table.
     """
     # Before Ray starts: what is wrong with the arguments or the folder is said at once.
     ledger = _native.Ledger(json.dumps(wanted), act)
@@ -37,7 +43,7 @@ def evaluate(
         with cluster.connected(address, workers):
             # Again for results that were lost with their node.
             while left := ledger.left():
-                cluster.share(left, _worker, given, workers, bar, take)
+                cluster.share(left, _worker, given, workers, limit, bar, take)
             bar.show(last=True)
     except KeyboardInterrupt:
         ledger.finish()

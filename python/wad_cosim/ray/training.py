@@ -13,13 +13,13 @@ import fcntl
 import json
 import os
 import pathlib
-import sys
 import time
 from typing import Any
 
 from .. import learn
 from .._native import Error, InputError
-from ..learn.training import Collector, Learner, Published, Settings, steps_of, write_agent
+from ..learn import training
+from ..learn.training import Published, Settings, steps_of, write_agent
 from . import cluster
 
 # After `cluster`, which says how to install it.
@@ -29,30 +29,44 @@ import ray
 _FIGURES = 5.0
 
 
+class Collector(cluster.Located, training.Collector):
+    """A collector on a node; its first result also says whose it is."""
+
+    def drive(self, *given: Any) -> Any:
+        episodes, segments = super().drive(*given)
+        return ((self.where(), os.getpid()), episodes), segments
+
+
+class Learner(cluster.Located, training.Learner):
+    """The learner on a node."""
+
+
 class _LearnerLost(Exception):
     """The learner's process or node died."""
 
 
 class Folder:
-    """A training's results: config.json, train.jsonl, checkpoint.pt, last.safetensors."""
+    """A training's results: settings.json, config.json, train.jsonl, checkpoint.pt, last.safetensors."""
 
     def __init__(self, path: str | os.PathLike[str], settings: Settings, resume: bool) -> None:
         self.path = pathlib.Path(path)
-        self._checkpoint, config = self.path / "checkpoint.pt", self.path / "config.json"
+        self._checkpoint, own, config = (self.path / name for name in ("checkpoint.pt", "settings.json", "config.json"))
         try:
             self.path.mkdir(parents=True, exist_ok=True)
             # As the command line locks its folders; the system releases it however this process ends.
             self._lock = open(self.path / ".lock", "a")
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if resume and config.exists():
-                settings = _settings(config)
+            if resume and own.exists():
+                settings = _settings(own)
             elif resume:
-                raise InputError(f"{self.path}: there is no training to resume")
-            elif config.exists():
+                raise InputError(f"{self.path}: there is no training of this program to resume")
+            elif own.exists() or config.exists():
                 raise InputError(f"{self.path} holds a training already: --resume goes on with it, or name another folder")
             settings.check()
-            if not config.exists():
-                _write(config, json.dumps(dataclasses.asdict(settings), indent=2).encode() + b"\n")
+            # The second is for `report learning`.
+            for path, content in ((own, dataclasses.asdict(settings)), (config, settings.config())):
+                if not path.exists():
+                    _write(path, json.dumps(content, indent=2).encode() + b"\n")
         except BlockingIOError:
             raise InputError(f"another process is writing into {self.path}: let it end, or name another folder with --out") from None
         except OSError as error:
@@ -99,9 +113,7 @@ class Folder:
 
 def _settings(config: pathlib.Path) -> Settings:
     try:
-        found: dict[str, Any] = json.loads(config.read_bytes())
-        given: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in found.items()}
-        return Settings(**given)
+        return Settings.of(json.loads(config.read_bytes()))
     except (ValueError, TypeError, AttributeError) as error:
         raise InputError(f"{config} is not a training's: {error}") from None
 
@@ -123,12 +135,14 @@ def train(
     steps: int,
     address: str = "auto",
     workers: int | None = None,
+    limit: float = cluster.LIMIT,
     resume: bool = False,
     progress: bool = False,
 ) -> dict[str, Any]:
     """Trains until ``steps`` transitions are taken; returns steps, updates, episodes, restarts.
 
-    ``workers`` is the number of collectors; default: the cluster's cores less one, which the learner has. Ctrl-C leaves a checkpoint.
+    ``workers`` is the number of collectors; default: the cluster's cores less one, which the learner has. A turn or
+    an update that takes longer than ``limit`` seconds counts as hung. Ctrl-C leaves a checkpoint.
 
     Raises:
         InputError: An argument is wrong, ``out`` holds another training, or another process writes into it.
@@ -143,7 +157,7 @@ def train(
         local = (workers or max((os.cpu_count() or 2) - 1, 1)) + 1
         with cluster.connected(address, local):
             while True:
-                run = _Run(folder, workers, bar)
+                run = _Run(folder, workers, limit, bar)
                 try:
                     with run:
                         return run.until(steps)
@@ -151,7 +165,7 @@ def train(
                     if not run.began:
                         raise Error(f"the learner does not start: {lost}") from None
                     bar.started_again()
-                    print(f"\nthe learner died ({lost}): on from the last checkpoint", file=sys.stderr)
+                    bar.say(f"the learner died ({lost}): on from the last checkpoint")
     finally:
         folder.close()
 
@@ -159,9 +173,11 @@ def train(
 class _Run:
     """A learner and its collectors, from the last checkpoint on."""
 
-    def __init__(self, folder: Folder, workers: int | None, bar: cluster.Progress) -> None:
+    def __init__(self, folder: Folder, workers: int | None, limit: float, bar: cluster.Progress) -> None:
         self._folder, self._settings, self._workers, self._bar = folder, folder.settings, workers, bar
         self._learner: Any = ray.remote(num_cpus=1)(Learner).remote(self._settings, folder.checkpoint())
+        self._watch = cluster.Watch(limit)
+        self._watch.meet(self._learner)
         self._collectors: list[Any] = []
         #: By collector: turns that it has begun, and those that the learner has not taken yet.
         self._turns: list[int] = []
@@ -170,7 +186,7 @@ class _Run:
         self._driving: dict[Any, tuple[int, Any]] = {}
         self._learning: dict[Any, tuple[int, list[dict[str, Any]]]] = {}
         self._figures: dict[str, list[float]] = {}
-        self._told = (time.monotonic(), 0)
+        self._told = (time.monotonic(), 0, 0)
         self._episodes = 0
         #: Whether the learner has answered.
         self.began = False
@@ -186,9 +202,9 @@ class _Run:
     def until(self, steps: int) -> dict[str, Any]:
         """Learns until ``steps`` transitions are taken."""
         # The learner first: collectors would take its core.
-        self._publish(self._ask(self._learner.published.remote()))
+        self._publish(self._ask(self._learn("published")))
         self.began = True
-        self._told = (time.monotonic(), self._state.steps)
+        self._told = (time.monotonic(), self._state.steps, self._state.updates)
         saved = self._state.steps
         try:
             while self._state.steps < steps:
@@ -212,6 +228,7 @@ class _Run:
         """Waits for news, at most half a second."""
         if self._bar.is_due():
             self._bar.show()
+            self._watch.look()
             self._hire()
         awaited = [*self._learning, *self._driving]
         if not awaited:
@@ -230,6 +247,7 @@ class _Run:
         actor: Any = ray.remote(num_cpus=1, max_restarts=-1, max_task_retries=-1)(Collector)
         while len(self._collectors) < (self._workers or max(cores - 1, 1)):
             self._collectors.append(actor.remote(len(self._collectors), self._settings))
+            self._watch.meet(self._collectors[-1])
             self._turns.append(0)
             self._untaken.append(0)
             self._drive(len(self._collectors) - 1)
@@ -238,19 +256,20 @@ class _Run:
         self._turns[number] += 1
         learns = self._state.updates > 0
         drive = self._collectors[number].drive.options(num_returns=2)
-        news, segments = drive.remote(self._turns[number], self._weights, learns)
+        news, segments = drive.remote(self._turns[number], self._weights, learns, self._state.stage)
         self._driving[news] = (number, segments)
+        self._watch.begin(news, self._collectors[number])
 
     def _driven(self, ref: Any) -> None:
         """A collector has driven its turn: the learner gets the segments."""
         number, segments = self._driving.pop(ref)
         try:
-            news = self._ask(ref, died="a collector does not start")
+            process, episodes = self._ask(ref, died="a collector does not start")
         except ray.exceptions.ObjectLostError:
             self._drive(number)
             return
-        self._bar.came_from(number, ("", news.process))
-        self._learning[self._learner.take.remote(segments)] = (number, news.episodes)
+        self._bar.came_from(number, process)
+        self._learning[self._learn("take", segments, episodes)] = (number, episodes)
         self._untaken[number] += 1
         if self._untaken[number] == 1:
             self._drive(number)
@@ -268,20 +287,30 @@ class _Run:
         if not any(number == other for other, _ in self._driving.values()):
             self._drive(number)
 
+    def _learn(self, method: str, *given: Any) -> Any:
+        """What will be the learner's answer."""
+        ref = getattr(self._learner, method).remote(*given)
+        self._watch.begin(ref, self._learner)
+        return ref
+
     def _ask(self, ref: Any, died: str | None = None) -> Any:
         """The answer. An actor that is dead for good is the learner, or else it ``died``."""
+        node = None
         try:
-            return ray.get(ref)
-        except ray.exceptions.ObjectLostError:
-            raise
-        except ray.exceptions.RayTaskError as error:
-            raise error.cause if isinstance(error.cause, Exception) else error from None
-        except ray.exceptions.RayActorError as error:
+            with cluster.failures():
+                try:
+                    while not ray.wait([ref], timeout=0.5)[0]:
+                        self._watch.look()
+                    found = ray.get(ref)
+                except ray.exceptions.RayActorError as error:
+                    if died:
+                        raise Error(f"{died}: {error}") from None
+                    raise _LearnerLost(str(error).splitlines()[0]) from None
             if died:
-                raise Error(f"{died}: {error}") from None
-            raise _LearnerLost(str(error).splitlines()[0]) from None
-        except ray.exceptions.RayError as error:
-            raise Error(f"Ray failed: {error}") from None
+                (node, _), _ = found
+            return found
+        finally:
+            self._watch.end(ref, node)
 
     def _publish(self, state: Published) -> None:
         self._state = state
@@ -292,20 +321,27 @@ class _Run:
     def _note(self, episodes: list[dict[str, Any]]) -> None:
         state = self._state
         lines = [{"global_step": state.steps, **episode} for episode in episodes]
+        lines += [{"global_step": state.steps, "passed": passed} for passed in state.passed]
         self._episodes += len(episodes)
+        for passed in state.passed:
+            task = self._settings.task(passed["stage"])
+            how = "is passed" if passed["threshold"] else "is left, its steps are spent"
+            self._bar.say(f"step {state.steps}: stage {passed['stage'] + 1} ({task}) {how}")
         for name, loss in state.losses.items():
             self._figures.setdefault(name, []).append(loss)
-        now, (then, before) = time.monotonic(), self._told
+        now, (then, steps, updates) = time.monotonic(), self._told
         if self._figures and now - then >= _FIGURES:
-            means = {name: sum(values) / len(values) for name, values in self._figures.items()}
-            rate = (state.steps - before) / (now - then)
-            lines.append({"global_step": state.steps, **means, "charts/SPS": rate, "charts/updates": state.updates})
-            self._figures, self._told = {}, (now, state.steps)
+            figures = {name: sum(values) / len(values) for name, values in self._figures.items()}
+            figures["charts/SPS"] = (state.steps - steps) / (now - then)
+            figures["charts/UPS"] = (state.updates - updates) / (now - then)
+            figures |= {"charts/updates": state.updates, "charts/buffer": state.buffer, "charts/hours": state.hours}
+            lines.append({"global_step": state.steps, **figures})
+            self._figures, self._told = {}, (now, state.steps, state.updates)
         self._folder.log(lines)
 
     def _save(self) -> int:
         """Keeps a checkpoint, of all that the log has; returns its steps."""
         for ref in list(self._learning):
             self._learned(ref)
-        self._folder.save(self._ask(self._learner.save.remote()))
+        self._folder.save(self._ask(self._learn("save")))
         return self._state.steps
