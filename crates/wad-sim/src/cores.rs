@@ -205,7 +205,11 @@ mod tests {
         let over = std::sync::atomic::AtomicBool::new(false);
         std::thread::scope(|scope| {
             // It inherits the core.
-            scope.spawn(|| while !over.load(std::sync::atomic::Ordering::Relaxed) {});
+            scope.spawn(|| {
+                while !over.load(std::sync::atomic::Ordering::Relaxed) {
+                    std::hint::spin_loop();
+                }
+            });
             let begun = Instant::now();
             while count(Cores::allowed()) != count(all) && begun.elapsed() < Duration::from_secs(50) {
                 shared.settle();
