@@ -73,6 +73,9 @@ fn equal_seeds_give_equal_bytes_whatever_the_threads() {
     assert!(many == again, "the number of threads changes what a fleet does");
 }
 
+/// A road user's id, and its place (m).
+type Placed = (String, [f64; 3]);
+
 /// What all egos see is the same whether SUMO searches round each or sends all that moves.
 #[test]
 fn both_ways_to_fetch_bring_the_same_road_users() {
@@ -101,9 +104,8 @@ fn both_ways_to_fetch_bring_the_same_road_users() {
     // How fast somebody who comes into sight changes speed may be known a tick later in one way, and then the motion of an ego beside
     // it differs by a rounding.
     for (look, (around, once)) in around.iter().zip(&once).enumerate() {
-        let same = |((a, at), (b, there)): (&(String, [f64; 3]), &(String, [f64; 3]))| {
-            a == b && at.iter().zip(there).all(|(x, y)| (x - y).abs() < 1e-6)
-        };
+        let same =
+            |(a, b): (&Placed, &Placed)| a.0 == b.0 && a.1.iter().zip(b.1).all(|(x, y)| (x - y).abs() < 1e-6);
         assert!(
             around.len() == once.len() && around.iter().zip(once).all(same),
             "look {look}: {around:?}, {once:?}"
