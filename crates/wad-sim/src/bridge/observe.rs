@@ -30,8 +30,8 @@ pub enum Fetch {
     Once,
 }
 
-/// With this many road users per ego or fewer, [`Fetch::Once`] is cheaper (docs/bench.md, `bench fleet`).
-const ONCE_UP_TO: usize = 40;
+/// With this many road users per ego or fewer, [`Fetch::Once`] is cheaper (docs/fleet.md).
+const ONCE_UP_TO: usize = 8;
 
 impl Fetch {
     /// The way to fetch for `egos` egos in a population of `users`.
