@@ -191,15 +191,13 @@ impl Picture {
             }
         }
         for (n, letter) in text.chars().enumerate() {
-            let Some(index) = letter
-                .to_ascii_uppercase()
-                .is_ascii_uppercase()
-                .then(|| (letter.to_ascii_uppercase() as u8 - b'A') as usize)
-            else {
-                continue;
+            let glyph = match letter.to_ascii_uppercase() {
+                letter @ 'A'..='Z' => LETTERS[(letter as u8 - b'A') as usize],
+                digit @ '0'..='9' => DIGITS[(digit as u8 - b'0') as usize],
+                _ => continue,
             };
             for bit in 0..15 {
-                if LETTERS[index] >> (14 - bit) & 1 == 1 {
+                if glyph >> (14 - bit) & 1 == 1 {
                     for k in 0..scale * scale {
                         let at = (x + scale + 4 * scale * n + bit % 3 * scale, y + scale + bit / 3 * scale);
                         self.set(at.0 + k % scale, at.1 + k / scale, [240; 3]);
@@ -291,6 +289,20 @@ fn extension(path: &Path) -> Option<String> {
 fn make_folder(path: &Path) -> io::Result<()> {
     path.parent().filter(|p| !p.as_os_str().is_empty()).map_or(Ok(()), std::fs::create_dir_all)
 }
+
+/// Digits, 3 x 5 pixels, rows from the top.
+const DIGITS: [u16; 10] = [
+    0b111_101_101_101_111,
+    0b010_110_010_010_111,
+    0b111_001_111_100_111,
+    0b111_001_111_001_111,
+    0b101_101_111_001_001,
+    0b111_100_111_001_111,
+    0b111_100_111_101_111,
+    0b111_001_010_010_010,
+    0b111_101_111_101_111,
+    0b111_101_111_001_111,
+];
 
 /// Capital letters, 3 x 5 pixels, rows from the top.
 const LETTERS: [u16; 26] = [
