@@ -128,6 +128,11 @@ def _write(path: pathlib.Path, content: bytes) -> None:
     os.replace(part, path)
 
 
+#: A learner that dies so often in a row before it has begun does not start. Once is not enough: Ray may put it on the node
+#: whose death it has not noticed yet.
+_LEARNER_STARTS = 5
+
+
 def train(
     settings: Settings,
     out: str | os.PathLike[str],
@@ -156,13 +161,15 @@ def train(
         bar = cluster.Progress("steps", steps_of(first) if first else 0, steps, progress)
         local = (workers or max((os.cpu_count() or 2) - 1, 1)) + 1
         with cluster.connected(address, local):
+            failed = 0
             while True:
                 run = _Run(folder, workers, limit, bar)
                 try:
                     with run:
                         return run.until(steps)
                 except _LearnerLost as lost:
-                    if not run.began:
+                    failed = 0 if run.began else failed + 1
+                    if failed == _LEARNER_STARTS:
                         raise Error(f"the learner does not start: {lost}") from None
                     bar.started_again()
                     bar.say(f"the learner died ({lost}): on from the last checkpoint")
