@@ -380,7 +380,7 @@ impl Ledger {
 
     /// The episodes without a result, each in JSON.
     fn left(&self) -> PyResult<Vec<String>> {
-        Ok(self.0.with(|ledger| ledger.left().iter().map(json).collect())?)
+        Ok(self.0.with(|ledger| ledger.left().concat().iter().map(json).collect())?)
     }
 
     /// Takes what a [`Worker`] drove. False: the episode has a result already.

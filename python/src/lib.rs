@@ -5,6 +5,7 @@
 //! resets, and many environments run at once.
 
 mod collection;
+mod curriculum;
 mod environments;
 mod episode;
 mod errors;
@@ -35,6 +36,8 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(setup::bench, module)?)?;
     module.add_function(wrap_pyfunction!(setup::names, module)?)?;
     module.add_function(wrap_pyfunction!(setup::suites, module)?)?;
+    module.add_function(wrap_pyfunction!(curriculum::check_curriculum, module)?)?;
+    module.add_function(wrap_pyfunction!(curriculum::note_episode, module)?)?;
     module.add_function(wrap_pyfunction!(evaluation::evaluate, module)?)?;
     module.add_function(wrap_pyfunction!(evaluation::report_of, module)?)?;
     module.add_function(wrap_pyfunction!(evaluation::save_agent, module)?)?;

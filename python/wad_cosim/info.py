@@ -22,6 +22,8 @@ _WHOLE = {"tick", "vehicles", "pedestrians"}
 _TERMS = _native.NUMBERS.index("timeout")
 _NAMES = [(i, name) for i, name in enumerate(_native.NUMBERS[:_TERMS]) if i > TRUNCATED]
 _TERM_NAMES = list(enumerate(_native.NUMBERS[_TERMS:], _TERMS))
+#: The reward's parts.
+TERMS = tuple(name for _, name in _TERM_NAMES)
 
 
 def of(numbers: list[float]) -> dict[str, Any]:

@@ -22,6 +22,7 @@ pub mod encoder_score;
 pub mod env;
 pub mod eval;
 pub mod folder_lock;
+mod one;
 #[cfg(feature = "learn")]
 pub mod optim;
 pub mod reward;

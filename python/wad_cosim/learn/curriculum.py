@@ -1,12 +1,12 @@
 """Step-by-step learning: the tasks in order, when to move on, and how often to go back. A curriculum is the file that ``wad-cosim train
-agent --curriculum`` reads; ``scenarios/curriculum.json`` is an example."""
+agent --curriculum`` reads, by the same code; ``scenarios/curriculum.json`` is an example."""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+import pathlib
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -49,52 +49,22 @@ class Curriculum:
             InputError: The file cannot be read, has an unknown or a missing field, or a value out of range.
         """
         try:
-            with open(path, "rb") as file:
-                found = json.load(file)
+            text = pathlib.Path(path).read_text()
         except (OSError, ValueError) as error:
             raise InputError(f"cannot read the curriculum {os.fspath(path)}: {error}") from None
-        return Curriculum.of(found, os.fspath(path))
+        return Curriculum._parse(text, path)
 
     @staticmethod
     def of(found: Any, name: str = "curriculum") -> Curriculum:
         """A curriculum of JSON's values; ``name`` is what errors call it."""
+        return Curriculum._parse(json.dumps(found), name)
 
-        def checked(kind: Any, value: Any) -> dict[str, Any]:
-            if not isinstance(value, Mapping):
-                raise InputError(f"{name}: expected an object with {', '.join(each.name for each in fields(kind))}, found {value!r}")
-            if unknown := set(value) - {each.name for each in fields(kind)}:
-                raise InputError(f"{name}: unknown field {', '.join(sorted(unknown))}")
-            return dict(value)
-
-        given = checked(Curriculum, found)
-        try:
-            given["stages"] = tuple(Stage(**checked(Stage, stage)) for stage in given["stages"])
-            given["weathers"] = tuple(given["weathers"])
-            made = Curriculum(**given)
-            problem = made._problem()
-        except (KeyError, TypeError) as error:
-            raise InputError(f"{name} is not a curriculum: {error}; scenarios/curriculum.json is an example") from None
-        if problem:
-            raise InputError(f"{name}: {problem}")
-        return made
-
-    def _problem(self) -> str | None:
-        names = _native.names()
-        if not self.stages:
-            return "expected one stage or more in `stages`, found none"
-        if not self.weathers or not set(self.weathers) <= set(names["weathers"]):
-            return f"weathers {', '.join(self.weathers) or 'none'}: expected some of {', '.join(names['weathers'])}"
-        if not 0 <= self.replay < 1:
-            return f"expected `replay` from 0 to below 1, found {self.replay}"
-        for number, stage in enumerate(self.stages):
-            at = f"stage {number} ({stage.task})"
-            if stage.task not in names["tasks"]:
-                return f"{at}: expected one of {', '.join(names['tasks'])}"
-            if not 0 <= stage.threshold <= 1:
-                return f"{at}: expected `threshold` from 0 to 1, found {stage.threshold}"
-            if stage.window < 1 or (stage.most_steps is not None and stage.most_steps < 0):
-                return f"{at}: expected `window` of 1 or more and `most_steps` of 0 or more"
-        return None
+    @staticmethod
+    def _parse(text: str, name: str | os.PathLike[str]) -> Curriculum:
+        _native.check_curriculum(text, name)
+        found = json.loads(text)
+        stages = tuple(Stage(**stage) for stage in found.pop("stages"))
+        return Curriculum(stages=stages, weathers=tuple(found.pop("weathers")), **found)
 
     def draw(self, stage: int, rng: np.random.Generator) -> int:
         """The stage to drive next: ``stage``, or an earlier one."""
@@ -127,23 +97,8 @@ class Progress:
     #: The last stage's threshold has been passed too.
     done: bool = False
 
-    def rate(self) -> float:
-        """Share of the last episodes of the stage's task that were successful; 0 before the first."""
-        return sum(self.recent) / max(len(self.recent), 1)
-
     def note(self, curriculum: Curriculum, task: str, steps: int, success: bool) -> Passed | None:
         """Notes an episode of ``steps`` steps; says how the stage was passed, where this episode passes it."""
-        stage = curriculum.stages[self.stage]
-        self.steps += steps
-        if task == stage.task:
-            self.recent = [*self.recent, success][-stage.window :]
-        threshold = len(self.recent) == stage.window and self.rate() >= stage.threshold
-        passed = Passed(self.stage, threshold, self.steps, self.rate())
-        if self.stage + 1 == len(curriculum.stages):
-            first = threshold and not self.done
-            self.done |= threshold
-            return passed if first else None
-        if threshold or (stage.most_steps is not None and self.steps >= stage.most_steps):
-            self.stage, self.steps, self.recent = self.stage + 1, 0, []
-            return passed
-        return None
+        after, left = _native.note_episode(json.dumps(asdict(curriculum)), json.dumps(asdict(self)), task, steps, success)
+        vars(self).update(json.loads(after))
+        return None if left is None else Passed(*left)

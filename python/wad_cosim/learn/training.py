@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from .. import _native
 from .._native import Error, InputError, SumoError
 from ..evaluation import save_agent
+from ..info import TERMS
 from ..registry import suites
 from ..vector import DrivingVectorEnv
 from . import ALGORITHMS, exploration, new, places, prepare
@@ -33,8 +34,6 @@ Weights = dict[str, NDArray[np.float32]]
 _PATIENCE = 5
 #: Seconds of a tick.
 _TICK = 0.167
-#: The reward's parts.
-_TERMS = ("timeout", "collision", "lane", "speed", "light", "steps")
 
 
 @dataclass(frozen=True)
@@ -205,7 +204,7 @@ class _Fleet:
         #: Of the running episodes, by ego.
         self.returns, self.discounted = np.zeros(settings.egos), np.zeros(settings.egos)
         self.lengths = np.zeros(settings.egos, int)
-        self.terms = {name: np.zeros(settings.egos) for name in _TERMS}
+        self.terms = {name: np.zeros(settings.egos) for name in TERMS}
 
     def note(self, driven: NDArray[np.bool_], rewards: NDArray[np.float64], gamma: float) -> None:
         """Adds a tick of the egos that have ``driven`` one."""

@@ -2,6 +2,7 @@
 
 use crate::agent::AgentError;
 use crate::driver::PilotRecord;
+use crate::one::{is_one, one};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use wad_see::eyes::EyesError;
@@ -54,15 +55,6 @@ impl DriveOptions {
         let bridge = BridgeOptions { seed, traffic, ..BridgeOptions::new(config, scratch.join("sumo")) };
         Self::new(bridge, scratch.join("run"))
     }
-}
-
-fn one() -> usize {
-    1
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes it so")]
-fn is_one(egos: &usize) -> bool {
-    *egos == 1
 }
 
 /// Why a run could not start or go on.

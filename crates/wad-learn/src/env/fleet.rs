@@ -149,12 +149,11 @@ impl Fleet {
     /// `tasks` is empty.
     pub fn reset(&mut self, tasks: &[TaskSpec], seed: u64) -> Result<&[f32], EnvError> {
         assert!(!tasks.is_empty(), "a fleet has one task or more");
-        self.tasks = tasks.iter().cycle().take(self.egos()).cloned().collect();
-        self.chosen.fill(None);
         self.seed = seed;
-        self.episodes.fill(0);
-        self.begin()?;
-        Ok(&self.observations)
+        let each = tasks.iter().cycle().take(self.egos()).enumerate();
+        let starts: Vec<_> =
+            each.map(|(ego, task)| (task.clone(), Self::episode_seed(seed, ego, 0))).collect();
+        self.reset_each(&starts)
     }
 
     /// Begins the episode of each ego with its own task and seed; the traffic is the first one's.

@@ -2,6 +2,7 @@
 
 use super::{Selection, Shard, Suite};
 use crate::env::EnvOptions;
+use crate::one::{is_one, one};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -34,14 +35,6 @@ pub struct Manifest {
     pub detector: Option<String>,
     /// The driven part of the plan; None: all of it.
     pub shard: Option<Shard>,
-}
-
-fn one() -> usize {
-    1
-}
-
-fn is_one(egos: &usize) -> bool {
-    *egos == 1
 }
 
 impl Manifest {

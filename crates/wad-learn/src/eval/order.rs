@@ -154,14 +154,8 @@ impl Ledger {
         self.done.iter().flatten().count() as u64
     }
 
-    /// Episodes without a result, in the plan's order.
-    pub fn left(&self) -> Vec<Case> {
-        let missing = self.plan.iter().zip(&self.done).filter(|(_, done)| done.is_none());
-        missing.map(|(case, _)| case.clone()).collect()
-    }
-
-    /// The same with their groups, whole where one of a group is left: a group drives in one SUMO.
-    fn left_groups(&self) -> Vec<Vec<Case>> {
+    /// The groups of which an episode has no result, whole, in the plan's order: a group drives in one SUMO.
+    pub fn left(&self) -> Vec<Vec<Case>> {
         let mut from = 0;
         let mut left = Vec::new();
         for size in &self.sizes {
@@ -269,7 +263,7 @@ pub fn evaluate(order: Order<'_>, mut watch: impl FnMut(Progress<'_>)) -> Result
     watch(Progress { planned, done: before, record: None });
     let began = Instant::now();
     let mut driven = 0;
-    run(&ledger.left_groups(), &towns, &order.evaluation, |episode| {
+    run(&ledger.left(), &towns, &order.evaluation, |episode| {
         let record = episode.record.clone();
         // One of a group may be done already.
         driven += u64::from(ledger.add(episode)?);

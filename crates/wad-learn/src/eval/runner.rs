@@ -324,6 +324,16 @@ impl Run {
     }
 }
 
+/// Begins a group's episodes.
+pub(super) fn begin(fleet: &mut Fleet, drivers: &mut [Driver], group: &[Case]) -> Result<(), EnvError> {
+    let starts: Vec<_> = group.iter().map(|case| (case.spec.clone(), case.episode_seed())).collect();
+    fleet.reset_each(&starts)?;
+    for (driver, (_, seed)) in drivers.iter_mut().zip(&starts) {
+        driver.reset(*seed);
+    }
+    Ok(())
+}
+
 /// Drives a group's episodes; each gives what it did, and its recording if it may be kept.
 fn drive(
     fleet: &mut Fleet,
@@ -331,13 +341,9 @@ fn drive(
     group: &[Case],
     keeps: bool,
 ) -> Result<Vec<(EpisodeRecord, Option<Recorder>)>, EvalError> {
-    let starts: Vec<_> = group.iter().map(|case| (case.spec.clone(), case.episode_seed())).collect();
-    fleet.reset_each(&starts)?;
-    let mut runs = Vec::with_capacity(group.len());
-    for (ego, case) in group.iter().enumerate() {
-        drivers[ego].reset(case.episode_seed());
-        runs.push(Run::begin(fleet, ego, case, keeps));
-    }
+    begin(fleet, drivers, group)?;
+    let mut runs: Vec<Run> =
+        group.iter().enumerate().map(|(ego, case)| Run::begin(fleet, ego, case, keeps)).collect();
     let mut acts = vec![Act::Stay; group.len()];
     loop {
         for (ego, run) in runs.iter_mut().enumerate() {
@@ -372,7 +378,7 @@ fn drive(
         let n = ticks.max(1) as f64;
         let record = EpisodeRecord {
             case: group[ego].clone(),
-            episode_seed: starts[ego].1,
+            episode_seed: group[ego].episode_seed(),
             placement,
             ending,
             fault,

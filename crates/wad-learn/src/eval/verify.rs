@@ -2,7 +2,7 @@
 
 use super::DriverSpec;
 use super::kept::{Kept, with_moment};
-use super::runner::{EvalError, MakeAgent, make};
+use super::runner::{EvalError, MakeAgent, begin, make};
 use crate::agent::AgentError;
 use crate::env::{EnvError, EnvOptions};
 use serde::Serialize;
@@ -120,11 +120,7 @@ pub fn verify(
         return Err(VerifyError::Others);
     }
     let mut verdict = Verdict { ticks: 0, same: true, first_difference: None, driven };
-    let starts: Vec<_> = group.iter().map(|case| (case.spec.clone(), case.episode_seed())).collect();
-    fleet.reset_each(&starts)?;
-    for (driver, (_, seed)) in drivers.iter_mut().zip(&starts) {
-        driver.reset(*seed);
-    }
+    begin(&mut fleet, &mut drivers, group)?;
     let mut ended = vec![false; group.len()];
     let mut acts = vec![Act::Stay; group.len()];
     let frames = recording.frames();

@@ -6,6 +6,7 @@ use crate::agent::learner::Algorithm;
 use crate::agent::networks::Dims;
 use crate::agent::replay_buffer::Sampling;
 use crate::env::EnvOptions;
+use crate::one::{is_one, one};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use wad_sim::tasks::Curriculum;
@@ -82,15 +83,6 @@ pub struct TrainConfig {
     pub validation: ValidationParams,
     /// Environment steps between checkpoints.
     pub checkpoint_every: u64,
-}
-
-fn one() -> u32 {
-    1
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes it so")]
-fn is_one(egos: &u32) -> bool {
-    *egos == 1
 }
 
 fn cloning_rate() -> f64 {
