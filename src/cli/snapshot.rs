@@ -104,6 +104,8 @@ enum Stage {
     Detect,
     /// The ego lane's boundaries; a red border where the light at the intersection is red.
     Lanes,
+    /// All that is seen: boxes with class and certainty (percent), the lane's boundaries, the light ahead.
+    Eyes,
     /// The transformed image, 128x128.
     Transformed,
     /// The transformed image's reconstruction from the latent, 128x128.
@@ -262,6 +264,7 @@ fn stage_picture(eyes: &Eyes, stage: Stage) -> anyhow::Result<Picture> {
     Ok(match stage {
         Stage::Detect => stages::detections(frame, &percept.detections),
         Stage::Lanes => stages::lanes(frame, percept, perception.ground()),
+        Stage::Eyes => stages::seen(frame, percept, perception.ground()),
         Stage::Transformed => stages::transformed(&percept.transformed),
         Stage::Latent => stages::transformed(eyes.reconstruction().unwrap_or(&percept.transformed)),
         Stage::All => {

@@ -15,6 +15,8 @@ use super::Exit;
 use super::progress::Bar;
 use clap::Subcommand;
 #[cfg(feature = "learn")]
+use wad_cosim::perception::centernet::Sees;
+#[cfg(feature = "learn")]
 use wad_cosim::train::run::{Progress, TrainError};
 
 /// Train a network.
@@ -29,6 +31,9 @@ enum Command {
     /// Train CenterNet on the camera's pictures of a dataset.
     #[cfg(feature = "learn")]
     Detector(Box<detector::Args>),
+    /// Train a detector that also sees the ego's lane and light, on pictures of a dataset.
+    #[cfg(feature = "learn")]
+    Eyes(Box<detector::Args>),
     /// Train the encoder-decoder on the transformed images of a dataset.
     #[cfg(feature = "learn")]
     Encoder(Box<encoder::Args>),
@@ -59,7 +64,9 @@ fn show<V>(bar: &Bar, progress: Progress<V>, words: impl Fn(&Progress<V>) -> Str
 pub fn run(args: Args) -> anyhow::Result<Exit> {
     match args.command {
         #[cfg(feature = "learn")]
-        Command::Detector(args) => detector::run(*args),
+        Command::Detector(args) => detector::run(*args, Sees::Objects),
+        #[cfg(feature = "learn")]
+        Command::Eyes(args) => detector::run(*args, Sees::Road),
         #[cfg(feature = "learn")]
         Command::Encoder(args) => encoder::run(*args),
         #[cfg(feature = "learn")]

@@ -14,6 +14,8 @@ mod doctor;
 #[cfg(feature = "vision")]
 mod env;
 mod eval;
+#[cfg(all(feature = "learn", feature = "vision"))]
+mod eyes;
 mod fleet;
 mod fuzz;
 mod json;

@@ -2,7 +2,9 @@
 
 use crate::drive::{Drive, DriveError, DriveOptions};
 use sumo_network::geometry::Pose;
+use sumo_network::world::WorldState;
 use wad_camera::Town;
+use wad_see::perception::EgoFacts;
 
 /// The autopilot drives, and stops at each new view.
 pub struct Tour {
@@ -55,6 +57,16 @@ impl Tour {
                 return Ok(pose);
             }
         }
+    }
+
+    /// What the ego knows at the last view, `since` s after the view before.
+    pub fn facts(&self, since: f64) -> EgoFacts<'_> {
+        EgoFacts::of(self.drive.bridge().network(), self.drive.ego(), since)
+    }
+
+    /// What is near the ego at the last view.
+    pub fn world(&self) -> &WorldState {
+        self.drive.ego().world()
     }
 
     /// The town, for a camera.

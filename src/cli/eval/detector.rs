@@ -1,4 +1,5 @@
-//! `wad-cosim eval detector`: recall, false alarms and average precision on frames of a town.
+//! `wad-cosim eval detector`: recall, false alarms and average precision on frames of a town. `eval eyes` also scores
+//! what is seen of lane and light.
 
 use crate::cli::{Exit, answer, run};
 use anyhow::Context;
@@ -10,13 +11,17 @@ use std::io::IsTerminal;
 use std::path::PathBuf;
 use std::time::Instant;
 use wad_cosim::bundled;
-use wad_cosim::camera::{Camera, CameraConfig, Outputs, Picture, Preset, Weather};
+use wad_cosim::camera::{Camera, CameraConfig, Frame, Outputs, Picture, Preset, Weather};
 use wad_cosim::dataset::TRAINING_WEATHERS;
 use wad_cosim::drive::DriveOptions;
 use wad_cosim::perception::score::{
-    BELIEVED, FALSE_ALARM_GOAL, GROUPS, Precision, Realism, View, precision, realism,
+    BELIEVED, FALSE_ALARM_GOAL, GROUPS, LEAST_VISIBLE, Precision, Realism, View, precision, realism,
+    visible_share,
 };
-use wad_cosim::perception::{DETECTORS, Detection, Detector, detector};
+use wad_cosim::perception::sight_score::{RoadReport, RoadScore};
+use wad_cosim::perception::{
+    DETECTORS, Detection, Detector, GroundPlane, Heads, LaneDetector, LightAhead, RoadTruth, Seen, detector,
+};
 use wad_cosim::tour::Tour;
 use wad_cosim::traffic::TrafficSpec;
 
@@ -26,7 +31,18 @@ Examples:
   wad-cosim eval detector --detector centernet --frames 1400
   wad-cosim eval detector --detector truth:faulty
   wad-cosim eval detector --detector onnx --frames 500 --weather ClearNoon --json
+  wad-cosim eval eyes --detector eyes:runs/eyes/detector.safetensors --frames 3000
+  wad-cosim eval eyes --detector centernet                                      (lanes by Canny and Hough)
   wad-cosim eval detector --detector onnx --frames 28 --pictures boxes/";
+
+/// What is scored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scored {
+    /// Objects.
+    Objects,
+    /// Objects, and the ego's lane and light.
+    Road,
+}
 
 /// Score a detector: recall, false alarms, average precision.
 #[derive(clap::Args, Debug)]
@@ -77,17 +93,68 @@ struct Report {
     /// In the weathers that detectors are trained in, and in all others.
     precision_training_weathers: Vec<Precision>,
     precision_unseen_weathers: Vec<Precision>,
+    /// Lane and light, by weather and of all frames; `eval eyes` only.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    road: Vec<(String, RoadReport)>,
+}
+
+/// Scores of lane and light: by weather, and of all frames.
+struct Roads {
+    by_weather: Vec<(Preset, RoadScore)>,
+    all: RoadScore,
+    heads: Option<Heads>,
+}
+
+impl Roads {
+    fn new(weathers: &[Preset]) -> Self {
+        let by_weather = weathers.iter().map(|&weather| (weather, RoadScore::default())).collect();
+        Self { by_weather, all: RoadScore::default(), heads: None }
+    }
+
+    /// Scores a view. A detector that sees objects only has the lanes of Canny and Hough, and no light.
+    fn add(
+        &mut self,
+        weather: Preset,
+        frame: &Frame,
+        tour: &Tour,
+        detector: &dyn Detector,
+        camera: &CameraConfig,
+    ) {
+        let facts = tour.facts(0.0);
+        let heads = self.heads.get_or_insert_with(|| Heads::new(facts.network, tour.town().scene()));
+        let truth = RoadTruth::find(&facts, tour.world(), heads);
+        let objects = frame.objects.iter().map(|one| {
+            let hidden = visible_share(one.class, one.visible_pixels, one.full_box) < LEAST_VISIBLE;
+            (one.id, one.visible_box.map(|v| v as f32), hidden)
+        });
+        let light = LightAhead::find(&facts).map(|light| (light.state, light.distance));
+        let wanted = truth.wanted(objects, light);
+        let seen = detector.seen().copied().unwrap_or_else(|| {
+            let lanes = LaneDetector::default().find(frame, &GroundPlane::new(camera), &facts);
+            Seen { lanes, light: None }
+        });
+        self.all.add(&wanted, &seen);
+        if let Some((_, score)) = self.by_weather.iter_mut().find(|(one, _)| *one == weather) {
+            score.add(&wanted, &seen);
+        }
+    }
+
+    fn report(&self) -> Vec<(String, RoadReport)> {
+        let by_weather = self.by_weather.iter().map(|(weather, score)| (weather.to_string(), score.report()));
+        by_weather.chain([("all".to_string(), self.all.report())]).collect()
+    }
 }
 
 /// Runs the command.
-pub fn run(args: Args) -> anyhow::Result<Exit> {
+pub fn run(args: Args, what: Scored) -> anyhow::Result<Exit> {
     let config = bundled::resolve(&args.town).map_err(|e| Exit::Input.because(e))?;
     let mut detector = detector(&args.detector, args.min_score).map_err(|e| Exit::Input.because(e))?;
     let weathers = if args.weather.is_empty() { Preset::ALL.to_vec() } else { args.weather.clone() };
     let runtime = crate::cli::runtime()?;
     let mut times = Vec::new();
+    let mut roads = (what == Scored::Road).then(|| Roads::new(&weathers));
     let (views, interrupted) =
-        runtime.block_on(look(&args, config, &weathers, detector.as_mut(), &mut times))?;
+        runtime.block_on(look(&args, config, &weathers, detector.as_mut(), (&mut times, &mut roads)))?;
     times.sort_by(f64::total_cmp);
     let of = |weather: Preset| views.iter().filter(move |v| v.weather == weather);
     let is_trained = |v: &&View| TRAINING_WEATHERS.contains(&v.weather);
@@ -105,6 +172,7 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
         precision_by_weather: weathers.iter().map(|&w| (w, precision(&of(w).collect::<Vec<_>>()))).collect(),
         precision_training_weathers: precision(&trained),
         precision_unseen_weathers: precision(&unseen),
+        road: roads.map_or_else(Vec::new, |roads| roads.report()),
     };
     let text = text(&report);
     answer(&text, args.json, &report)?;
@@ -117,7 +185,7 @@ async fn look(
     config: PathBuf,
     weathers: &[Preset],
     detector: &mut dyn Detector,
-    times: &mut Vec<f64>,
+    (times, roads): (&mut Vec<f64>, &mut Option<Roads>),
 ) -> anyhow::Result<(Vec<View>, bool)> {
     let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
     let mut interrupt = crate::cli::interrupt()?;
@@ -140,6 +208,9 @@ async fn look(
         detector.detect(frame, &camera_config, &mut found)?;
         times.push(clock.elapsed().as_secs_f64() * 1000.0);
         let view = View::new(preset, frame, &found);
+        if let Some(roads) = roads {
+            roads.add(preset, frame, &tour, detector, &camera_config);
+        }
         if let Some(folder) = &args.pictures {
             let path = folder.join(format!("{n:04}-{preset}.png"));
             picture(frame, &view, &found)
@@ -171,7 +242,7 @@ fn progress(length: u64) -> Option<ProgressBar> {
 }
 
 /// The frame with boxes: counted truths white, others grey, counted detections green or red.
-fn picture(frame: &wad_cosim::camera::Frame, view: &View, found: &[Detection]) -> Picture {
+fn picture(frame: &Frame, view: &View, found: &[Detection]) -> Picture {
     use wad_cosim::perception::metrics::{Fate, fates};
     let mut picture = Picture::rgb(frame);
     let scored = view.by_group();
@@ -189,6 +260,33 @@ fn picture(frame: &wad_cosim::camera::Frame, view: &View, found: &[Detection]) -
         picture.frame(detection.bounds, colour);
     }
     picture
+}
+
+/// The rows of lane and light.
+fn road_text(rows: &[(String, RoadReport)]) -> String {
+    let mut out = String::from(
+        "\nThe ego's lane, 0.5 m at 10 m, and its light within 40 m; the stop line's distance within 20 m\n\
+         | weather | boundaries found | median m | lanes seen in junctions | lights right | missed | red called green | seen where none is | stop line, median m |\n\
+         |---|---|---|---|---|---|---|---|---|\n",
+    );
+    let share = |v: Option<f64>, of: usize| v.map_or("-".to_string(), |v| format!("{v:.3} of {of}"));
+    let metres = |v: Option<f64>| v.map_or("-".to_string(), |v| format!("{v:.2}"));
+    for (weather, r) in rows {
+        let _ = writeln!(
+            out,
+            "| {weather} | {} | {} | {} | {} | {} | {} of {} | {} | {} |",
+            share(r.boundaries_found, r.boundaries),
+            metres(r.lateral_error.median),
+            share(r.phantom_lanes, r.junctions),
+            share(r.lights_right, r.lights),
+            share(r.lights_missed, r.lights),
+            r.red_as_green,
+            r.reds,
+            share(r.phantom_lights, r.without_light),
+            metres(r.line_error.median),
+        );
+    }
+    out
 }
 
 fn text(report: &Report) -> String {
@@ -255,6 +353,9 @@ fn text(report: &Report) -> String {
             let cells = [all.ap50, all.ap, all.ap50_small].map(cell);
             let _ = writeln!(out, "| {weather} | {} |", cells.join(" | "));
         }
+    }
+    if !report.road.is_empty() {
+        out += &road_text(&report.road);
     }
     out
 }

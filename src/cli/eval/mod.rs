@@ -36,6 +36,8 @@ enum What {
     Routes(routes::Args),
     /// Score a detector: recall, false alarms, average precision.
     Detector(detector::Args),
+    /// Score a detector as `eval detector` does, and what it sees of the ego's lane and light.
+    Eyes(detector::Args),
     /// Score lane detection: precision, recall and lateral error, by weather.
     Lanes(sight::Args),
     /// Score the estimate of the vehicle in front: gap and closing speed, by distance.
@@ -66,7 +68,8 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
         What::Infractions(args) => suites::run("infractions", *args),
         What::Merge(args) => merge::run(&args),
         What::Routes(args) => routes::run(&args),
-        What::Detector(args) => detector::run(args),
+        What::Detector(args) => detector::run(args, detector::Scored::Objects),
+        What::Eyes(args) => detector::run(args, detector::Scored::Road),
         What::Lanes(args) => runtime()?.block_on(sight::lanes(args)),
         What::Lead(args) => runtime()?.block_on(sight::lead(args)),
         #[cfg(feature = "learn")]

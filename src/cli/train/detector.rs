@@ -8,7 +8,7 @@ use clap::{ValueEnum, ValueHint};
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use wad_cosim::dataset::{self as frames, CollectOptions, collect};
-use wad_cosim::perception::centernet;
+use wad_cosim::perception::centernet::{self, Sees};
 use wad_cosim::train::detector::{Progress, TrainOptions, Trained, train};
 
 const EXAMPLES: &str = "\
@@ -21,6 +21,8 @@ Examples:
   wad-cosim train detector --data data/detector --init centernet --out runs/better --learning-rate 5e-4
   wad-cosim train detector --data data/detector --out runs/paper --backbone resnet50_v2 --device cuda
   wad-cosim eval detector --detector centernet:runs/detector/detector.safetensors
+  wad-cosim train eyes --data data/detector --init centernet --batch 8 --out runs/eyes
+  wad-cosim eval eyes --detector eyes:runs/eyes/detector.safetensors
 
 The best network by validation is DIR/detector.safetensors; losses are in DIR/metrics.jsonl and for TensorBoard.";
 
@@ -52,9 +54,10 @@ pub struct Args {
     /// Most steps per epoch; validation follows each epoch.
     #[arg(long, value_name = "N", default_value_t = 400)]
     epoch_steps: usize,
-    /// Width and height of the crops that most steps use; 0: whole pictures only.
-    #[arg(long, value_name = "WxH", default_value = "320x320", value_parser = window)]
-    window: (usize, usize),
+    /// Width and height of the crops that most steps use; 0: whole pictures only [default: 320x320; `train eyes`: 0,
+    /// because crops do not say where the ego's lane is].
+    #[arg(long, value_name = "WxH", value_parser = window)]
+    window: Option<(usize, usize)>,
     /// Compute in bfloat16: twice as fast on processors that have it, very slow on others.
     #[arg(long)]
     bfloat16: bool,
@@ -119,11 +122,11 @@ enum Backbone {
 }
 
 /// Runs the command.
-pub fn run(args: Args) -> anyhow::Result<Exit> {
+pub fn run(args: Args, sees: Sees) -> anyhow::Result<Exit> {
     wad_cosim::torch::threads(args.threads);
     let device = args.device.open()?;
     let data = args.data.first().cloned().unwrap_or_else(|| args.out.join("data"));
-    let options = options(&args, &data)?;
+    let options = options(&args, sees, &data)?;
     let interrupt = crate::cli::interrupt()?.flag();
     if let Some(count) = args.collect
         && !collected(count, &data, args.seed, &interrupt)?
@@ -138,7 +141,7 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
     Ok(if trained.interrupted { Exit::Interrupted } else { Exit::Done })
 }
 
-fn options(args: &Args, data: &std::path::Path) -> anyhow::Result<TrainOptions> {
+fn options(args: &Args, sees: Sees, data: &std::path::Path) -> anyhow::Result<TrainOptions> {
     let sane = args.epochs > 0
         && args.batch > 0
         && args.learning_rate > 0.0
@@ -154,14 +157,16 @@ fn options(args: &Args, data: &std::path::Path) -> anyhow::Result<TrainOptions> 
         Backbone::Light => centernet::Backbone::Light,
         Backbone::Resnet50V2 => centernet::Backbone::Resnet50V2,
     };
+    let window = args.window.unwrap_or(if sees == Sees::Road { (0, 0) } else { (320, 320) });
     Ok(TrainOptions {
+        sees,
         init: args.init.clone(),
         epochs: args.epochs,
         batch: args.batch,
         epoch_steps: args.epoch_steps.max(1),
         learning_rate: args.learning_rate,
         weight_decay: args.weight_decay,
-        window: (args.window != (0, 0)).then_some(args.window),
+        window: Some(window).filter(|window| *window != (0, 0)),
         bfloat16: args.bfloat16,
         vary: !args.no_augment,
         seed: args.seed,
@@ -199,7 +204,12 @@ fn words(p: &Progress) -> String {
     let loss = p.loss;
     match p.validation {
         Some(v) => {
-            format!("loss {loss:.3}, mAP@0.5 {:.3}, of boxes 12 to 24 px {:.3}", v.map50, v.map50_small)
+            let road = v.road.map_or_else(String::new, |road| {
+                let share = |v: Option<f64>| v.map_or("-".to_string(), |v| format!("{v:.3}"));
+                let (found, right) = (share(road.boundaries_found), share(road.lights_right));
+                format!(", boundaries found {found}, lights right {right}")
+            });
+            format!("loss {loss:.3}, mAP@0.5 {:.3}, of boxes 12 to 24 px {:.3}{road}", v.map50, v.map50_small)
         }
         None => format!("loss {loss:.3}"),
     }

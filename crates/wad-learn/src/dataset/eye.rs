@@ -8,7 +8,7 @@ use sumo_network::network::Network;
 use sumo_network::world::Actor;
 use wad_camera::{CameraConfig, Outputs, Town, model};
 use wad_see::eyes::Eyes;
-use wad_see::perception::{EgoFacts, TruthDetector};
+use wad_see::perception::{EgoFacts, Heads, RoadTruth, TruthDetector};
 use wad_sim::bridge::Ego;
 use wad_vehicle::Control;
 
@@ -21,6 +21,7 @@ const SEEN_PIXELS: u32 = 16;
 pub struct Eye {
     segment: Segment,
     eyes: Eyes,
+    heads: Heads,
     /// The format of camera pictures; None: they are not kept.
     codec: Option<CameraCodec>,
 }
@@ -42,11 +43,17 @@ impl Eye {
     ///
     /// # Errors
     /// This build cannot detect lanes.
-    pub fn new(town: Town, segment: Segment, keeps_camera: bool) -> Result<Self, DatasetError> {
+    pub fn new(
+        network: &Network,
+        town: Town,
+        segment: Segment,
+        keeps_camera: bool,
+    ) -> Result<Self, DatasetError> {
+        let heads = Heads::new(network, town.scene());
         let outputs = Outputs { boxes: true, ..Outputs::RGB };
         let eyes = Eyes::new(town, CameraConfig::default(), Box::new(TruthDetector::new()))?;
-        let mut eye =
-            Self { segment, eyes: eyes.with_outputs(outputs), codec: keeps_camera.then(CameraCodec::best) };
+        let codec = keeps_camera.then(CameraCodec::best);
+        let mut eye = Self { segment, eyes: eyes.with_outputs(outputs), heads, codec };
         eye.reset();
         Ok(eye)
     }
@@ -66,7 +73,8 @@ impl Eye {
     /// # Errors
     /// A stage of perception fails.
     pub fn record(&mut self, network: &Network, ego: &Ego, moment: Moment) -> Result<Frame, DatasetError> {
-        self.eyes.look(&EgoFacts::of(network, ego, moment.since))?;
+        let facts = EgoFacts::of(network, ego, moment.since);
+        self.eyes.look(&facts)?;
         let (Some(frame), Some(percept)) = (self.eyes.frame(), self.eyes.percept()) else {
             return Err(DatasetError::Image("the camera gave no frame".to_string()));
         };
@@ -104,6 +112,7 @@ impl Eye {
             raw: percept.raw,
             labels,
             lanes: percept.lanes,
+            road: Some(RoadTruth::find(&facts, world, &self.heads)),
         };
         let camera = match &self.codec {
             Some(codec) => codec.encode(&frame.rgb, frame.width, frame.height)?,

@@ -5,7 +5,7 @@ use sumo_network::world::SignalState;
 use wad_camera::model::ObjectClass;
 use wad_camera::{ObjectTruth, Preset};
 use wad_see::observation::RawState;
-use wad_see::perception::{LaneEstimate, TransformedImage};
+use wad_see::perception::{LaneEstimate, RoadTruth, TransformedImage};
 use wad_vehicle::{Control, EgoState};
 
 /// An object in the picture: ground truth, not a detection.
@@ -72,6 +72,10 @@ pub struct FrameRecord {
     pub labels: Labels,
     /// Lane boundaries as perception found them.
     pub lanes: LaneEstimate,
+    /// What is true of lane and light; None in datasets that were collected before this was kept. Its ids are those
+    /// of `boxes`.
+    #[serde(default)]
+    pub road: Option<RoadTruth>,
 }
 
 /// A frame of a shard.

@@ -118,7 +118,8 @@ impl<'a> RunDrive<'a> {
         options.bridge.output_dir = scratch.join("sumo");
         options.bridge.gui = false;
         let drive = Drive::start(options).await?;
-        let eye = Eye::new(drive.assets().town(), segment, keeps_camera)?;
+        let assets = drive.assets();
+        let eye = Eye::new(assets.network(), assets.town(), segment, keeps_camera)?;
         Ok(Self { run, drive, eye, every, next: 0, since_frame: 0.0, standing: 0.0, respawns: 0 })
     }
 

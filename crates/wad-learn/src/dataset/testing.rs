@@ -64,6 +64,7 @@ pub fn frame(picture: Picture, weather: Preset) -> Frame {
         raw: RawState::STANDING,
         labels: Labels { lead: Some(12.5), pedestrian: None, red: picture.red },
         lanes: Default::default(),
+        road: None,
     };
     Frame { record, transformed: picture.paint(), camera: Vec::new() }
 }

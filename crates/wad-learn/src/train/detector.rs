@@ -18,11 +18,13 @@ use std::time::Instant;
 use sumo_network::seeds;
 use tch::{Device, Kind, Tensor};
 use wad_see::perception::centernet::loss::loss;
-use wad_see::perception::centernet::{Backbone, CenterNet, CenterNetDetector};
-use wad_see::perception::centernet_weights;
+use wad_see::perception::centernet::road_targets::road_loss;
+use wad_see::perception::centernet::{Backbone, CenterNet, CenterNetDetector, Sees};
 use wad_see::perception::coco::{class_index, class_name};
 use wad_see::perception::metrics::{Found, Scored, average_precision, mean};
 use wad_see::perception::score::{SMALL, TALL};
+use wad_see::perception::sight_score::{RoadReport, RoadScore};
+use wad_see::perception::{Detector, centernet_weights};
 use wad_see::weights::{Stored, Weights, WeightsError};
 
 /// Options of a detector's training.
@@ -30,6 +32,9 @@ use wad_see::weights::{Stored, Weights, WeightsError};
 pub struct TrainOptions {
     /// The feature extractor.
     pub backbone: Backbone,
+    /// What the network is to see.
+    #[serde(default)]
+    pub sees: Sees,
     /// The dataset's folder.
     pub data: PathBuf,
     /// More datasets, mixed with it.
@@ -73,6 +78,7 @@ impl TrainOptions {
     pub fn new(backbone: Backbone, data: &Path, out: &Path) -> Self {
         Self {
             backbone,
+            sees: Sees::Objects,
             data: data.to_path_buf(),
             more: Vec::new(),
             out: out.to_path_buf(),
@@ -101,6 +107,22 @@ pub struct Validation {
     pub map50: f64,
     /// mAP@0.5 of boxes 12 to 24 px high.
     pub map50_small: f64,
+    /// Lane and light; None for networks that see objects only.
+    #[serde(default)]
+    pub road: Option<RoadReport>,
+}
+
+impl Validation {
+    /// Which network is better: the mean of mAP, boundaries found and lights right.
+    fn score(&self) -> f64 {
+        match &self.road {
+            None => self.map50,
+            Some(road) => {
+                let parts = [Some(self.map50), road.boundaries_found, road.lights_right];
+                parts.iter().flatten().sum::<f64>() / parts.iter().flatten().count() as f64
+            }
+        }
+    }
 }
 
 /// A line of `metrics.jsonl`.
@@ -220,24 +242,24 @@ impl<'a> Trainer<'a> {
         }
         tch::manual_seed(seeds::derive(options.seed, "weights") as i64);
         let begin = match &options.init {
-            _ if resume => Some(Weights::load(&checkpoint)?),
+            _ if resume => Some((Weights::load(&checkpoint)?, options.sees)),
             Some(name) => Some(centernet_weights(name)?),
             None => None,
         };
         let network = match &begin {
-            Some(weights) => CenterNet::from_weights(weights, device)?,
-            None => CenterNet::new(options.backbone, device)?,
+            Some((weights, known)) => CenterNet::begun_with(weights, *known, options.sees, device)?,
+            None => CenterNet::new(options.backbone, options.sees, device)?,
         };
         if network.backbone != options.backbone {
             return Err(TrainError::Weights(WeightsError::Mismatch {
-                path: begin.map(|weights| weights.path).unwrap_or_default(),
+                path: begin.map(|(weights, _)| weights.path).unwrap_or_default(),
                 found: format!("backbone {}", network.backbone.name()),
                 expected: format!("backbone {}", options.backbone.name()),
             }));
         }
         let mut adam = AdamW::new(&network.store, options.weight_decay)?;
         let mut reached = Reached::default();
-        if let Some(weights) = begin.filter(|_| resume) {
+        if let Some((weights, _)) = begin.filter(|_| resume) {
             reached = run::reached(&weights)?;
             adam.restore(reached.optimiser_steps, |name, shape| weights.get(name, shape))?;
         }
@@ -337,7 +359,10 @@ impl Training for Trainer<'_> {
                 let precision = if options.bfloat16 { Kind::BFloat16 } else { Kind::Float };
                 let pictures = pictures.f_to_kind(precision)?;
                 let answer = self.network.forward(&pictures, true)?;
-                let total = loss(&answer, &target)?.total()?;
+                let mut total = loss(&answer, &target)?.total()?;
+                if let (Some(answer), Some(targets)) = (&answer.road, batch.road()) {
+                    total = total.f_add(&road_loss(answer, targets, self.device)?)?;
+                }
                 let rate = self.rate();
                 let is_good = self.adam.step(&total, rate, LONGEST)?;
                 let (value, step) = (total.f_double_value(&[])?, self.reached.walk.step);
@@ -364,20 +389,28 @@ impl Training for Trainer<'_> {
 
     /// The network as exported: in half precision, batch norms folded.
     fn validate(&self) -> Result<Validation, TrainError> {
-        let copy = CenterNet::from_weights(&self.network.weights(&[])?, self.device)?;
+        let copy = CenterNet::from_weights(&self.network.weights(&[])?, self.options.sees, self.device)?;
         let mut detector = CenterNetDetector::new("validation".into(), copy, self.device, LEAST_SCORE)?;
         let mut scored: Vec<Scored> = Vec::with_capacity(self.validation.len());
+        let mut road = RoadScore::default();
         for sample in &self.validation {
             let mut one = sample.truths();
             let found = detector.detect_rgb(&sample.rgb()?, SIDE, SIDE)?;
             one.found =
                 found.into_iter().map(|d| Found { label: class_index(d.class), detection: d }).collect();
             scored.push(one);
+            if let (Some(wanted), Some(seen)) = (sample.road(), detector.seen()) {
+                road.add(wanted, seen);
+            }
         }
         let map = |counts: &dyn Fn(f32) -> bool| {
             mean((0..8).map(|class| average_precision(&scored, class, 0.5, counts))).unwrap_or(0.0)
         };
-        Ok(Validation { map50: map(&|h| h >= TALL), map50_small: map(&|h| (SMALL..TALL).contains(&h)) })
+        Ok(Validation {
+            map50: map(&|h| h >= TALL),
+            map50_small: map(&|h| (SMALL..TALL).contains(&h)),
+            road: (self.options.sees == Sees::Road).then(|| road.report()),
+        })
     }
 
     fn export(&self, validation: &Validation) -> Result<(), TrainError> {
@@ -407,7 +440,7 @@ impl Training for Trainer<'_> {
     }
 
     fn is_better(new: &Validation, best: &Validation) -> bool {
-        new.map50 >= best.map50
+        new.score() >= best.score()
     }
 
     fn reached(&mut self) -> &mut run::Reached<Validation> {
@@ -427,12 +460,16 @@ impl Training for Trainer<'_> {
     }
 
     fn figures(record: &EpochRecord) -> (u64, Vec<(&'static str, f64)>) {
-        let figures = vec![
+        let mut figures = vec![
             ("losses/train", record.loss),
             ("charts/map50", record.validation.map50),
             ("charts/map50_small", record.validation.map50_small),
             ("charts/images_per_second", record.images_per_second),
         ];
+        if let Some(road) = &record.validation.road {
+            figures.extend(road.boundaries_found.map(|v| ("charts/boundaries_found", v)));
+            figures.extend(road.lights_right.map(|v| ("charts/lights_right", v)));
+        }
         (record.step, figures)
     }
 

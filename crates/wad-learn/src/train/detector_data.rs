@@ -1,18 +1,21 @@
 //! Batches of camera pictures and targets for CenterNet, prepared by worker threads.
 
 use super::weathering::{self, View};
-use crate::dataset::{BoxRecord, CameraPlace, Dataset, DatasetError, decode_camera};
+use crate::dataset::{BoxRecord, CameraPlace, Dataset, DatasetError, FrameRecord, decode_camera};
 use rand::RngExt;
 use rand::seq::SliceRandom;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use sumo_network::seeds;
 use tch::{Device, Kind, TchError, Tensor};
+use wad_camera::CameraConfig;
 use wad_camera::model::ObjectClass;
+use wad_see::perception::centernet::road_targets::RoadTargets;
 use wad_see::perception::centernet::targets::{Centre, Wanted, Window, encode};
 use wad_see::perception::centernet::{Backbone, loss::Target, network::STRIDE};
 use wad_see::perception::coco::class_index;
 use wad_see::perception::metrics::{Scored, Truth};
 use wad_see::perception::score::{LEAST_VISIBLE, visible_share};
+use wad_see::perception::{GroundPlane, RoadWanted};
 
 /// Lowest box that is trained on (pixels): lower ones count neither as object nor as background.
 const LEAST_HEIGHT: f32 = 8.0;
@@ -31,6 +34,8 @@ pub const SIDE: usize = 512;
 pub struct Sample {
     picture: Picture,
     objects: Vec<BoxRecord>,
+    /// None where the dataset does not say.
+    road: Option<RoadWanted>,
 }
 
 /// Pictures are read from their shard each time: the system's file cache holds what fits into memory.
@@ -62,6 +67,11 @@ impl Sample {
             let ignored = hidden || bounds[3] - bounds[1] < LEAST_HEIGHT;
             Wanted { class: class_index(object.class), bounds, ignored }
         })
+    }
+
+    /// What is true of its road; None where the dataset does not say.
+    pub fn road(&self) -> Option<&RoadWanted> {
+        self.road.as_ref()
     }
 
     /// The ground truth to score a detector by; its detections are to be added.
@@ -97,12 +107,20 @@ pub fn samples(dataset: &Dataset, shards: &[usize], most: usize) -> Result<Vec<S
         }
         while let Some((record, place)) = reader.next_place()? {
             if seen.is_multiple_of(every) {
-                found.push(Sample { picture: Picture::Shard(place), objects: record.boxes });
+                let road = road(&record);
+                found.push(Sample { picture: Picture::Shard(place), objects: record.boxes, road });
             }
             seen += 1;
         }
     }
     Ok(found)
+}
+
+/// What the road's heads are to say of a frame.
+fn road(record: &FrameRecord) -> Option<RoadWanted> {
+    let truth = record.road.as_ref()?;
+    let objects = record.boxes.iter().map(|one| (one.id, one.visible.map(|v| v as f32), is_hidden(one)));
+    Some(truth.wanted(objects, record.light))
 }
 
 /// How often each sample is used per epoch.
@@ -222,6 +240,8 @@ pub struct Batch {
     /// count x 8 x h x w.
     heat: Vec<f32>,
     centres: Vec<(usize, Centre)>,
+    /// For whole pictures.
+    road: Option<RoadTargets>,
 }
 
 impl Batch {
@@ -242,8 +262,12 @@ impl Batch {
             pixels: Vec::with_capacity(count * bytes),
             heat: vec![0.0; count * cells],
             centres: Vec::new(),
+            road: None,
         };
         let cuts_rows = height < show.whole().height;
+        let is_whole = (width, height) == (SIDE, show.whole().height);
+        let ground = GroundPlane::new(&CameraConfig::default());
+        let mut roads = is_whole.then(RoadTargets::default);
         let mut rgb = Vec::new();
         let mut decoded = None;
         for n in 0..count {
@@ -278,13 +302,24 @@ impl Batch {
             let shown: Vec<Wanted> = shown.collect();
             let centres = encode(&shown, shape, &mut batch.heat[n * cells..][..cells]);
             batch.centres.extend(centres.into_iter().map(|c| (n, c)));
+            if let Some(roads) = &mut roads {
+                let road = samples[index].road.clone();
+                let road = road.map(|road| if mirrored { road.mirrored(width as f32) } else { road });
+                roads.add(road.as_ref(), &ground);
+            }
         }
+        batch.road = roads;
         Ok(batch)
     }
 
     /// Pictures in the batch.
     pub fn count(&self) -> usize {
         self.count
+    }
+
+    /// The road's targets, of whole pictures.
+    pub fn road(&self) -> Option<&RoadTargets> {
+        self.road.as_ref()
     }
 
     /// Pictures (n, 3, height, width) from 0 to 1, and their targets.

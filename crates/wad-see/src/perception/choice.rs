@@ -1,5 +1,7 @@
 //! Detectors by name: the values of `--detector`.
 
+#[cfg(feature = "learn")]
+use super::centernet::Sees;
 use super::{Detector, Faults, PerceptionError, TruthDetector};
 #[cfg(feature = "learn")]
 use crate::weights::Weights;
@@ -11,6 +13,7 @@ use wad_sim::assets::hash;
 pub const DETECTORS: &str = "truth (the renderer's boxes), truth:faulty (with a real detector's faults), \
      outlines and outlines:faulty (the same worked out from shapes without drawing, for fast training), \
      centernet (the one that travels with this program), centernet:FILE (one that train detector wrote), \
+     eyes:FILE (one that sees lane and light too; train eyes writes it), \
      onnx:FILE (any COCO detector in ONNX; onnx alone: what scripts/fetch-detector fetched)";
 
 /// Detections with a lower score are dropped, unless a measurement needs all of them.
@@ -29,46 +32,50 @@ pub fn detector(name: &str, min_score: f32) -> Result<Box<dyn Detector>, Percept
             let truth = TruthDetector::with_faults(faults);
             Ok(Box::new(if kind == "outlines" { truth.by_outlines() } else { truth }))
         }
-        "centernet" => centernet(name, file, min_score),
+        "centernet" | "eyes" => centernet(name, min_score),
         "onnx" => onnx(name, file, min_score),
         _ => Err(unknown()),
     }
 }
 
-/// The bundled CenterNet.
+/// The file of the bundled network that `kind` is alone.
 #[cfg(feature = "learn")]
-const BUNDLED: &str = "light";
+fn bundled(kind: &str) -> &'static str {
+    if kind == "eyes" { "eyes" } else { "light" }
+}
 
 #[cfg(feature = "learn")]
-fn centernet(name: &str, file: Option<&str>, min_score: f32) -> Result<Box<dyn Detector>, PerceptionError> {
-    let weights = weights(name, file)?;
-    let found = super::centernet::CenterNetDetector::from_weights(name.to_string(), &weights, min_score);
+fn centernet(name: &str, min_score: f32) -> Result<Box<dyn Detector>, PerceptionError> {
+    let (weights, sees) = centernet_weights(name)?;
+    let found =
+        super::centernet::CenterNetDetector::from_weights(name.to_string(), &weights, sees, min_score);
     Ok(Box::new(found.map_err(|e| failed(name, e.to_string()))?))
 }
 
-/// The weights that `name`, centernet or centernet:FILE, stands for.
+/// The weights that `name`, centernet, centernet:FILE or eyes:FILE, stands for, and what they see.
 ///
 /// # Errors
 /// Another name, no such file, or none travel with this build.
 #[cfg(feature = "learn")]
-pub fn centernet_weights(name: &str) -> Result<Weights, PerceptionError> {
+pub fn centernet_weights(name: &str) -> Result<(Weights, Sees), PerceptionError> {
     match name.split_once(':').map_or((name, None), |(kind, file)| (kind, Some(file))) {
-        ("centernet", file) => weights(name, file),
-        _ => Err(failed(name, "expected centernet or centernet:FILE".to_string())),
+        ("centernet", file) => Ok((weights(name, file, bundled("centernet"))?, Sees::Objects)),
+        ("eyes", file) => Ok((weights(name, file, bundled("eyes"))?, Sees::Road)),
+        _ => Err(failed(name, "expected centernet, centernet:FILE or eyes:FILE".to_string())),
     }
 }
 
 #[cfg(feature = "learn")]
-fn weights(name: &str, file: Option<&str>) -> Result<Weights, PerceptionError> {
+fn weights(name: &str, file: Option<&str>, bundled: &str) -> Result<Weights, PerceptionError> {
     let loaded = match file.filter(|file| !file.is_empty()) {
         Some(file) => Weights::load(Path::new(file)),
         None => {
             let none = || {
-                let why = "no weights travel with this build: train some with `wad-cosim train detector` and \
-                           name them, centernet:FILE";
+                let why = "no weights travel with this build: train some with `wad-cosim train detector` (or `train \
+                           eyes`) and name them, NAME:FILE";
                 failed(name, why.to_string())
             };
-            Weights::parse(Path::new(BUNDLED), wad_sim::bundled::detector(BUNDLED).ok_or_else(none)?)
+            Weights::parse(Path::new(bundled), wad_sim::bundled::detector(bundled).ok_or_else(none)?)
         }
     };
     loaded.map_err(|e| failed(name, e.to_string()))
@@ -79,7 +86,7 @@ fn failed(name: &str, why: String) -> PerceptionError {
 }
 
 #[cfg(not(feature = "learn"))]
-fn centernet(name: &str, _: Option<&str>, _: f32) -> Result<Box<dyn Detector>, PerceptionError> {
+fn centernet(name: &str, _: f32) -> Result<Box<dyn Detector>, PerceptionError> {
     let why = "this program was built without libtorch: build it with the cargo feature `learn`";
     Err(failed(name, why.to_string()))
 }
@@ -109,10 +116,10 @@ pub fn weights_hash(name: &str) -> Option<String> {
     let read = |file: &std::path::Path| Some(hash(&std::fs::read(file).ok()?));
     match (kind, file) {
         #[cfg(feature = "learn")]
-        ("centernet", "") => wad_sim::bundled::detector(BUNDLED).map(hash),
+        ("centernet" | "eyes", "") => wad_sim::bundled::detector(bundled(kind)).map(hash),
         #[cfg(feature = "vision")]
         ("onnx", "") => read(&super::OnnxDetector::default_path()?),
-        ("centernet" | "onnx", file) => read(file.as_ref()),
+        ("centernet" | "eyes" | "onnx", file) => read(file.as_ref()),
         _ => None,
     }
 }

@@ -1,7 +1,8 @@
 //! The traffic light ahead, taken from the simulator as in the paper ("Traffic Light Detection").
 
-use super::EgoFacts;
+use super::{EgoFacts, SeenLight};
 use serde::{Deserialize, Serialize};
+use sumo_network::network::SignalIndex;
 use sumo_network::world::{SignalAhead, SignalState};
 
 /// Within this of its stop line (m) the ego is at the intersection (spec.md "Events").
@@ -19,6 +20,11 @@ pub struct LightAhead {
 impl LightAhead {
     /// The signal that counts ([`SignalAhead`]); None where the next one's state is out of sight.
     pub fn find(facts: &EgoFacts<'_>) -> Option<Self> {
+        Self::with_signal(facts).map(|(light, ..)| light)
+    }
+
+    /// The same with the signal, and the road's heading at its stop line (rad).
+    pub(super) fn with_signal(facts: &EgoFacts<'_>) -> Option<(Self, SignalIndex, f64)> {
         let front = facts.on_route.front_s;
         let links = &facts.route.links;
         let next = links.partition_point(|link| link.stop_s < front);
@@ -38,7 +44,9 @@ impl LightAhead {
             }
         }
         let (state, stop_s) = ahead.counts()?;
-        Some(Self { state, distance: stop_s - front })
+        let link = links[next..].iter().find(|link| link.stop_s == stop_s)?;
+        let heading = facts.route.at(stop_s).pose.heading;
+        Some((Self { state, distance: stop_s - front }, facts.network.link(link.link).signal?, heading))
     }
 
     /// Whether it requires to stop: red, red with yellow, or yellow.
@@ -86,6 +94,73 @@ impl StopLight {
     }
 }
 
+/// The light ahead as a network sees it, from tick to tick: distances are averaged along the ego's way, and a light
+/// that has left the picture, because the ego stands below it, is remembered.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct SeenLights {
+    last: Option<Remembered>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Remembered {
+    light: LightAhead,
+    /// Frames that made its distance, and the time since the last of them (s).
+    seen: u32,
+    hidden: f64,
+}
+
+/// A distance that is this much of itself, or this much (m), away from the expected one is another light's.
+const SAME: (f64, f64) = (0.35, 4.0);
+/// Most frames that a distance is averaged over.
+const AVERAGED: u32 = 8;
+/// Before a line, the near heads are above the picture from here on (m); beyond it, a light is forgotten (m).
+const BELOW: f64 = 10.0;
+const PASSED: f64 = 1.5;
+/// How long a light is remembered that should be in the picture, and one that the ego stands below (s).
+const BLINK: f64 = 0.6;
+const LONGEST_HIDDEN: f64 = 45.0;
+
+impl SeenLights {
+    /// Forgets everything.
+    pub fn reset(&mut self) {
+        *self = Self::default();
+    }
+
+    /// The light ahead after `tick` s at `speed` (m/s), with what the picture shows.
+    pub fn update(&mut self, seen: Option<SeenLight>, speed: f64, tick: f64) -> Option<LightAhead> {
+        let expected = self.last.map(|mut last| {
+            last.light.distance -= speed * tick;
+            last
+        });
+        self.last = match (seen, expected) {
+            (Some(seen), Some(last)) if is_same(seen.distance, last.light.distance) => {
+                let frames = (last.seen + 1).min(AVERAGED);
+                let off = seen.distance - last.light.distance;
+                let distance = last.light.distance + off / f64::from(frames);
+                let light = LightAhead { state: seen.state, distance };
+                Some(Remembered { light, seen: frames, hidden: 0.0 })
+            }
+            (Some(seen), _) => {
+                let light = LightAhead { state: seen.state, distance: seen.distance };
+                Some(Remembered { light, seen: 1, hidden: 0.0 })
+            }
+            (None, last) => {
+                last.map(|last| Remembered { hidden: last.hidden + tick, ..last }).filter(|last| {
+                    let longest = if last.light.distance < BELOW { LONGEST_HIDDEN } else { BLINK };
+                    last.hidden <= longest
+                })
+            }
+        };
+        self.last = self.last.filter(|last| last.light.distance > -PASSED);
+        let light = self.last?.light;
+        Some(LightAhead { distance: light.distance.max(0.0), ..light })
+    }
+}
+
+fn is_same(seen: f64, expected: f64) -> bool {
+    (seen - expected).abs() < SAME.1.max(SAME.0 * expected)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -126,6 +201,29 @@ mod tests {
         light.update(Some(&yellow(19.0)), 10.0);
         light.reset();
         assert_eq!(light.update(Some(&yellow(17.0)), 10.0), None);
+    }
+
+    #[test]
+    fn a_light_is_remembered_below_it_and_no_longer() {
+        let seen = |distance| Some(SeenLight { state: SignalState::Red, distance, certainty: 0.9 });
+        let mut lights = SeenLights::default();
+        assert!(lights.update(None, 5.0, 0.1).is_none());
+        // 0.5 m a tick; the second look is 1 m off, and half believed.
+        assert_eq!(lights.update(seen(20.0), 5.0, 0.1).map(|l| l.distance), Some(20.0));
+        assert_eq!(lights.update(seen(20.5), 5.0, 0.1).map(|l| l.distance), Some(20.0));
+        // A flicker is bridged, a light that stays away is gone.
+        assert_eq!(lights.update(None, 5.0, 0.1).map(|l| l.distance), Some(19.5));
+        assert!((0..6).map(|_| lights.update(None, 0.0, 0.1)).any(|light| light.is_none()));
+        // Below the heads it stays, with the way that the ego goes, until the line is passed.
+        lights.update(seen(6.0), 0.0, 0.1);
+        let near = (0..50).filter_map(|_| lights.update(None, 1.0, 0.1)).last().unwrap();
+        assert!(near.state == SignalState::Red && (near.distance - 1.0).abs() < 1e-6, "{near:?}");
+        assert!((0..30).filter_map(|_| lights.update(None, 1.0, 0.1)).all(|light| light.distance < 1.0));
+        assert!(lights.update(None, 1.0, 0.1).is_none());
+        // One that shows something else is believed at once.
+        lights.update(seen(6.0), 0.0, 0.1);
+        let green = SeenLight { state: SignalState::GreenMajor, distance: 6.0, certainty: 0.9 };
+        assert_eq!(lights.update(Some(green), 0.0, 0.1).map(|l| l.stops()), Some(false));
     }
 
     #[test]

@@ -24,6 +24,7 @@ mod onnx;
 pub mod onnx_file;
 pub mod paint;
 mod pipeline;
+mod road_truth;
 pub mod score;
 pub mod sight_score;
 pub mod stages;
@@ -38,12 +39,14 @@ pub use facts::EgoFacts;
 pub use ground::GroundPlane;
 pub use image::{TRANSFORMED_SIZE, TransformedImage};
 pub use lanes::{LaneBoundary, LaneDetector, LaneEstimate};
-pub use light::{AT_INTERSECTION, LightAhead, StopLight};
+pub use light::{AT_INTERSECTION, LightAhead, SeenLights, StopLight};
 #[cfg(feature = "vision")]
 pub use onnx::OnnxDetector;
 pub use pipeline::{Percept, Perception};
+pub use road_truth::{Heads, RoadTruth, RoadWanted, colour};
 pub use truth::{Faults, TruthDetector};
 
+use sumo_network::world::SignalState;
 use wad_camera::model::ObjectClass;
 use wad_camera::{CameraConfig, Frame, Outputs};
 
@@ -74,6 +77,26 @@ impl Detection {
         let union = area(l, t, r, b) + area(ol, ot, or, ob) - common;
         if union > 0.0 { common / union } else { 0.0 }
     }
+}
+
+/// What a detector that sees the road found in a picture beside objects.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Seen {
+    /// The boundaries of the ego's lane; none inside junctions.
+    pub lanes: LaneEstimate,
+    /// The light that is the ego's.
+    pub light: Option<SeenLight>,
+}
+
+/// A light in a picture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SeenLight {
+    /// The lamp that is lit: red, yellow or green.
+    pub state: SignalState,
+    /// From the front bumper to the stop line (m).
+    pub distance: f64,
+    /// 0 to 1.
+    pub certainty: f32,
 }
 
 /// Why perception fails.
@@ -124,4 +147,10 @@ pub trait Detector: Send {
         camera: &CameraConfig,
         found: &mut Vec<Detection>,
     ) -> Result<(), PerceptionError>;
+
+    /// What it saw of lane and light in the last frame. None where it sees objects only: then lanes are detected by
+    /// Canny and Hough, and the light's state comes from the simulator, as in the paper.
+    fn seen(&self) -> Option<&Seen> {
+        None
+    }
 }

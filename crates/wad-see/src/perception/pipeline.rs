@@ -3,7 +3,7 @@
 use super::crossing::CrossingTracker;
 use super::facts::EgoFacts;
 use super::lead::{self, LeadTracker};
-use super::light::{LightAhead, StopLight};
+use super::light::{LightAhead, SeenLights, StopLight};
 use super::paint::Painter;
 use super::{
     Detection, Detector, GroundPlane, LaneDetector, LaneEstimate, PerceptionError, TransformedImage,
@@ -41,6 +41,7 @@ pub struct Perception {
     lanes: LaneDetector,
     lead: LeadTracker,
     crossing: CrossingTracker,
+    seen_lights: SeenLights,
     stop_light: StopLight,
     painter: Painter,
     percept: Percept,
@@ -56,6 +57,7 @@ impl Perception {
             lanes: LaneDetector::default(),
             lead: LeadTracker::default(),
             crossing: CrossingTracker::default(),
+            seen_lights: SeenLights::default(),
             stop_light: StopLight::default(),
             painter: Painter::default(),
             percept: Percept {
@@ -93,6 +95,7 @@ impl Perception {
         self.lanes.reset();
         self.lead.reset();
         self.crossing.reset();
+        self.seen_lights.reset();
         self.stop_light.reset();
     }
 
@@ -124,12 +127,18 @@ impl Perception {
 
     /// Second stage: the lane boundaries.
     pub fn find_lanes(&mut self, frame: &Frame, facts: &EgoFacts<'_>) {
-        self.percept.lanes = self.lanes.find(frame, &self.ground, facts);
+        self.percept.lanes = match self.detector.seen() {
+            Some(seen) => seen.lanes,
+            None => self.lanes.find(frame, &self.ground, facts),
+        };
     }
 
     /// Third stage: the light, the vehicle in front, the raw state.
     pub fn judge(&mut self, facts: &EgoFacts<'_>) {
-        let light = LightAhead::find(facts);
+        let light = match self.detector.seen() {
+            Some(seen) => self.seen_lights.update(seen.light, facts.on_route.state.speed, facts.tick),
+            None => LightAhead::find(facts),
+        };
         self.percept.light = light;
         self.percept.light_red = light.is_some_and(|light| light.is_red_here());
         let nearest = lead::nearest(&self.percept.detections, &self.ground, facts);
@@ -167,10 +176,54 @@ impl Perception {
 mod tests {
     use super::*;
     use crate::perception::testing::{Road, picture};
-    use crate::perception::{LaneBoundary, TruthDetector};
+    use crate::perception::{LaneBoundary, Seen, SeenLight, TruthDetector};
+    use sumo_network::world::SignalState;
 
     fn perception() -> Perception {
         Perception::new(Box::new(TruthDetector::new()), CameraConfig::default())
+    }
+
+    /// Sees a lane and a light, whatever the picture.
+    struct Sees(Seen);
+
+    impl Detector for Sees {
+        fn name(&self) -> &str {
+            "sees"
+        }
+
+        fn detect(
+            &mut self,
+            _: &Frame,
+            _: &CameraConfig,
+            found: &mut Vec<Detection>,
+        ) -> Result<(), PerceptionError> {
+            found.clear();
+            Ok(())
+        }
+
+        fn seen(&self) -> Option<&Seen> {
+            Some(&self.0)
+        }
+    }
+
+    #[test]
+    fn what_is_seen_of_lane_and_light_counts_and_the_simulator_does_not() {
+        let line = LaneBoundary { offset: 1.5, slope: 0.0, bend: 0.0, reach: [4.0, 20.0] };
+        let light = SeenLight { state: SignalState::Red, distance: 12.0, certainty: 0.9 };
+        let seen = Seen { lanes: LaneEstimate { left: Some(line), right: None }, light: Some(light) };
+        let camera = CameraConfig::default();
+        let look = |state: &str| {
+            let mut perception = Perception::new(Box::new(Sees(seen)), camera);
+            let road = Road::new(state);
+            let facts = road.facts(road.route.links[0].stop_s - 40.0, 0.1, 0.0, 6.0);
+            let percept = perception.perceive(&picture(&camera, &[]), &facts).unwrap();
+            (percept.transformed.clone(), percept.lanes, percept.light, percept.raw)
+        };
+        let green = look("GGG");
+        assert_eq!(green, look("rGG"), "the simulator's light is in the percept");
+        assert_eq!(green.1, seen.lanes);
+        assert_eq!(green.2.map(|light| light.distance), Some(12.0));
+        assert_eq!(green.3.stop_light, Some(12.0));
     }
 
     #[test]

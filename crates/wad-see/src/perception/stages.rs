@@ -1,13 +1,19 @@
 //! The stages of perception as pictures for display.
 
+use super::coco::class_name;
 use super::paint::{BLUE, GREEN, RED, is_obstacle};
-use super::{Detection, GroundPlane, Percept, TRANSFORMED_SIZE, TransformedImage};
+use super::{Detection, GroundPlane, Percept, TRANSFORMED_SIZE, TransformedImage, colour};
 use wad_camera::model::ObjectClass;
 use wad_camera::{Frame, Picture};
 
 /// The camera's picture with the detections' boxes.
 pub fn detections(frame: &Frame, found: &[Detection]) -> Picture {
     let mut picture = Picture::rgb(frame);
+    draw_boxes(&mut picture, found);
+    picture
+}
+
+fn draw_boxes(picture: &mut Picture, found: &[Detection]) {
     for detection in found {
         let [l, t, r, b] = detection.bounds.map(|v| v.max(0.0).round() as usize);
         let colour = if is_obstacle(detection.class) { BLUE } else { [255, 220, 40] };
@@ -18,12 +24,44 @@ pub fn detections(frame: &Frame, found: &[Detection]) -> Picture {
             picture.outline([l + 1, t + 1, right - 1, bottom - 1], light);
         }
     }
-    picture
 }
 
 /// The camera's picture with the lane boundaries, and a red border where the light here is red.
 pub fn lanes(frame: &Frame, percept: &Percept, ground: &GroundPlane) -> Picture {
     let mut picture = Picture::rgb(frame);
+    draw_lanes(&mut picture, percept, ground);
+    if percept.light_red {
+        for inset in 0..4 {
+            let (right, bottom) = (picture.width - 1 - inset, picture.height - 1 - inset);
+            picture.outline([inset, inset, right, bottom], RED);
+        }
+    }
+    picture
+}
+
+/// The camera's picture with all that was seen in it: boxes with their class and certainty (percent), the lane's
+/// boundaries, and what light is ahead, with the distance of its stop line.
+pub fn seen(frame: &Frame, percept: &Percept, ground: &GroundPlane) -> Picture {
+    let mut picture = Picture::rgb(frame);
+    draw_lanes(&mut picture, percept, ground);
+    draw_boxes(&mut picture, &percept.detections);
+    for detection in &percept.detections {
+        let [l, t, ..] = detection.bounds.map(|v| v.max(0.0) as usize);
+        let words = format!("{} {:.0}", class_name(detection.class), 100.0 * detection.score);
+        picture.label(&words, l, t.saturating_sub(9), 1);
+    }
+    let light = match percept.light {
+        None => "no light".to_string(),
+        Some(light) => {
+            let lamp = colour(light.state).map_or("off", |lamp| ["red", "yellow", "green"][lamp]);
+            format!("{lamp} {:.0} m", light.distance)
+        }
+    };
+    picture.label(&light, 8, 8, 2);
+    picture
+}
+
+fn draw_lanes(picture: &mut Picture, percept: &Percept, ground: &GroundPlane) {
     for boundary in [&percept.lanes.left, &percept.lanes.right].into_iter().flatten() {
         let points = boundary.pixels(ground);
         for pair in points.windows(2) {
@@ -40,13 +78,6 @@ pub fn lanes(frame: &Frame, percept: &Percept, ground: &GroundPlane) -> Picture 
             }
         }
     }
-    if percept.light_red {
-        for inset in 0..4 {
-            let (right, bottom) = (picture.width - 1 - inset, picture.height - 1 - inset);
-            picture.outline([inset, inset, right, bottom], RED);
-        }
-    }
-    picture
 }
 
 /// A transformed image (or a reconstruction of one) at its own size.

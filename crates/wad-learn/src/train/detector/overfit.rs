@@ -4,7 +4,7 @@ use crate::optim::AdamW;
 use tch::{Device, Kind, Tensor};
 use wad_see::perception::centernet::loss::{Target, loss};
 use wad_see::perception::centernet::targets::{Wanted, encode};
-use wad_see::perception::centernet::{Backbone, CenterNet, CenterNetDetector};
+use wad_see::perception::centernet::{Backbone, CenterNet, CenterNetDetector, Sees};
 use wad_see::perception::coco::class_index;
 
 const WIDTH: usize = 96;
@@ -57,7 +57,7 @@ fn overfit(backbone: Backbone, steps: usize, rate: f64) {
         size: Tensor::from_slice(&size).view([-1, 2]),
         offset: Tensor::from_slice(&offset).view([-1, 2]),
     };
-    let network = CenterNet::new(backbone, Device::Cpu).unwrap();
+    let network = CenterNet::new(backbone, Sees::Objects, Device::Cpu).unwrap();
     let mut adam = AdamW::new(&network.store, 0.0).unwrap();
     let mut losses = Vec::new();
     for step in 0..steps {
@@ -70,7 +70,8 @@ fn overfit(backbone: Backbone, steps: usize, rate: f64) {
     assert!(last < 0.1 * first, "the loss went from {first} to {last}");
 
     let weights = network.weights(&[]).unwrap();
-    let mut detector = CenterNetDetector::from_weights("test".to_string(), &weights, 0.3).unwrap();
+    let mut detector =
+        CenterNetDetector::from_weights("test".to_string(), &weights, Sees::Objects, 0.3).unwrap();
     for (rgb, wanted) in &pictures {
         let found = detector.detect_rgb(rgb, WIDTH, HEIGHT).unwrap();
         for one in wanted {

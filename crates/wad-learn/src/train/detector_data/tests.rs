@@ -14,7 +14,7 @@ pub(in crate::train) fn sample(class: ObjectClass, bounds: [u32; 4]) -> Sample {
     let full = bounds.map(|v| v as f32);
     let object = BoxRecord { class, id: 1, visible: bounds, full, pixels, depth: 10.0 };
     let png = CameraCodec::Png.encode(&rgb, SIDE, SIDE).unwrap();
-    Sample { picture: Picture::Bytes(png), objects: vec![object] }
+    Sample { picture: Picture::Bytes(png), objects: vec![object], road: None }
 }
 
 fn show(window: Option<(usize, usize)>) -> Show {

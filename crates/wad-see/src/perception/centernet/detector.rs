@@ -1,8 +1,9 @@
-//! `centernet`: the network as a detector.
+//! `centernet` and `eyes`: the network as a detector.
 
-use super::network::{Backbone, CenterNet};
+use super::network::{Backbone, CenterNet, Sees};
+use super::road;
 use crate::perception::heads::{self, Head, Tensor as Output};
-use crate::perception::{Detection, Detector, PerceptionError};
+use crate::perception::{Detection, Detector, GroundPlane, PerceptionError, Seen};
 use crate::weights::{Weights, WeightsError};
 use std::path::Path;
 use tch::{Device, Kind, TchError, Tensor};
@@ -15,8 +16,10 @@ pub struct CenterNetDetector {
     network: CenterNet,
     device: Device,
     min_score: f32,
-    /// The network's three outputs, on the processor.
-    outputs: [Vec<f32>; 3],
+    /// The network's outputs, on the processor: heat, size, offset, and the road's light and lanes.
+    outputs: [Vec<f32>; 5],
+    ground: GroundPlane,
+    seen: Option<Seen>,
 }
 
 impl CenterNetDetector {
@@ -24,10 +27,10 @@ impl CenterNetDetector {
     ///
     /// # Errors
     /// The file cannot be read, or belongs to another network or camera.
-    pub fn load(path: &Path, min_score: f32) -> Result<Self, PerceptionError> {
-        let name = format!("centernet:{}", path.display());
+    pub fn load(path: &Path, sees: Sees, min_score: f32) -> Result<Self, PerceptionError> {
+        let name = format!("{}:{}", sees.network(), path.display());
         Weights::load(path)
-            .and_then(|weights| Self::from_weights(name.clone(), &weights, min_score))
+            .and_then(|weights| Self::from_weights(name.clone(), &weights, sees, min_score))
             .map_err(|e| PerceptionError::Detector { name, why: e.to_string() })
     }
 
@@ -35,8 +38,13 @@ impl CenterNetDetector {
     ///
     /// # Errors
     /// They belong to another network or camera.
-    pub fn from_weights(name: String, weights: &Weights, min_score: f32) -> Result<Self, WeightsError> {
-        let network = CenterNet::from_weights(weights, Device::Cpu)?;
+    pub fn from_weights(
+        name: String,
+        weights: &Weights,
+        sees: Sees,
+        min_score: f32,
+    ) -> Result<Self, WeightsError> {
+        let network = CenterNet::from_weights(weights, sees, Device::Cpu)?;
         Ok(Self::new(name, network, Device::Cpu, min_score)?)
     }
 
@@ -51,7 +59,8 @@ impl CenterNetDetector {
         min_score: f32,
     ) -> Result<Self, TchError> {
         network.fold()?;
-        Ok(Self { name, network, device, min_score, outputs: Default::default() })
+        let ground = GroundPlane::new(&CameraConfig::default());
+        Ok(Self { name, network, device, min_score, outputs: Default::default(), ground, seen: None })
     }
 
     /// The backbone.
@@ -64,23 +73,25 @@ impl CenterNetDetector {
         let bytes = &rgb[first * width * 3..][..rows * width * 3];
         let size = [1, rows as i64, width as i64, 3];
         let outputs = &mut self.outputs;
-        let shape = tch::no_grad(|| -> Result<[usize; 2], TchError> {
+        let (shape, sees_road) = tch::no_grad(|| -> Result<([usize; 2], bool), TchError> {
             let picture = Tensor::f_from_data_size(bytes, &size, Kind::Uint8)?.f_to_device(self.device)?;
             // The permuted view keeps the channels innermost: convolutions on the processor like it so.
             let picture =
                 picture.f_to_kind(Kind::Float)?.f_permute([0, 3, 1, 2])?.f_mul_scalar(1.0 / 255.0)?;
             let answer = self.network.forward(&picture, false)?;
             let shape = [2, 3].map(|k| answer.heat.size()[k] as usize);
-            for (tensor, out) in
-                [answer.heat.f_sigmoid()?, answer.size, answer.offset].iter().zip(outputs.iter_mut())
-            {
+            let mut tensors = vec![answer.heat.f_sigmoid()?, answer.size, answer.offset];
+            let sees_road = answer.road.is_some();
+            tensors.extend(answer.road.into_iter().flat_map(|road| [road.light, road.lanes]));
+            for (tensor, out) in tensors.iter().zip(outputs.iter_mut()) {
                 let tensor = tensor.f_contiguous()?.f_to_device(Device::Cpu)?;
                 out.resize(tensor.numel(), 0.0);
                 tensor.f_copy_data(out, tensor.numel())?;
             }
-            Ok(shape)
+            Ok((shape, sees_road))
         })?;
-        let [heat, sizes, offsets] = &self.outputs;
+        let [heat, sizes, offsets, light, lanes] = &self.outputs;
+        self.seen = sees_road.then(|| road::decode(light, lanes, &self.ground));
         let tensors = [
             Output { name: "heat", shape: &[8, shape[0], shape[1]], values: heat },
             Output { name: "size", shape: &[2, shape[0], shape[1]], values: sizes },
@@ -138,5 +149,9 @@ impl Detector for CenterNetDetector {
     ) -> Result<(), PerceptionError> {
         *found = self.detect_rgb(&frame.rgb, frame.width, frame.height)?;
         Ok(())
+    }
+
+    fn seen(&self) -> Option<&Seen> {
+        self.seen.as_ref()
     }
 }

@@ -41,29 +41,33 @@ impl Loss {
     }
 }
 
+/// The penalty-reduced focal loss with alpha = 2, beta = 4, summed, of a map before the sigmoid.
+pub(super) fn focal(answer: &Tensor, wanted: &Tensor) -> Result<Tensor, TchError> {
+    // From logits: log p = -softplus(-x).
+    let log_p = answer.f_log_sigmoid()?;
+    let log_not_p = log_p.f_sub(answer)?;
+    let p = answer.f_sigmoid()?;
+    let is_centre = wanted.f_eq(1.0)?.f_to_kind(tch::Kind::Float)?;
+    let is_other = wanted.f_ge(0.0)?.f_to_kind(tch::Kind::Float)?.f_sub(&is_centre)?;
+    let positive = log_p.f_mul(&p.f_neg()?.f_add_scalar(1.0)?.f_square()?)?.f_mul(&is_centre)?;
+    let spared = wanted.f_neg()?.f_add_scalar(1.0)?.f_square()?.f_square()?;
+    let negative = log_not_p.f_mul(&p.f_square()?)?.f_mul(&spared)?.f_mul(&is_other)?;
+    positive.f_sum(tch::Kind::Float)?.f_add(&negative.f_sum(tch::Kind::Float)?)?.f_neg()
+}
+
 /// The loss of answers.
 ///
 /// # Errors
 /// torch fails.
 pub fn loss(answer: &Answer, target: &Target) -> Result<Loss, TchError> {
     let centres = (target.cells.size()[0] as f64).max(1.0);
-    // Penalty-reduced focal loss with alpha = 2, beta = 4, from logits: log p = -softplus(-x).
-    let log_p = answer.heat.f_log_sigmoid()?;
-    let log_not_p = log_p.f_sub(&answer.heat)?;
-    let p = answer.heat.f_sigmoid()?;
-    let is_centre = target.heat.f_eq(1.0)?.f_to_kind(tch::Kind::Float)?;
-    let is_other = target.heat.f_ge(0.0)?.f_to_kind(tch::Kind::Float)?.f_sub(&is_centre)?;
-    let positive = log_p.f_mul(&p.f_neg()?.f_add_scalar(1.0)?.f_square()?)?.f_mul(&is_centre)?;
-    let spared = target.heat.f_neg()?.f_add_scalar(1.0)?.f_square()?.f_square()?;
-    let negative = log_not_p.f_mul(&p.f_square()?)?.f_mul(&spared)?.f_mul(&is_other)?;
-    let heat = positive.f_sum(tch::Kind::Float)?.f_add(&negative.f_sum(tch::Kind::Float)?)?;
     let part = |answer: &Tensor, wanted: &Tensor| -> Result<Tensor, TchError> {
         // (n, 2, h, w) to (n h w, 2), then the centres' rows.
         let rows = answer.f_permute([0, 2, 3, 1])?.f_reshape([-1, 2])?.f_index_select(0, &target.cells)?;
         rows.f_sub(wanted)?.f_abs()?.f_sum(tch::Kind::Float)?.f_div_scalar(centres)
     };
     Ok(Loss {
-        heat: heat.f_div_scalar(-centres)?,
+        heat: focal(&answer.heat, &target.heat)?.f_div_scalar(centres)?,
         size: part(&answer.size, &target.size)?,
         offset: part(&answer.offset, &target.offset)?,
     })
@@ -83,6 +87,7 @@ mod tests {
             heat: Tensor::zeros([1, 1, 2, 2], (Kind::Float, Device::Cpu)),
             size: Tensor::full([1, 2, 2, 2], 3.0, (Kind::Float, Device::Cpu)),
             offset: Tensor::zeros([1, 2, 2, 2], (Kind::Float, Device::Cpu)),
+            road: None,
         };
         let target = Target {
             heat,

@@ -4,6 +4,7 @@
 use super::layer::{Conv, Kernel};
 use super::light::{self, Light};
 use super::resnet::{self, Resnet50V2};
+use super::road::{RoadAnswer, RoadHeads};
 use crate::weights::{Stored, Weights, WeightsError, half};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
@@ -16,7 +17,7 @@ pub const CLASSES: i64 = 8;
 /// Pixels of the picture per cell.
 pub const STRIDE: usize = 4;
 /// The heatmap's output before training (the paper's): -log(1 / 0.1 - 1).
-const FIRST_ANSWER: f64 = -2.19;
+pub(super) const FIRST_ANSWER: f64 = -2.19;
 
 /// The backbone, which computes the features.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -49,6 +50,27 @@ impl Backbone {
     }
 }
 
+/// What a network sees.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Sees {
+    /// Objects: CenterNet.
+    #[default]
+    Objects,
+    /// Objects, the boundaries of the ego's lane and its light: `eyes`. For the light backbone.
+    Road,
+}
+
+impl Sees {
+    /// What networks that see this are called in options and files.
+    pub fn network(self) -> &'static str {
+        match self {
+            Self::Objects => "centernet",
+            Self::Road => "eyes",
+        }
+    }
+}
+
 #[derive(Debug)]
 enum Features {
     Light(Light),
@@ -64,6 +86,8 @@ pub struct Answer {
     pub size: Tensor,
     /// From the cell's corner to the centre, in cells: x, y.
     pub offset: Tensor,
+    /// Lane and light, where the network sees them and the picture is whole.
+    pub road: Option<RoadAnswer>,
 }
 
 /// The network with its parameters.
@@ -76,6 +100,7 @@ pub struct CenterNet {
     features: Features,
     /// Heatmap, size, offset: a 3x3 where the backbone is large, and a 1x1.
     heads: [(Option<Conv>, Conv); 3],
+    road: Option<RoadHeads>,
 }
 
 impl CenterNet {
@@ -83,7 +108,7 @@ impl CenterNet {
     ///
     /// # Errors
     /// torch fails.
-    pub fn new(backbone: Backbone, device: Device) -> Result<Self, TchError> {
+    pub fn new(backbone: Backbone, sees: Sees, device: Device) -> Result<Self, TchError> {
         let store = nn::VarStore::new(device);
         let root = store.root();
         let (features, channels) = match backbone {
@@ -100,7 +125,16 @@ impl CenterNet {
         heads[0].1.begin_at(0.01, FIRST_ANSWER)?;
         heads[1].1.begin_at(0.01, 4.0)?;
         heads[2].1.begin_at(0.01, 0.5)?;
-        Ok(Self { backbone, store, features, heads })
+        let road = match sees {
+            Sees::Objects => None,
+            Sees::Road => Some(RoadHeads::new(&(&root / "road"), channels)?),
+        };
+        Ok(Self { backbone, store, features, heads, road })
+    }
+
+    /// What it sees.
+    pub fn sees(&self) -> Sees {
+        if self.road.is_some() { Sees::Road } else { Sees::Objects }
     }
 
     /// Pictures (n, 3, h, w), 0 to 1, of the rows that the backbone sees. The backbone computes in their
@@ -121,7 +155,8 @@ impl CenterNet {
             None => last.forward(&x, train),
         };
         let [heat, size, offset] = &self.heads;
-        Ok(Answer { heat: head(heat)?, size: head(size)?, offset: head(offset)? })
+        let road = self.road.as_ref().map(|road| road.forward(&x, train)).transpose()?.flatten();
+        Ok(Answer { heat: head(heat)?, size: head(size)?, offset: head(offset)?, road })
     }
 
     /// Folds batch norm for inference: faster, but the network cannot be trained after that.
@@ -130,6 +165,9 @@ impl CenterNet {
     /// torch fails.
     pub fn fold(&mut self) -> Result<(), TchError> {
         self.store.freeze();
+        if let Some(road) = &mut self.road {
+            road.fold()?;
+        }
         match &mut self.features {
             Features::Light(net) => net.fold(),
             Features::Resnet(net) => net.fold(),
@@ -147,7 +185,7 @@ impl CenterNet {
         }
         tensors.sort_by(|a: &(String, Tensor), b| a.0.cmp(&b.0));
         let mut metadata = HashMap::from([
-            ("network".to_string(), "centernet".to_string()),
+            ("network".to_string(), self.sees().network().to_string()),
             ("backbone".to_string(), self.backbone.name().to_string()),
             ("camera".to_string(), CameraConfig::default().hash()),
         ]);
@@ -159,7 +197,21 @@ impl CenterNet {
     ///
     /// # Errors
     /// They are of another network or of another camera, or torch fails.
-    pub fn from_weights(weights: &Weights, device: Device) -> Result<Self, WeightsError> {
+    pub fn from_weights(weights: &Weights, sees: Sees, device: Device) -> Result<Self, WeightsError> {
+        Self::begun_with(weights, sees, sees, device)
+    }
+
+    /// A network that sees what `sees` says, its parameters from weights that see `known`; those that these lack are
+    /// new.
+    ///
+    /// # Errors
+    /// As [`Self::from_weights`].
+    pub fn begun_with(
+        weights: &Weights,
+        known: Sees,
+        sees: Sees,
+        device: Device,
+    ) -> Result<Self, WeightsError> {
         let said =
             |key: &str| weights.metadata.get(key).cloned().unwrap_or_else(|| "an unknown kind".to_string());
         let check = |key: &str, expected: &str| {
@@ -170,7 +222,7 @@ impl CenterNet {
             let (found, expected) = (format!("{key} {found}"), format!("{key} {expected}"));
             Err(WeightsError::Mismatch { path: weights.path.clone(), found, expected })
         };
-        check("network", "centernet")?;
+        check("network", known.network())?;
         check("camera", &CameraConfig::default().hash())?;
         let backbone = match said("backbone").as_str() {
             "light" => Backbone::Light,
@@ -181,9 +233,13 @@ impl CenterNet {
                     .unwrap_or_else(|| WeightsError::Torch(TchError::Convert("no backbone".to_string()))));
             }
         };
-        let network = Self::new(backbone, device)?;
+        let network = Self::new(backbone, sees, device)?;
         tch::no_grad(|| {
+            let is_new = |name: &str| known != sees && name.starts_with("road.");
             for (name, mut variable) in network.store.variables() {
+                if is_new(&name) {
+                    continue;
+                }
                 let tensor = weights.get(&name, &variable.size())?;
                 variable.f_copy_(&tensor.f_to_kind(Kind::Float)?.f_to_device(device)?)?;
             }

@@ -1,6 +1,6 @@
 //! The network's training targets for a picture (Zhou et al. 2019, section 3).
 
-use super::network::{Backbone, CLASSES, STRIDE};
+use super::network::{Backbone, STRIDE};
 
 /// A target box, or a box that does not count.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -77,10 +77,10 @@ impl Window {
     }
 }
 
-/// The heatmap, [`CLASSES`] x h x w written over `heat`, and the centres of boxes in the coordinates of a
+/// The heatmap, classes x h x w written over `heat`, and the centres of boxes in the coordinates of a
 /// window of (w, h) cells.
 pub fn encode(wanted: &[Wanted], (w, h): (usize, usize), heat: &mut [f32]) -> Vec<Centre> {
-    heat[..CLASSES as usize * w * h].fill(0.0);
+    heat.fill(0.0);
     let cells = |bounds: [f32; 4]| bounds.map(|v| v / STRIDE as f32);
     for one in wanted.iter().filter(|o| o.ignored) {
         let [l, t, r, b] = cells(one.bounds);

@@ -1,6 +1,6 @@
 //! Weights are saved, read and refused. That the networks learn is tested where they are trained.
 
-use super::network::{Backbone, CenterNet};
+use super::network::{Backbone, CenterNet, Sees};
 use super::{CenterNetDetector, light, resnet};
 use crate::weights::WeightsError;
 use tch::Device;
@@ -9,7 +9,7 @@ use wad_camera::{CameraConfig, Frame};
 #[test]
 fn the_backbones_have_the_sizes_that_are_documented() {
     let count = |backbone| {
-        let network = CenterNet::new(backbone, Device::Cpu).unwrap();
+        let network = CenterNet::new(backbone, Sees::Objects, Device::Cpu).unwrap();
         network.store.trainable_variables().iter().map(|t| t.numel()).sum::<usize>()
     };
     assert_eq!(count(Backbone::Light), 889_292);
@@ -21,26 +21,26 @@ fn the_backbones_have_the_sizes_that_are_documented() {
 
 #[test]
 fn weights_of_something_else_are_refused_by_name() {
-    let network = CenterNet::new(Backbone::Light, Device::Cpu).unwrap();
+    let network = CenterNet::new(Backbone::Light, Sees::Objects, Device::Cpu).unwrap();
     let mut weights = network.weights(&[]).unwrap();
     weights.metadata.insert("camera".to_string(), "another".to_string());
-    let error = CenterNet::from_weights(&weights, Device::Cpu).unwrap_err().to_string();
+    let error = CenterNet::from_weights(&weights, Sees::Objects, Device::Cpu).unwrap_err().to_string();
     assert!(error.contains("another"), "{error}");
 
     let mut weights = network.weights(&[]).unwrap();
     weights.tensors.retain(|(name, _)| name != "heat.last.weight");
-    let error = CenterNet::from_weights(&weights, Device::Cpu).unwrap_err();
+    let error = CenterNet::from_weights(&weights, Sees::Objects, Device::Cpu).unwrap_err();
     assert!(matches!(&error, WeightsError::Missing { name, .. } if name == "heat.last.weight"), "{error}");
 
     let mut weights = network.weights(&[]).unwrap();
     weights.metadata.insert("backbone".to_string(), "resnet50_v2".to_string());
-    let error = CenterNet::from_weights(&weights, Device::Cpu).unwrap_err().to_string();
+    let error = CenterNet::from_weights(&weights, Sees::Objects, Device::Cpu).unwrap_err().to_string();
     assert!(error.contains("shape") || error.contains("no tensor"), "{error}");
 }
 
 #[test]
 fn a_picture_of_a_wrong_size_is_an_error_that_names_it() {
-    let network = CenterNet::new(Backbone::Light, Device::Cpu).unwrap();
+    let network = CenterNet::new(Backbone::Light, Sees::Objects, Device::Cpu).unwrap();
     let mut detector = CenterNetDetector::new("test".to_string(), network, Device::Cpu, 0.3).unwrap();
     for (width, height) in [(100, 64), (64, 100), (0, 0)] {
         let error = detector.detect_rgb(&vec![0; width * height * 3], width, height).unwrap_err().to_string();

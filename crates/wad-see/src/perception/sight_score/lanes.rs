@@ -1,10 +1,11 @@
 //! Detected lane boundaries against the painted ones.
 
 use super::{Spread, share};
+use crate::perception::road_truth::ego_lane;
 use crate::perception::{EgoFacts, GroundPlane, LaneEstimate};
 use serde::Serialize;
 use sumo_network::geometry::{Pose, Vector};
-use sumo_network::network::{EdgeKind, Network};
+use sumo_network::network::Network;
 use wad_camera::Frame;
 use wad_camera::model::SemanticTag;
 use wad_camera::scene::painted_sides;
@@ -36,19 +37,8 @@ impl LaneTruth {
     pub fn find(facts: &EgoFacts<'_>, ground: &GroundPlane, frame: &Frame) -> Option<Self> {
         let network = facts.network;
         let pose = facts.on_route.state.pose;
-        let on = network.lane(facts.route.section_at(facts.on_route.s).lane);
-        if network.edge(on.edge).kind != EdgeKind::Normal {
-            return None;
-        }
-        // The ego may be half-way to the next lane.
-        let lanes = &network.edge(on.edge).lanes;
-        let beside = |id: &sumo_network::network::LaneId| network.lane(*id).shape.project(pose.xy());
-        let lane = lanes
-            .iter()
-            .copied()
-            .filter(|id| painted_sides(network, *id) != [None; 2])
-            .min_by(|a, b| beside(a).distance.total_cmp(&beside(b).distance))?;
-        let begin = beside(&lane).s;
+        let lane = ego_lane(facts)?;
+        let begin = network.lane(lane).shape.project(pose.xy()).s;
         let sides = painted_sides(network, lane)
             .map(|side| side.map(|d| line(network, lane, begin, d, &pose, ground, frame)));
         // A lane that ends before the place of measurement has no line there.

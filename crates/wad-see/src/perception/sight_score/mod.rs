@@ -3,14 +3,16 @@
 
 mod lanes;
 mod lead;
+mod road;
 
 pub use lanes::{LaneScore, LaneTruth, MEASURED_AT};
 pub use lead::{LeadBin, LeadScore, LeadTruth};
+pub use road::{RoadReport, RoadScore};
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// The middle and the 90th percentile of absolute errors.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Spread {
     /// The median; None without errors.
     pub median: Option<f64>,

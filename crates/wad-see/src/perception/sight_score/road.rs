@@ -1,0 +1,172 @@
+//! What networks saw of lane and light against what is true of both.
+
+use super::{MEASURED_AT, Spread, share};
+use crate::perception::{RoadWanted, Seen, colour};
+use serde::{Deserialize, Serialize};
+
+/// A boundary within this of the true one is found (m).
+const FOUND: f64 = 0.5;
+/// A light counts up to this far before its stop line, the error of the distance up to this far (m).
+const LIGHT_REACH: f32 = 40.0;
+const LINE_REACH: f32 = 20.0;
+/// A boundary that reaches less far ahead than this is no false one (m): the last of a lane before a junction.
+const PHANTOM_REACH: f32 = 8.0;
+const RED: usize = 0;
+const GREEN: usize = 2;
+
+/// Counts over frames.
+#[derive(Clone, Debug, Default)]
+pub struct RoadScore {
+    frames: usize,
+    boundaries: usize,
+    found: usize,
+    lateral: Vec<f64>,
+    junctions: usize,
+    phantom_lanes: usize,
+    lights: usize,
+    right: usize,
+    missed: usize,
+    reds: usize,
+    red_as_green: usize,
+    without: usize,
+    phantom_lights: usize,
+    line: Vec<f64>,
+}
+
+/// The figures.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct RoadReport {
+    /// Frames.
+    pub frames: usize,
+    /// Boundaries of the ego's lane that reach 10 m ahead; painted or not, hidden or not.
+    pub boundaries: usize,
+    /// Share of them found within 0.5 m at 10 m.
+    pub boundaries_found: Option<f64>,
+    /// Absolute lateral error there (m).
+    pub lateral_error: Spread,
+    /// Frames inside junctions.
+    pub junctions: usize,
+    /// Share of them in which a lane is seen.
+    pub phantom_lanes: Option<f64>,
+    /// Frames whose light is within 40 m and in the picture (a head 6 pixels high or more, not hidden).
+    pub lights: usize,
+    /// Share of them with the right lamp.
+    pub lights_right: Option<f64>,
+    /// Share of them with no light seen.
+    pub lights_missed: Option<f64>,
+    /// Red ones among them.
+    pub reds: usize,
+    /// Red ones that were called green.
+    pub red_as_green: usize,
+    /// Frames in which no head of the ego's is in the picture.
+    pub without_light: usize,
+    /// Share of them with a light seen.
+    pub phantom_lights: Option<f64>,
+    /// Absolute error of the stop line's distance within 20 m (m).
+    pub line_error: Spread,
+}
+
+impl RoadScore {
+    /// Counts a frame.
+    pub fn add(&mut self, wanted: &RoadWanted, seen: &Seen) {
+        self.frames += 1;
+        let lanes = [seen.lanes.left, seen.lanes.right];
+        match &wanted.boundaries {
+            Some(sides) => {
+                for (line, seen) in sides.iter().zip(lanes) {
+                    let Some(y) = at(line, MEASURED_AT as f32) else { continue };
+                    self.boundaries += 1;
+                    let error = seen.map(|seen| f64::from((seen.y(MEASURED_AT as f32) - y).abs()));
+                    self.found += usize::from(error.is_some_and(|e| e <= FOUND));
+                    self.lateral.extend(error);
+                }
+            }
+            None => {
+                self.junctions += 1;
+                let is_seen = lanes.iter().flatten().any(|line| line.reach[1] > PHANTOM_REACH);
+                self.phantom_lanes += usize::from(is_seen);
+            }
+        }
+        let shown = wanted.heads.iter().any(|(_, counts)| *counts);
+        let lamp = seen.light.and_then(|light| colour(light.state));
+        match wanted.light {
+            Some((wanted, distance)) if shown && distance <= LIGHT_REACH => {
+                self.lights += 1;
+                self.right += usize::from(lamp == Some(wanted));
+                self.missed += usize::from(lamp.is_none());
+                self.reds += usize::from(wanted == RED);
+                self.red_as_green += usize::from(wanted == RED && lamp == Some(GREEN));
+                if distance <= LINE_REACH {
+                    self.line.extend(seen.light.map(|light| (light.distance - f64::from(distance)).abs()));
+                }
+            }
+            _ if wanted.heads.is_empty() => {
+                self.without += 1;
+                self.phantom_lights += usize::from(lamp.is_some());
+            }
+            _ => {}
+        }
+    }
+
+    /// The figures.
+    pub fn report(&self) -> RoadReport {
+        RoadReport {
+            frames: self.frames,
+            boundaries: self.boundaries,
+            boundaries_found: share(self.found, self.boundaries),
+            lateral_error: Spread::of(&self.lateral),
+            junctions: self.junctions,
+            phantom_lanes: share(self.phantom_lanes, self.junctions),
+            lights: self.lights,
+            lights_right: share(self.right, self.lights),
+            lights_missed: share(self.missed, self.lights),
+            reds: self.reds,
+            red_as_green: self.red_as_green,
+            without_light: self.without,
+            phantom_lights: share(self.phantom_lights, self.without),
+            line_error: Spread::of(&self.line),
+        }
+    }
+}
+
+/// y (m, left positive) of a line of points at `x` m ahead; None where it does not reach so far.
+fn at(line: &[[f32; 2]], x: f32) -> Option<f32> {
+    let pair = line.windows(2).find(|pair| (pair[0][0]..=pair[1][0]).contains(&x))?;
+    let t = (x - pair[0][0]) / (pair[1][0] - pair[0][0]).max(1e-3);
+    Some(pair[0][1] + t * (pair[1][1] - pair[0][1]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::perception::{LaneBoundary, LaneEstimate, SeenLight};
+    use sumo_network::world::SignalState;
+
+    #[test]
+    fn hits_misses_and_phantoms_are_counted() {
+        let line = |y: f32, far: usize| (0..far).map(|x| [x as f32, y]).collect::<Vec<_>>();
+        let head = ([0.0, 0.0, 5.0, 12.0], true);
+        let wanted = RoadWanted {
+            boundaries: Some([line(1.6, 30), line(-1.6, 30)]),
+            heads: vec![head],
+            light: Some((RED, 15.0)),
+        };
+        let boundary = |offset| Some(LaneBoundary { offset, slope: 0.0, bend: 0.0, reach: [4.0, 20.0] });
+        let light = |state| Some(SeenLight { state, distance: 16.0, certainty: 1.0 });
+        let lanes = LaneEstimate { left: boundary(1.9), right: boundary(-3.0) };
+        let mut score = RoadScore::default();
+        score.add(&wanted, &Seen { lanes, light: light(SignalState::Red) });
+        score.add(&wanted, &Seen { lanes, light: light(SignalState::GreenMajor) });
+        score.add(&wanted, &Seen::default());
+        let far = RoadWanted { light: Some((GREEN, 60.0)), boundaries: None, heads: vec![head] };
+        score.add(&far, &Seen::default());
+        score.add(&RoadWanted::default(), &Seen { lanes, light: light(SignalState::Red) });
+        let r = score.report();
+        assert_eq!((r.frames, r.boundaries, r.boundaries_found), (5, 6, Some(2.0 / 6.0)));
+        assert_eq!((r.junctions, r.phantom_lanes), (2, Some(0.5)));
+        assert_eq!((r.lights, r.lights_right, r.lights_missed), (3, Some(1.0 / 3.0), Some(1.0 / 3.0)));
+        assert_eq!((r.reds, r.red_as_green), (3, 1));
+        assert_eq!((r.without_light, r.phantom_lights), (1, Some(1.0)));
+        assert_eq!(r.line_error.median, Some(1.0));
+    }
+}
