@@ -5,6 +5,7 @@
 //! |---|---|
 //! | [`eyes`] | camera, perception, encoder and decoder of one ego, in one call |
 //! | [`perception`] | detections, lanes, light, vehicle in front, the transformed image |
+//! | [`inference`] | networks in numbers of 8 bits, by OpenVINO |
 //! | [`latent`] | the encoder-decoder: the transformed image as 200 numbers |
 //! | [`observation`] | an agent's inputs of each tick |
 //! | [`surroundings`] | the same from the world itself, without a camera |
@@ -13,6 +14,7 @@
 
 pub mod eyes;
 pub mod foxglove;
+pub mod inference;
 pub mod latent;
 pub mod observation;
 pub mod perception;

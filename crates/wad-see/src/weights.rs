@@ -66,6 +66,12 @@ pub enum WeightsError {
         /// What was expected.
         expected: String,
     },
+    /// OpenVINO fails or is missing.
+    #[error(transparent)]
+    Inference(#[from] crate::inference::InferenceError),
+    /// This program cannot compute such a network.
+    #[error("this network needs libtorch: build the program with the cargo feature `learn`")]
+    NoTorch,
     /// libtorch fails.
     #[cfg(feature = "learn")]
     #[error("libtorch: {0}")]

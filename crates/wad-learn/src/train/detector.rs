@@ -19,7 +19,7 @@ use sumo_network::seeds;
 use tch::{Device, Kind, Tensor};
 use wad_see::perception::centernet::loss::loss;
 use wad_see::perception::centernet::road_targets::road_loss;
-use wad_see::perception::centernet::{Backbone, CenterNet, CenterNetDetector, Sees};
+use wad_see::perception::centernet::{Backbone, CenterNet, CenterNetDetector, Sees, Watcher};
 use wad_see::perception::coco::{class_index, class_name};
 use wad_see::perception::metrics::{Found, Scored, average_precision, mean};
 use wad_see::perception::score::{SMALL, TALL};
@@ -178,6 +178,8 @@ const WARM_UP: f64 = 100.0;
 const LONGEST: f64 = 10.0;
 /// Steps between reports.
 const REPORT_EVERY: u64 = 10;
+/// Pictures by which ranges are found.
+const WATCHED: usize = 200;
 /// Lowest score that counts in validation.
 const LEAST_SCORE: f32 = 0.05;
 
@@ -221,7 +223,27 @@ pub fn train(
 ) -> Result<Trained, TrainError> {
     let _lock = run::claim(&options.out, resume)?;
     let trainer = Trainer::start(options, device, resume)?;
-    run::walk(trainer, &options.out, interrupt, &mut report)
+    let trained = run::walk(trainer, &options.out, interrupt, &mut report)?;
+    if !trained.interrupted && options.backbone == Backbone::Light {
+        find_ranges(options, &trained.detector)?;
+    }
+    Ok(trained)
+}
+
+/// Adds to a detector's file what it needs to run in 8 bits: the ranges of its numbers, by training pictures as they
+/// are.
+fn find_ranges(options: &TrainOptions, file: &Path) -> Result<(), TrainError> {
+    if let Err(why) = wad_see::inference::available() {
+        tracing::warn!("the detector is without ranges for 8 bits, so it will run on libtorch: {why}");
+        return Ok(());
+    }
+    let weights = Weights::load(file)?;
+    let mut watcher = Watcher::new(&weights, options.sees)?;
+    let dataset = Dataset::open(&options.data, options.partial)?;
+    for sample in samples(&dataset, &dataset.split().0, WATCHED)? {
+        watcher.show(&sample.rgb()?)?;
+    }
+    Ok(watcher.finish(weights).save(file)?)
 }
 
 impl<'a> Trainer<'a> {

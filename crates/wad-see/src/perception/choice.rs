@@ -1,11 +1,8 @@
 //! Detectors by name: the values of `--detector`.
 
-#[cfg(feature = "learn")]
-use super::centernet::Sees;
+use super::centernet::{CenterNetDetector, Sees, engine};
 use super::{Detector, Faults, PerceptionError, TruthDetector};
-#[cfg(feature = "learn")]
 use crate::weights::Weights;
-#[cfg(feature = "learn")]
 use std::path::Path;
 use wad_sim::assets::hash;
 
@@ -13,7 +10,7 @@ use wad_sim::assets::hash;
 pub const DETECTORS: &str = "truth (the renderer's boxes), truth:faulty (with a real detector's faults), \
      outlines and outlines:faulty (the same worked out from shapes without drawing, for fast training), \
      centernet (the one that travels with this program), centernet:FILE (one that train detector wrote), \
-     eyes:FILE (one that sees lane and light too; train eyes writes it), \
+     eyes (the bundled one that sees lane and light too), eyes:FILE (one that train eyes wrote), \
      onnx:FILE (any COCO detector in ONNX; onnx alone: what scripts/fetch-detector fetched)";
 
 /// Detections with a lower score are dropped, unless a measurement needs all of them.
@@ -39,16 +36,13 @@ pub fn detector(name: &str, min_score: f32) -> Result<Box<dyn Detector>, Percept
 }
 
 /// The file of the bundled network that `kind` is alone.
-#[cfg(feature = "learn")]
 fn bundled(kind: &str) -> &'static str {
     if kind == "eyes" { "eyes" } else { "light" }
 }
 
-#[cfg(feature = "learn")]
 fn centernet(name: &str, min_score: f32) -> Result<Box<dyn Detector>, PerceptionError> {
     let (weights, sees) = centernet_weights(name)?;
-    let found =
-        super::centernet::CenterNetDetector::from_weights(name.to_string(), &weights, sees, min_score);
+    let found = CenterNetDetector::from_weights(name.to_string(), &weights, sees, min_score);
     Ok(Box::new(found.map_err(|e| failed(name, e.to_string()))?))
 }
 
@@ -56,7 +50,6 @@ fn centernet(name: &str, min_score: f32) -> Result<Box<dyn Detector>, Perception
 ///
 /// # Errors
 /// Another name, no such file, or none travel with this build.
-#[cfg(feature = "learn")]
 pub fn centernet_weights(name: &str) -> Result<(Weights, Sees), PerceptionError> {
     match name.split_once(':').map_or((name, None), |(kind, file)| (kind, Some(file))) {
         ("centernet", file) => Ok((weights(name, file, bundled("centernet"))?, Sees::Objects)),
@@ -65,7 +58,6 @@ pub fn centernet_weights(name: &str) -> Result<(Weights, Sees), PerceptionError>
     }
 }
 
-#[cfg(feature = "learn")]
 fn weights(name: &str, file: Option<&str>, bundled: &str) -> Result<Weights, PerceptionError> {
     let loaded = match file.filter(|file| !file.is_empty()) {
         Some(file) => Weights::load(Path::new(file)),
@@ -83,12 +75,6 @@ fn weights(name: &str, file: Option<&str>, bundled: &str) -> Result<Weights, Per
 
 fn failed(name: &str, why: String) -> PerceptionError {
     PerceptionError::Detector { name: name.to_string(), why }
-}
-
-#[cfg(not(feature = "learn"))]
-fn centernet(name: &str, _: f32) -> Result<Box<dyn Detector>, PerceptionError> {
-    let why = "this program was built without libtorch: build it with the cargo feature `learn`";
-    Err(failed(name, why.to_string()))
 }
 
 #[cfg(feature = "vision")]
@@ -110,16 +96,18 @@ fn onnx(name: &str, _: Option<&str>, _: f32) -> Result<Box<dyn Detector>, Percep
     Err(failed(name, why.to_string()))
 }
 
-/// Stands for the weights of the detector called `name`; None if it has none, or its file cannot be read.
+/// Stands for the weights of the detector called `name`, and for what computes them here; None if it has none, or its
+/// file cannot be read.
 pub fn weights_hash(name: &str) -> Option<String> {
     let (kind, file) = name.split_once(':').map_or((name, ""), |(kind, file)| (kind, file));
-    let read = |file: &std::path::Path| Some(hash(&std::fs::read(file).ok()?));
-    match (kind, file) {
-        #[cfg(feature = "learn")]
+    let read = |file: &Path| Some(hash(&std::fs::read(file).ok()?));
+    let hash = match (kind, file) {
         ("centernet" | "eyes", "") => wad_sim::bundled::detector(bundled(kind)).map(hash),
         #[cfg(feature = "vision")]
         ("onnx", "") => read(&super::OnnxDetector::default_path()?),
         ("centernet" | "eyes" | "onnx", file) => read(file.as_ref()),
         _ => None,
-    }
+    }?;
+    let engine = centernet_weights(name).ok().and_then(|(weights, sees)| engine(&weights, sees).ok()?);
+    Some(engine.map_or(hash.clone(), |engine| format!("{hash}, {engine}")))
 }

@@ -6,7 +6,6 @@
 //! signals --light---> red or not --/
 //! ```
 
-#[cfg(feature = "learn")]
 pub mod centernet;
 mod choice;
 pub mod coco;
@@ -32,9 +31,7 @@ pub mod stages;
 pub(crate) mod testing;
 mod truth;
 
-#[cfg(feature = "learn")]
-pub use choice::centernet_weights;
-pub use choice::{DETECTORS, MIN_SCORE, detector, weights_hash};
+pub use choice::{DETECTORS, MIN_SCORE, centernet_weights, detector, weights_hash};
 pub use facts::EgoFacts;
 pub use ground::GroundPlane;
 pub use image::{TRANSFORMED_SIZE, TransformedImage};

@@ -1,11 +1,16 @@
 //! `centernet` and `eyes`: the network as a detector.
 
-use super::network::{Backbone, CenterNet, Sees};
-use super::road;
+use super::decode;
+use super::graph::{self, Numbers, PICTURE, Ranges};
+use super::kind::{self, Backbone, Sees};
+#[cfg(feature = "learn")]
+use super::network::CenterNet;
+use crate::inference::{self, InferenceError};
 use crate::perception::heads::{self, Head, Tensor as Output};
 use crate::perception::{Detection, Detector, GroundPlane, PerceptionError, Seen};
 use crate::weights::{Weights, WeightsError};
 use std::path::Path;
+#[cfg(feature = "learn")]
 use tch::{Device, Kind, TchError, Tensor};
 use wad_camera::{CameraConfig, Frame};
 
@@ -13,13 +18,79 @@ use wad_camera::{CameraConfig, Frame};
 #[derive(Debug)]
 pub struct CenterNetDetector {
     name: String,
-    network: CenterNet,
-    device: Device,
+    backbone: Backbone,
+    engine: Engine,
     min_score: f32,
-    /// The network's outputs, on the processor: heat, size, offset, and the road's light and lanes.
-    outputs: [Vec<f32>; 5],
+    outputs: Outputs,
     ground: GroundPlane,
     seen: Option<Seen>,
+}
+
+/// What computes the network.
+#[derive(Debug)]
+enum Engine {
+    /// Any size of picture, in single precision.
+    #[cfg(feature = "learn")]
+    Torch { network: Box<CenterNet>, device: Device },
+    /// Pictures of the camera.
+    OpenVino { network: inference::Network, sees: Sees },
+}
+
+/// The network's outputs for one picture.
+#[derive(Debug, Default)]
+struct Outputs {
+    /// Height and width of the maps (cells).
+    shape: [usize; 2],
+    /// Heatmap (behind its sigmoid), size, offset, and the road's light and lanes: see [`decode`].
+    maps: [Vec<f32>; 5],
+    /// Whether the last two are of this picture.
+    sees_road: bool,
+}
+
+/// Why a picture gave no outputs.
+enum Broken {
+    #[cfg(feature = "learn")]
+    Torch(TchError),
+    Inference(InferenceError),
+}
+
+/// What computes the networks of these weights here, for manifests: networks' numbers differ a little between them.
+/// None: libtorch, in single precision.
+///
+/// # Errors
+/// As [`CenterNetDetector::from_weights`].
+pub fn engine(weights: &Weights, sees: Sees) -> Result<Option<String>, WeightsError> {
+    Ok(match how(weights, sees)? {
+        How::Torch => None,
+        How::OpenVino(ranges) => {
+            Some(format!("OpenVINO, {}", if ranges.is_some() { "8 bits" } else { "single precision" }))
+        }
+    })
+}
+
+enum How {
+    Torch,
+    OpenVino(Option<Ranges>),
+}
+
+/// With 8 bits by OpenVINO where the weights have ranges. Without ranges, or without OpenVINO, by libtorch, if this
+/// program has it.
+fn how(weights: &Weights, sees: Sees) -> Result<How, WeightsError> {
+    let backbone = kind::backbone(weights, sees)?;
+    let ranges = graph::ranges(weights)?;
+    let has_torch = cfg!(feature = "learn");
+    if backbone != Backbone::Light || (ranges.is_none() && has_torch) {
+        return Ok(How::Torch);
+    }
+    match inference::available() {
+        Ok(()) => Ok(How::OpenVino(ranges)),
+        Err(InferenceError::Off) if has_torch => Ok(How::Torch),
+        Err(why) if has_torch => {
+            tracing::warn!("the detector runs on libtorch, at a third of its speed: {why}");
+            Ok(How::Torch)
+        }
+        Err(why) => Err(WeightsError::Inference(why)),
+    }
 }
 
 impl CenterNetDetector {
@@ -37,65 +108,88 @@ impl CenterNetDetector {
     /// A detector from weights.
     ///
     /// # Errors
-    /// They belong to another network or camera.
+    /// They belong to another network or camera, or nothing here can compute them.
     pub fn from_weights(
         name: String,
         weights: &Weights,
         sees: Sees,
         min_score: f32,
     ) -> Result<Self, WeightsError> {
-        let network = CenterNet::from_weights(weights, sees, Device::Cpu)?;
-        Ok(Self::new(name, network, Device::Cpu, min_score)?)
+        let backbone = kind::backbone(weights, sees)?;
+        let engine = match how(weights, sees)? {
+            #[cfg(feature = "learn")]
+            How::Torch => Engine::torch(CenterNet::from_weights(weights, sees, Device::Cpu)?, Device::Cpu)?,
+            #[cfg(not(feature = "learn"))]
+            How::Torch => return Err(WeightsError::NoTorch),
+            How::OpenVino(ranges) => {
+                let numbers = ranges.as_ref().map_or(Numbers::Single, Numbers::Whole);
+                let ir = graph::graph(weights, sees, numbers)?;
+                Engine::OpenVino { network: inference::Network::new(&ir, &SHAPE)?, sees }
+            }
+        };
+        Ok(Self::of(name, backbone, engine, min_score))
     }
 
-    /// Makes a detector of a network, ready for inference.
+    /// Makes a detector of a network, ready for inference by libtorch.
     ///
     /// # Errors
     /// torch fails.
-    pub fn new(
-        name: String,
-        mut network: CenterNet,
-        device: Device,
-        min_score: f32,
-    ) -> Result<Self, TchError> {
-        network.fold()?;
+    #[cfg(feature = "learn")]
+    pub fn new(name: String, network: CenterNet, device: Device, min_score: f32) -> Result<Self, TchError> {
+        Ok(Self::of(name, network.backbone, Engine::torch(network, device)?, min_score))
+    }
+
+    fn of(name: String, backbone: Backbone, engine: Engine, min_score: f32) -> Self {
         let ground = GroundPlane::new(&CameraConfig::default());
-        Ok(Self { name, network, device, min_score, outputs: Default::default(), ground, seen: None })
+        Self { name, backbone, engine, min_score, outputs: Outputs::default(), ground, seen: None }
     }
 
     /// The backbone.
     pub fn backbone(&self) -> Backbone {
-        self.network.backbone
+        self.backbone
     }
 
-    fn run(&mut self, rgb: &[u8], width: usize, height: usize) -> Result<Vec<Detection>, TchError> {
-        let (first, rows) = self.network.backbone.rows(height);
+    /// Detects in RGB bytes of a picture.
+    ///
+    /// # Errors
+    /// The sides are not multiples of 32 (for 8 bits: not the camera's), or the network fails.
+    pub fn detect_rgb(
+        &mut self,
+        rgb: &[u8],
+        width: usize,
+        height: usize,
+    ) -> Result<Vec<Detection>, PerceptionError> {
+        let (fits, hint) = match &self.engine {
+            #[cfg(feature = "learn")]
+            Engine::Torch { .. } => (
+                width > 0 && width.is_multiple_of(32) && height.is_multiple_of(32),
+                "CenterNet wants colour pictures whose sides are multiples of 32; it was trained on 512x512",
+            ),
+            Engine::OpenVino { .. } => (
+                [width, height] == [512, 512],
+                "with OpenVINO this network sees pictures of the front camera",
+            ),
+        };
+        if !fits || rgb.len() != width * height * 3 {
+            let hint = hint.to_string();
+            return Err(PerceptionError::Size { expected: (512, 512), found: (width, height), hint });
+        }
+        let (first, rows) = self.backbone.rows(height);
         let bytes = &rgb[first * width * 3..][..rows * width * 3];
-        let size = [1, rows as i64, width as i64, 3];
-        let outputs = &mut self.outputs;
-        let (shape, sees_road) = tch::no_grad(|| -> Result<([usize; 2], bool), TchError> {
-            let picture = Tensor::f_from_data_size(bytes, &size, Kind::Uint8)?.f_to_device(self.device)?;
-            // The permuted view keeps the channels innermost: convolutions on the processor like it so.
-            let picture =
-                picture.f_to_kind(Kind::Float)?.f_permute([0, 3, 1, 2])?.f_mul_scalar(1.0 / 255.0)?;
-            let answer = self.network.forward(&picture, false)?;
-            let shape = [2, 3].map(|k| answer.heat.size()[k] as usize);
-            let mut tensors = vec![answer.heat.f_sigmoid()?, answer.size, answer.offset];
-            let sees_road = answer.road.is_some();
-            tensors.extend(answer.road.into_iter().flat_map(|road| [road.light, road.lanes]));
-            for (tensor, out) in tensors.iter().zip(outputs.iter_mut()) {
-                let tensor = tensor.f_contiguous()?.f_to_device(Device::Cpu)?;
-                out.resize(tensor.numel(), 0.0);
-                tensor.f_copy_data(out, tensor.numel())?;
-            }
-            Ok((shape, sees_road))
+        self.engine.run(bytes, [rows, width], &mut self.outputs).map_err(|broken| {
+            let why = match broken {
+                #[cfg(feature = "learn")]
+                Broken::Torch(e) => e.to_string(),
+                Broken::Inference(e) => e.to_string(),
+            };
+            PerceptionError::Detector { name: self.name.clone(), why }
         })?;
-        let [heat, sizes, offsets, light, lanes] = &self.outputs;
-        self.seen = sees_road.then(|| road::decode(light, lanes, &self.ground));
+        let Outputs { shape: [h, w], maps: [heat, sizes, offsets, light, lanes], sees_road } = &self.outputs;
+        self.seen = sees_road.then(|| decode::decode(light, lanes, &self.ground));
         let tensors = [
-            Output { name: "heat", shape: &[8, shape[0], shape[1]], values: heat },
-            Output { name: "size", shape: &[2, shape[0], shape[1]], values: sizes },
-            Output { name: "offset", shape: &[2, shape[0], shape[1]], values: offsets },
+            Output { name: "heat", shape: &[8, *h, *w], values: heat },
+            Output { name: "size", shape: &[2, *h, *w], values: sizes },
+            Output { name: "offset", shape: &[2, *h, *w], values: offsets },
         ];
         let head = Head::SizeOffset { heat: 0, size: 1, offset: 2, classes: 8 };
         let mut found = heads::decode(&head, &tensors, width, self.min_score);
@@ -108,32 +202,66 @@ impl CenterNetDetector {
         found.retain(|d| d.size().iter().all(|&side| side > 0.0));
         Ok(found)
     }
+}
 
-    /// Detects in RGB bytes of a picture.
-    ///
-    /// # Errors
-    /// The sides are not multiples of 32, or torch fails.
-    pub fn detect_rgb(
-        &mut self,
-        rgb: &[u8],
-        width: usize,
-        height: usize,
-    ) -> Result<Vec<Detection>, PerceptionError> {
-        if rgb.len() != width * height * 3
-            || width == 0
-            || !width.is_multiple_of(32)
-            || !height.is_multiple_of(32)
-        {
-            return Err(PerceptionError::Size {
-                expected: (512, 512),
-                found: (width, height),
-                hint: "CenterNet wants colour pictures whose sides are multiples of 32; it was trained on 512x512"
-                    .to_string(),
-            });
-        }
-        self.run(rgb, width, height)
-            .map_err(|e| PerceptionError::Detector { name: self.name.clone(), why: e.to_string() })
+/// The shape of OpenVINO's input.
+const SHAPE: [usize; 4] = [1, PICTURE[0], PICTURE[1], 3];
+
+impl Engine {
+    #[cfg(feature = "learn")]
+    fn torch(mut network: CenterNet, device: Device) -> Result<Self, TchError> {
+        network.fold()?;
+        Ok(Self::Torch { network: Box::new(network), device })
     }
+
+    /// `size`: rows and columns of the picture's bytes.
+    fn run(&mut self, bytes: &[u8], size: [usize; 2], outputs: &mut Outputs) -> Result<(), Broken> {
+        match self {
+            #[cfg(feature = "learn")]
+            Self::Torch { network, device } => {
+                run_torch(network, *device, bytes, size, outputs).map_err(Broken::Torch)
+            }
+            Self::OpenVino { network, sees } => {
+                outputs.shape = size.map(|side| side / 4);
+                outputs.sees_road = *sees == Sees::Road;
+                let run = network.run(bytes, |at, numbers| match &mut outputs.maps[at] {
+                    lanes if at == 4 => decode::with_none(numbers, lanes),
+                    map => {
+                        map.clear();
+                        map.extend_from_slice(numbers);
+                    }
+                });
+                run.map_err(Broken::Inference)
+            }
+        }
+    }
+}
+
+#[cfg(feature = "learn")]
+fn run_torch(
+    network: &CenterNet,
+    device: Device,
+    bytes: &[u8],
+    [rows, columns]: [usize; 2],
+    outputs: &mut Outputs,
+) -> Result<(), TchError> {
+    tch::no_grad(|| {
+        let size = [1, rows as i64, columns as i64, 3];
+        let picture = Tensor::f_from_data_size(bytes, &size, Kind::Uint8)?.f_to_device(device)?;
+        // The permuted view keeps the channels innermost: convolutions on the processor like it so.
+        let picture = picture.f_to_kind(Kind::Float)?.f_permute([0, 3, 1, 2])?.f_mul_scalar(1.0 / 255.0)?;
+        let answer = network.forward(&picture, false)?;
+        outputs.shape = [2, 3].map(|k| answer.heat.size()[k] as usize);
+        outputs.sees_road = answer.road.is_some();
+        let mut tensors = vec![answer.heat.f_sigmoid()?, answer.size, answer.offset];
+        tensors.extend(answer.road.into_iter().flat_map(|road| [road.light, road.lanes]));
+        for (tensor, map) in tensors.iter().zip(outputs.maps.iter_mut()) {
+            let tensor = tensor.f_contiguous()?.f_to_device(Device::Cpu)?;
+            map.resize(tensor.numel(), 0.0);
+            tensor.f_copy_data(map, tensor.numel())?;
+        }
+        Ok(())
+    })
 }
 
 impl Detector for CenterNetDetector {
@@ -153,5 +281,59 @@ impl Detector for CenterNetDetector {
 
     fn seen(&self) -> Option<&Seen> {
         self.seen.as_ref()
+    }
+}
+
+/// Finds the ranges of a network's numbers, with which it runs in 8 bits: it watches the network see pictures.
+#[derive(Debug)]
+pub struct Watcher {
+    network: inference::Network,
+    /// Outputs before the watched places.
+    answers: usize,
+    ranges: Ranges,
+    pictures: usize,
+}
+
+impl Watcher {
+    /// Share of a place's numbers in a picture that may lie beyond its range: outliers would make all others coarse.
+    const BEYOND: f64 = 1e-4;
+
+    /// Watches the network of some weights.
+    ///
+    /// # Errors
+    /// They belong to another network or camera, or there is no OpenVINO.
+    pub fn new(weights: &Weights, sees: Sees) -> Result<Self, WeightsError> {
+        let ir = graph::graph(weights, sees, Numbers::Watched)?;
+        let network = inference::Network::new(&ir, &SHAPE)?;
+        let answers = if sees == Sees::Road { 5 } else { 3 };
+        Ok(Self { network, answers, ranges: vec![0.0; ir.outputs() - answers], pictures: 0 })
+    }
+
+    /// Shows it a picture of the camera (512x512 RGB).
+    ///
+    /// # Errors
+    /// OpenVINO fails.
+    pub fn show(&mut self, rgb: &[u8]) -> Result<(), WeightsError> {
+        let (first, rows) = Backbone::Light.rows(PICTURE[1]);
+        let bytes = &rgb[first * PICTURE[1] * 3..][..rows * PICTURE[1] * 3];
+        let Self { network, answers, ranges, pictures } = self;
+        let mut sorted = Vec::new();
+        network.run(bytes, |at, numbers| {
+            let Some(place) = at.checked_sub(*answers) else { return };
+            sorted.clear();
+            sorted.extend_from_slice(numbers);
+            let beyond = (numbers.len() as f64 * Self::BEYOND) as usize;
+            let (_, most, _) = sorted.select_nth_unstable_by(beyond, |a, b| b.total_cmp(a));
+            ranges[place] += *most;
+        })?;
+        *pictures += 1;
+        Ok(())
+    }
+
+    /// The same weights with the ranges: the means over the pictures.
+    pub fn finish(self, mut weights: Weights) -> Weights {
+        let ranges = self.ranges.iter().map(|sum| (sum / self.pictures.max(1) as f32).max(1e-6));
+        graph::set_ranges(&mut weights, &ranges.collect());
+        weights
     }
 }

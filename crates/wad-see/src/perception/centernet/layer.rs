@@ -1,11 +1,11 @@
 //! Convolution and batch norm, trained apart and folded into one for use.
 
+use super::graph::EPSILON;
 use tch::nn::{Init, Path};
 use tch::{TchError, Tensor};
 
-/// Batch norm's share of the new batch in the running statistics, and what keeps its root from 0.
+/// Batch norm's share of the new batch in the running statistics.
 const MOMENTUM: f64 = 0.1;
-const EPSILON: f64 = 1e-5;
 
 /// Batch norm.
 #[derive(Debug)]

@@ -9,16 +9,10 @@
 //! Plain 3x3 convolutions: on processors they come nearer to the peak than depthwise ones. Batch norm is
 //! folded into them for use.
 
+use super::graph::{CHANNELS, OUT, PYRAMID};
 use super::layer::{Conv, Kernel};
 use tch::nn::Path;
 use tch::{TchError, Tensor};
-
-/// Channels at strides 2, 4, 8, 16, 32.
-const CHANNELS: [i64; 5] = [16, 24, 48, 96, 160];
-/// Channels of the pyramid, and of what the heads see.
-const PYRAMID: i64 = 32;
-/// Channels that the heads see.
-pub const OUT: i64 = 48;
 
 /// Two 3x3 convolutions round a shortcut.
 #[derive(Debug)]

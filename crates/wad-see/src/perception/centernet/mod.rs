@@ -1,16 +1,29 @@
-//! CenterNet in tch: heatmap, size and offset of eight classes over two backbones; with the road's heads, `eyes`.
+//! CenterNet: heatmap, size and offset of eight classes over two backbones; with the road's heads, `eyes`.
 
+mod decode;
 mod detector;
+mod graph;
+pub mod kind;
+#[cfg(feature = "learn")]
 mod layer;
+#[cfg(feature = "learn")]
 pub mod light;
+#[cfg(feature = "learn")]
 pub mod loss;
+#[cfg(feature = "learn")]
 pub mod network;
+#[cfg(feature = "learn")]
 pub mod resnet;
+#[cfg(feature = "learn")]
 pub mod road;
+#[cfg(feature = "learn")]
 pub mod road_targets;
+#[cfg(feature = "learn")]
 pub mod targets;
-#[cfg(test)]
+#[cfg(all(test, feature = "learn"))]
 mod tests;
 
-pub use detector::CenterNetDetector;
-pub use network::{Answer, Backbone, CenterNet, Sees};
+pub use detector::{CenterNetDetector, Watcher, engine};
+pub use kind::{Backbone, Sees};
+#[cfg(feature = "learn")]
+pub use network::{Answer, CenterNet};

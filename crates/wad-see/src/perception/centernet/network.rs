@@ -1,12 +1,13 @@
 //! CenterNet (Zhou, Wang, Kraehenbuehl 2019, "Objects as Points"): a heatmap of centres per class, the
 //! boxes' sizes, and the centres' offsets within their cell, each a quarter of the picture in size.
 
+use super::graph::OUT;
+use super::kind::{self, Backbone, Sees};
 use super::layer::{Conv, Kernel};
-use super::light::{self, Light};
+use super::light::Light;
 use super::resnet::{self, Resnet50V2};
 use super::road::{RoadAnswer, RoadHeads};
 use crate::weights::{Stored, Weights, WeightsError, half};
-use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::path::PathBuf;
 use tch::{Device, Kind, TchError, Tensor, nn};
@@ -18,58 +19,6 @@ pub const CLASSES: i64 = 8;
 pub const STRIDE: usize = 4;
 /// The heatmap's output before training (the paper's): -log(1 / 0.1 - 1).
 pub(super) const FIRST_ANSWER: f64 = -2.19;
-
-/// The backbone, which computes the features.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Backbone {
-    /// Real time on one core; sees the rows from 96 to 416 of the picture.
-    Light,
-    /// The paper's; sees the whole picture.
-    Resnet50V2,
-}
-
-impl Backbone {
-    /// Its name in options and files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Light => "light",
-            Self::Resnet50V2 => "resnet50_v2",
-        }
-    }
-
-    /// The rows of a picture of `height` rows that the network sees: first, and how many.
-    ///
-    /// The light one leaves out the sky and the bonnet: objects more than 32 degrees above or below are
-    /// nearer than 6 m or higher than 8 m.
-    pub fn rows(self, height: usize) -> (usize, usize) {
-        match self {
-            Self::Light if height.is_multiple_of(512) => (height * 3 / 16, height * 5 / 8),
-            _ => (0, height),
-        }
-    }
-}
-
-/// What a network sees.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Sees {
-    /// Objects: CenterNet.
-    #[default]
-    Objects,
-    /// Objects, the boundaries of the ego's lane and its light: `eyes`. For the light backbone.
-    Road,
-}
-
-impl Sees {
-    /// What networks that see this are called in options and files.
-    pub fn network(self) -> &'static str {
-        match self {
-            Self::Objects => "centernet",
-            Self::Road => "eyes",
-        }
-    }
-}
 
 #[derive(Debug)]
 enum Features {
@@ -112,7 +61,7 @@ impl CenterNet {
         let store = nn::VarStore::new(device);
         let root = store.root();
         let (features, channels) = match backbone {
-            Backbone::Light => (Features::Light(Light::new(&(&root / "backbone"))), light::OUT),
+            Backbone::Light => (Features::Light(Light::new(&(&root / "backbone"))), OUT),
             Backbone::Resnet50V2 => (Features::Resnet(Resnet50V2::new(&(&root / "backbone"))), resnet::OUT),
         };
         let head = |name: &str, to: i64| {
@@ -212,27 +161,7 @@ impl CenterNet {
         sees: Sees,
         device: Device,
     ) -> Result<Self, WeightsError> {
-        let said =
-            |key: &str| weights.metadata.get(key).cloned().unwrap_or_else(|| "an unknown kind".to_string());
-        let check = |key: &str, expected: &str| {
-            let found = said(key);
-            if found == expected {
-                return Ok(());
-            }
-            let (found, expected) = (format!("{key} {found}"), format!("{key} {expected}"));
-            Err(WeightsError::Mismatch { path: weights.path.clone(), found, expected })
-        };
-        check("network", known.network())?;
-        check("camera", &CameraConfig::default().hash())?;
-        let backbone = match said("backbone").as_str() {
-            "light" => Backbone::Light,
-            "resnet50_v2" => Backbone::Resnet50V2,
-            _ => {
-                return Err(check("backbone", "light or resnet50_v2")
-                    .err()
-                    .unwrap_or_else(|| WeightsError::Torch(TchError::Convert("no backbone".to_string()))));
-            }
-        };
+        let backbone = kind::backbone(weights, known)?;
         let network = Self::new(backbone, sees, device)?;
         tch::no_grad(|| {
             let is_new = |name: &str| known != sees && name.starts_with("road.");

@@ -1,7 +1,8 @@
 //! The targets and the loss of the road's heads.
 
+use super::decode::{ANSWERS, CELL, COLUMNS, HORIZON, LIGHT, ROWS, row_y};
 use super::loss::focal;
-use super::road::{ANSWERS, CELL, COLUMNS, HORIZON, LIGHT, ROWS, RoadAnswer, WHOLE, row_y};
+use super::road::{RoadAnswer, WHOLE};
 use super::targets::{NO_MATTER, Wanted, encode};
 use crate::perception::{GroundPlane, RoadWanted};
 use tch::{Device, Kind, TchError, Tensor};
@@ -137,7 +138,7 @@ pub fn road_loss(answer: &RoadAnswer, targets: &RoadTargets, device: Device) -> 
 
 #[cfg(test)]
 mod tests {
-    use super::super::road::decode;
+    use super::super::decode::decode;
     use super::*;
     use crate::perception::Seen;
     use sumo_network::world::SignalState;

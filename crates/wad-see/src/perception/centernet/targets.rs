@@ -1,6 +1,7 @@
 //! The network's training targets for a picture (Zhou et al. 2019, section 3).
 
-use super::network::{Backbone, STRIDE};
+use super::kind::Backbone;
+use super::network::STRIDE;
 
 /// A target box, or a box that does not count.
 #[derive(Clone, Copy, Debug, PartialEq)]

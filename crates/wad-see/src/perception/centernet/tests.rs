@@ -1,7 +1,9 @@
 //! Weights are saved, read and refused. That the networks learn is tested where they are trained.
 
-use super::network::{Backbone, CenterNet, Sees};
-use super::{CenterNetDetector, light, resnet};
+use super::graph::OUT;
+use super::kind::{Backbone, Sees};
+use super::network::CenterNet;
+use super::{CenterNetDetector, resnet};
 use crate::weights::WeightsError;
 use tch::Device;
 use wad_camera::{CameraConfig, Frame};
@@ -16,7 +18,7 @@ fn the_backbones_have_the_sizes_that_are_documented() {
     // ResNet-50's 23.5 million without its classifier, and the way up.
     let resnet = count(Backbone::Resnet50V2);
     assert!((23_500_000..40_000_000).contains(&resnet), "{resnet}");
-    assert_eq!((light::OUT, resnet::OUT), (48, 64));
+    assert_eq!((OUT, resnet::OUT), (48, 64));
 }
 
 #[test]

@@ -1,0 +1,132 @@
+//! What the answers of the road's heads say: the ego's lane and its light.
+//!
+//! Light: 5 channels of 80 x 128 cells of 4 pixels: whether a head of the ego is here (before the sigmoid); red, yellow, green
+//! (before the softmax); ln(1 + the stop line's distance / m). Lanes: left and right boundary, each 20 rows from the horizon
+//! down, each 65 numbers before their softmax: columns of 8 pixels, then none.
+
+use crate::perception::{GroundPlane, LaneBoundary, LaneEstimate, Seen, SeenLight};
+use nalgebra::{Matrix4, Vector4};
+use sumo_network::world::SignalState;
+
+/// Pixels of the picture per cell of the lanes' map.
+pub(super) const CELL: usize = 8;
+/// Columns and rows of the map: the rows begin at the horizon, [`HORIZON`].
+pub(super) const COLUMNS: usize = 64;
+pub(super) const ROWS: usize = 20;
+pub(super) const HORIZON: usize = 256;
+/// Sides and their answers per row: a column each, and none.
+pub(super) const ANSWERS: usize = COLUMNS + 1;
+/// Channels of the light's map: whether a head of the ego is here; red, yellow, green; ln(1 + distance / m).
+pub(super) const LIGHT: i64 = 5;
+/// The lamps in the order of [`crate::perception::colour`].
+const COLOURS: [SignalState; 3] = [SignalState::Red, SignalState::Yellow, SignalState::GreenMajor];
+
+/// The middle of a row in the picture (pixels).
+pub(super) fn row_y(row: usize) -> f32 {
+    (HORIZON as f32) + (row as f32 + 0.5) * CELL as f32
+}
+
+/// Least certainty of a light, and of a boundary in a row.
+const LEAST_LIGHT: f32 = 0.3;
+const LEAST_ROW: f32 = 0.5;
+
+/// The lanes' answers of the network's four maps (4, 20, 64): a side's columns, and the mean of its other map as none.
+pub(super) fn with_none(maps: &[f32], answers: &mut Vec<f32>) {
+    answers.clear();
+    let (sides, none) = maps.split_at(maps.len() / 2);
+    for (columns, none) in sides.chunks_exact(COLUMNS).zip(none.chunks_exact(COLUMNS)) {
+        answers.extend_from_slice(columns);
+        answers.push(none.iter().sum::<f32>() / COLUMNS as f32);
+    }
+}
+
+/// What one picture's answers say.
+pub fn decode(light: &[f32], lanes: &[f32], ground: &GroundPlane) -> Seen {
+    Seen { lanes: decode_lanes(lanes, ground), light: decode_light(light) }
+}
+
+fn decode_light(map: &[f32]) -> Option<SeenLight> {
+    let cells = map.len() / LIGHT as usize;
+    let sigmoid = |x: f32| 1.0 / (1.0 + (-x).exp());
+    let heat = &map[..cells];
+    let certainty = sigmoid(heat.iter().copied().fold(f32::MIN, f32::max));
+    if certainty < LEAST_LIGHT {
+        return None;
+    }
+    // Every head that is about as sure has a vote.
+    let (mut sum, mut votes, mut distance) = (0.0, [0.0; 3], 0.0);
+    for (cell, x) in heat.iter().enumerate() {
+        let p = sigmoid(*x);
+        if p < 0.5 * certainty {
+            continue;
+        }
+        let at = |channel: usize| map[channel * cells + cell];
+        let lamps = [1, 2, 3].map(|c| at(c).exp());
+        let all: f32 = lamps.iter().sum();
+        for (vote, lamp) in votes.iter_mut().zip(lamps) {
+            *vote += p * lamp / all;
+        }
+        sum += p;
+        distance += p * at(4);
+    }
+    let lamp = (0..3).max_by(|&a, &b| votes[a].total_cmp(&votes[b])).unwrap_or(0);
+    let distance = f64::from((distance / sum).exp_m1().max(0.0));
+    Some(SeenLight { state: COLOURS[lamp], distance, certainty: certainty * votes[lamp] / sum })
+}
+
+fn decode_lanes(answers: &[f32], ground: &GroundPlane) -> LaneEstimate {
+    let mut points: [Vec<([f32; 2], f32)>; 2] = Default::default();
+    for (side, rows) in answers.chunks_exact(ROWS * ANSWERS).enumerate() {
+        for (row, answers) in rows.chunks_exact(ANSWERS).enumerate() {
+            let top = answers.iter().copied().fold(f32::MIN, f32::max);
+            let all: f32 = answers.iter().map(|x| (x - top).exp()).sum();
+            let p = |c: usize| (answers[c] - top).exp() / all;
+            let best = (0..COLUMNS).max_by(|&a, &b| answers[a].total_cmp(&answers[b])).unwrap_or(0);
+            let near = best.saturating_sub(2)..(best + 3).min(COLUMNS);
+            let mass: f32 = near.clone().map(p).sum();
+            if mass < LEAST_ROW {
+                continue;
+            }
+            let at: f32 = near.map(|c| c as f32 * p(c)).sum::<f32>() / mass;
+            let place = ground.point([(at + 0.5) * CELL as f32, row_y(row)]);
+            points[side].extend(place.map(|place| (place, mass)));
+        }
+    }
+    fit(&points)
+}
+
+/// One parabola for both sides, which differ in their offset: the lane's boundaries run side by side. A point weighs
+/// less far away, where a column is broader.
+fn fit(points: &[Vec<([f32; 2], f32)>; 2]) -> LaneEstimate {
+    /// Points that a side needs.
+    const LEAST: usize = 3;
+    /// Keeps slope and bend small where points do not say.
+    const CALM: [f64; 2] = [1e-3, 1.0];
+    let has = [0, 1].map(|side| points[side].len() >= LEAST);
+    let (mut a, mut b) = (Matrix4::<f64>::zeros(), Vector4::<f64>::zeros());
+    for side in (0..2).filter(|&side| has[side]) {
+        for &([x, y], mass) in &points[side] {
+            let x = f64::from(x);
+            let mut row = Vector4::new(0.0, 0.0, x, 0.5 * x * x);
+            row[side] = 1.0;
+            let weight = f64::from(mass) / (x * x).max(1.0);
+            a += weight * row * row.transpose();
+            b += weight * f64::from(y) * row;
+        }
+    }
+    for side in (0..2).filter(|&side| !has[side]) {
+        a[(side, side)] = 1.0;
+    }
+    (a[(2, 2)], a[(3, 3)]) = (a[(2, 2)] + CALM[0], a[(3, 3)] + CALM[1]);
+    let Some(found) = a.cholesky().map(|a| a.solve(&b)) else { return LaneEstimate::default() };
+    let side = |side: usize| {
+        let xs = || points[side].iter().map(|([x, _], _)| *x);
+        has[side].then(|| LaneBoundary {
+            offset: found[side] as f32,
+            slope: found[2] as f32,
+            bend: found[3] as f32,
+            reach: [xs().fold(f32::MAX, f32::min), xs().fold(f32::MIN, f32::max)],
+        })
+    };
+    LaneEstimate { left: side(0), right: side(1) }
+}

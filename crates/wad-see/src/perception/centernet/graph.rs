@@ -1,0 +1,222 @@
+//! The light network for inference without libtorch: batch norms folded, in single precision or in whole numbers of
+//! 8 bits.
+//!
+//! With 8 bits a convolution's weights have a scale per output channel, and what goes into it the scale of its range:
+//! 0 to about the largest number that the network was seen to have there (see [`Ranges`]). The heads stay in single
+//! precision.
+
+use super::kind::Sees;
+use crate::inference::ir::{Ir, Node};
+use crate::weights::{Stored, Weights, WeightsError};
+use safetensors::Dtype;
+
+/// Channels at strides 2, 4, 8, 16, 32.
+pub(super) const CHANNELS: [i64; 5] = [16, 24, 48, 96, 160];
+/// Channels of the pyramid, and of what the heads see.
+pub(super) const PYRAMID: i64 = 32;
+/// Channels that the heads see.
+pub const OUT: i64 = 48;
+/// Channels of the road's head between features and answers.
+pub(super) const HIDDEN: i64 = 32;
+/// Batch norm keeps its root from 0.
+pub(super) const EPSILON: f64 = 1e-5;
+
+/// Rows and columns of the picture that the network sees.
+pub const PICTURE: [usize; 2] = [320, 512];
+/// Name of the tensor of ranges in a file of weights.
+pub const RANGES: &str = "ranges";
+
+/// The largest number at each place of the network that is rounded, in the order in which the network meets them.
+pub type Ranges = Vec<f32>;
+
+/// The numbers that the network computes with.
+#[derive(Clone, Copy, Debug)]
+pub enum Numbers<'a> {
+    /// Single precision.
+    Single,
+    /// The same, and what would be rounded comes out behind the other outputs: to find ranges.
+    Watched,
+    /// Whole numbers of 8 bits within these ranges.
+    Whole(&'a Ranges),
+}
+
+struct Builder<'a> {
+    ir: Ir,
+    weights: &'a Weights,
+    numbers: Numbers<'a>,
+    /// Places that are rounded, so far.
+    places: Vec<Node>,
+}
+
+/// The network of some weights: one picture of [`PICTURE`] (1, 320, 512, 3) in bytes to heatmap (behind its sigmoid),
+/// size and offset, and where it sees the road, light and lanes: as in [`super::decode`].
+///
+/// # Errors
+/// The weights are of another network, or have ranges for another number of places.
+pub fn graph(weights: &Weights, sees: Sees, numbers: Numbers<'_>) -> Result<Ir, WeightsError> {
+    let mut net = Builder { ir: Ir::default(), weights, numbers, places: Vec::new() };
+    let [rows, columns] = PICTURE;
+    let picture = net.ir.bytes(&[1, rows, columns, 3]);
+    let picture = net.ir.to_float(picture);
+    let picture = net.ir.transpose(picture, &[0, 3, 1, 2]);
+    // About zero in the middle, one wide: 0 to 255 are 256 numbers from -1.8 to 2.2.
+    let factor = net.ir.floats(&[1], &[4.0 / 255.0]);
+    let shift = net.ir.floats(&[1], &[-1.8]);
+    let x = net.ir.multiply(picture, factor);
+    let mut x = net.ir.sum(x, shift);
+    if matches!(numbers, Numbers::Whole(_)) {
+        x = net.round_all(x, -1.8, 2.2);
+    }
+    let [stem1, stem2, ..] = CHANNELS;
+    x = net.layer(x, "backbone.stem1", [3, stem1, 3, 2])?;
+    x = net.layer(x, "backbone.stem2", [stem1, stem2, 3, 2])?;
+    let mut levels = vec![x];
+    for i in 2..CHANNELS.len() {
+        let (from, to) = (CHANNELS[i - 1], CHANNELS[i]);
+        let path = format!("backbone.stride{}", 2 << i);
+        let down = net.layer(x, &format!("{path}.down"), [from, to, 3, 2])?;
+        let first = net.layer(down, &format!("{path}.block.first"), [to, to, 3, 1])?;
+        let second = net.convolution(first, &format!("{path}.block.second"), [to, to, 3, 1], true)?;
+        let both = net.ir.sum(second, down);
+        let both = net.ir.relu(both);
+        x = net.rounded(both)?;
+        levels.push(x);
+    }
+    let mut top: Option<Node> = None;
+    for (i, level) in levels.iter().enumerate().rev() {
+        let name = format!("backbone.lateral{}", 4 << i);
+        let mut side = net.convolution(*level, &name, [CHANNELS[i + 1], PYRAMID, 1, 1], true)?;
+        if let Some(top) = top {
+            let top = net.ir.double(top);
+            side = net.ir.sum(side, top);
+        }
+        let side = net.ir.relu(side);
+        top = Some(net.rounded(side)?);
+    }
+    let top = top.unwrap_or(x);
+    let features = net.convolution(top, "backbone.smooth", [PYRAMID, OUT, 3, 1], true)?;
+    let features = net.ir.relu(features);
+    for (name, to) in [("heat", 8), ("size", 2), ("offset", 2)] {
+        let answer = net.head(features, &format!("{name}.last"), [OUT, to, 1, 1])?;
+        let answer = if name == "heat" { net.ir.sigmoid(answer) } else { answer };
+        net.ir.output(answer);
+    }
+    if sees == Sees::Road {
+        let light = net.head(features, "road.light", [OUT, super::decode::LIGHT, 1, 1])?;
+        net.ir.output(light);
+        let half = net.ir.halve(features);
+        let last = (PICTURE[0] / super::decode::CELL) as i64;
+        let below = net.ir.rows(half, last - super::decode::ROWS as i64, last);
+        let below = net.rounded(below)?;
+        let hidden = net.convolution(below, "road.hidden", [OUT, HIDDEN, 3, 1], true)?;
+        let hidden = net.ir.relu(hidden);
+        let lanes = net.head(hidden, "road.lanes", [HIDDEN, 4, 1, 1])?;
+        net.ir.output(lanes);
+    }
+    if matches!(numbers, Numbers::Watched) {
+        for place in std::mem::take(&mut net.places) {
+            net.ir.output(place);
+        }
+    } else if let Numbers::Whole(ranges) = numbers
+        && ranges.len() != net.places.len()
+    {
+        return Err(net.ranges_of_another());
+    }
+    Ok(net.ir)
+}
+
+impl Builder<'_> {
+    fn ranges_of_another(&self) -> WeightsError {
+        WeightsError::Format {
+            path: self.weights.path.clone(),
+            why: format!("tensor `{RANGES}` is of another network"),
+        }
+    }
+
+    fn round_all(&mut self, x: Node, low: f32, high: f32) -> Node {
+        let [low, high] = [low, high].map(|bound| self.ir.floats(&[1], &[bound]));
+        self.ir.round(x, low, high, 256)
+    }
+
+    /// A place that is rounded: numbers of 0 or more.
+    fn rounded(&mut self, x: Node) -> Result<Node, WeightsError> {
+        self.places.push(x);
+        let Numbers::Whole(ranges) = self.numbers else { return Ok(x) };
+        let range = *ranges.get(self.places.len() - 1).ok_or_else(|| self.ranges_of_another())?;
+        Ok(self.round_all(x, 0.0, range))
+    }
+
+    /// A convolution with batch norm and what follows it.
+    fn layer(&mut self, x: Node, name: &str, shape: [i64; 4]) -> Result<Node, WeightsError> {
+        let x = self.convolution(x, name, shape, true)?;
+        let x = self.ir.relu(x);
+        self.rounded(x)
+    }
+
+    /// A convolution with a bias, in single precision.
+    fn head(&mut self, x: Node, name: &str, shape: [i64; 4]) -> Result<Node, WeightsError> {
+        let numbers = std::mem::replace(&mut self.numbers, Numbers::Single);
+        let x = self.convolution(x, name, shape, false);
+        self.numbers = numbers;
+        x
+    }
+
+    /// `shape`: channels from and to, side, stride.
+    fn convolution(
+        &mut self,
+        x: Node,
+        name: &str,
+        [from, to, side, stride]: [i64; 4],
+        normed: bool,
+    ) -> Result<Node, WeightsError> {
+        let of = |what: &str| format!("{name}.{what}");
+        let mut weight = self.weights.floats(&of("weight"), &[to, from, side, side])?;
+        let each = weight.len() / to as usize;
+        let bias = if normed {
+            let vector = |what: &str| self.weights.floats(&of(what), &[to]);
+            let [scale, shift, mean, variance] =
+                [vector("scale")?, vector("shift")?, vector("mean")?, vector("variance")?];
+            let mut bias = Vec::with_capacity(to as usize);
+            for (channel, row) in weight.chunks_exact_mut(each).enumerate() {
+                let factor = scale[channel] / (variance[channel] + EPSILON as f32).sqrt();
+                row.iter_mut().for_each(|w| *w *= factor);
+                bias.push(shift[channel] - mean[channel] * factor);
+            }
+            bias
+        } else {
+            self.weights.floats(&of("bias"), &[to])?
+        };
+        let [to_, from_, side_] = [to, from, side].map(|n| n as usize);
+        let mut w = self.ir.floats(&[to_, from_, side_, side_], &weight);
+        if matches!(self.numbers, Numbers::Whole(_)) {
+            let largest: Vec<f32> = weight
+                .chunks_exact(each)
+                .map(|row| row.iter().fold(1e-9, |most: f32, w| most.max(w.abs())))
+                .collect();
+            let least: Vec<f32> = largest.iter().map(|x| -x).collect();
+            let low = self.ir.floats(&[to_, 1, 1, 1], &least);
+            let high = self.ir.floats(&[to_, 1, 1, 1], &largest);
+            w = self.ir.round(w, low, high, 255);
+        }
+        let bias = self.ir.floats(&[1, to_, 1, 1], &bias);
+        let x = self.ir.convolution(x, w, side_, stride as usize);
+        Ok(self.ir.sum(x, bias))
+    }
+}
+
+/// The ranges in a file of weights; None where it has none.
+///
+/// # Errors
+/// They are no row of numbers.
+pub fn ranges(weights: &Weights) -> Result<Option<Ranges>, WeightsError> {
+    let Some((_, stored)) = weights.tensors.iter().find(|(name, _)| name == RANGES) else { return Ok(None) };
+    let shape: Vec<i64> = stored.shape.iter().map(|&n| n as i64).collect();
+    weights.floats(RANGES, &shape).map(Some)
+}
+
+/// Puts the ranges into weights.
+pub fn set_ranges(weights: &mut Weights, ranges: &Ranges) {
+    weights.tensors.retain(|(name, _)| name != RANGES);
+    let data = ranges.iter().flat_map(|x| x.to_le_bytes()).collect();
+    weights.tensors.push((RANGES.to_string(), Stored { dtype: Dtype::F32, shape: vec![ranges.len()], data }));
+}

@@ -1,0 +1,76 @@
+//! The kinds of networks.
+
+use crate::weights::{Weights, WeightsError};
+use serde::{Deserialize, Serialize};
+use wad_camera::CameraConfig;
+
+/// The backbone, which computes the features.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Backbone {
+    /// Real time on one core; sees the rows from 96 to 416 of the picture.
+    Light,
+    /// The paper's; sees the whole picture.
+    Resnet50V2,
+}
+
+impl Backbone {
+    /// Its name in options and files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Light => "light",
+            Self::Resnet50V2 => "resnet50_v2",
+        }
+    }
+
+    /// The rows of a picture of `height` rows that the network sees: first, and how many.
+    ///
+    /// The light one leaves out the sky and the bonnet: objects more than 32 degrees above or below are
+    /// nearer than 6 m or higher than 8 m.
+    pub fn rows(self, height: usize) -> (usize, usize) {
+        match self {
+            Self::Light if height.is_multiple_of(512) => (height * 3 / 16, height * 5 / 8),
+            _ => (0, height),
+        }
+    }
+}
+
+/// What a network sees.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Sees {
+    /// Objects: CenterNet.
+    #[default]
+    Objects,
+    /// Objects, the boundaries of the ego's lane and its light: `eyes`. For the light backbone.
+    Road,
+}
+
+impl Sees {
+    /// What networks that see this are called in options and files.
+    pub fn network(self) -> &'static str {
+        match self {
+            Self::Objects => "centernet",
+            Self::Road => "eyes",
+        }
+    }
+}
+
+/// The backbone of weights that see `known` through today's camera.
+///
+/// # Errors
+/// They are of another network or of another camera.
+pub fn backbone(weights: &Weights, known: Sees) -> Result<Backbone, WeightsError> {
+    let check = |key: &str, expected: &[&str]| {
+        let found = weights.metadata.get(key).map_or("an unknown kind", String::as_str);
+        expected.iter().position(|one| *one == found).ok_or_else(|| WeightsError::Mismatch {
+            path: weights.path.clone(),
+            found: format!("{key} {found}"),
+            expected: format!("{key} {}", expected.join(" or ")),
+        })
+    };
+    check("network", &[known.network()])?;
+    check("camera", &[&CameraConfig::default().hash()])?;
+    let all = [Backbone::Light, Backbone::Resnet50V2];
+    check("backbone", &all.map(Backbone::name)).map(|at| all[at])
+}
