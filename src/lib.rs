@@ -40,7 +40,7 @@ pub use wad_learn::{agent, dataset, drive, driver, encoder_score, env, eval, fol
 pub use wad_learn::{optim, train};
 #[cfg(feature = "learn")]
 pub use wad_see::torch;
-pub use wad_see::{eyes, foxglove, latent, observation, perception, record};
+pub use wad_see::{eyes, foxglove, inference, latent, observation, perception, record};
 pub use wad_sim::{
     assets, autopilot, bridge, bundled, cores, cpu_time, criteria, destination, end, nets, program, replay,
     scenario, session, stats, sumo_config, tasks, telemetry, traffic,

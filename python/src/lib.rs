@@ -42,5 +42,6 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(evaluation::report_of, module)?)?;
     module.add_function(wrap_pyfunction!(evaluation::save_agent, module)?)?;
     module.add_function(wrap_pyfunction!(setup::use_sumo, module)?)?;
+    module.add_function(wrap_pyfunction!(setup::use_openvino, module)?)?;
     Ok(())
 }

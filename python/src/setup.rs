@@ -256,3 +256,9 @@ pub fn bench(py: Python<'_>, setup: &str, seed: u64, steps: usize) -> PyResult<(
 pub fn use_sumo(home: PathBuf) {
     SumoInstall::set_own(home);
 }
+
+/// Names the folder of the OpenVINO libraries that came with a package.
+#[pyfunction]
+pub fn use_openvino(folder: PathBuf) {
+    wad_cosim::inference::set_own(folder);
+}

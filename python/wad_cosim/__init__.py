@@ -37,14 +37,15 @@ __all__ = [
 ]
 
 
-def _find_sumo() -> None:
-    """Names the SUMO of the package eclipse-sumo, without importing it: its import changes the environment."""
-    spec = _util.find_spec("sumo")
-    for folder in (spec and spec.submodule_search_locations) or ():
-        if _os.path.isfile(_os.path.join(folder, "bin", "sumo")):
-            _native.use_sumo(folder)
-            return
+def _find(package: str, file: str) -> str | None:
+    """The folder of an installed package that has ``file``, without importing it: imports change the environment."""
+    spec = _util.find_spec(package)
+    folders = (spec and spec.submodule_search_locations) or ()
+    return next((folder for folder in folders if _os.path.exists(_os.path.join(folder, file))), None)
 
 
-_find_sumo()
+if _sumo := _find("sumo", "bin/sumo"):
+    _native.use_sumo(_sumo)
+if _openvino := _find("openvino", "libs"):
+    _native.use_openvino(_os.path.join(_openvino, "libs"))
 _register_all()

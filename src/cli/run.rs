@@ -48,7 +48,7 @@ pub struct Args {
     /// A .sumocfg, a .net.xml(.gz), a scenario's folder, a bundled town (town3, town5, town7) or a shipped scenario.
     #[arg(value_hint = ValueHint::FilePath)]
     config: String,
-    /// The driver: autopilot, wad-t, wad-s, wad-s-reward, a file that `train agent` wrote, constant, random,
+    /// The driver: autopilot, wad-t, wad-s, wad-t-reward, wad-s-reward, a file that `train agent` wrote, constant, random,
     /// manual (with --view), or exec:COMMAND (docs/evaluate.md).
     #[arg(long, default_value = "autopilot", value_name = "NAME|FILE|exec:CMD", value_hint = ValueHint::FilePath)]
     agent: DriverSpec,

@@ -33,7 +33,7 @@ Exit codes: 0 done; 2 usage or input; 3 SUMO failed; 4 interrupted, results kept
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
-    /// The driver: wad-t, wad-s, wad-s-reward (learned from reward alone), a trained agent's file, autopilot,
+    /// The driver: wad-t, wad-s, wad-t-reward, wad-s-reward (learned from reward alone), a trained agent's file, autopilot,
     /// random, constant[:THROTTLE,STEER,BRAKE], exec:COMMAND. May be given several times.
     #[arg(long = "agent", value_name = "NAME", default_value = "autopilot")]
     agents: Vec<DriverSpec>,

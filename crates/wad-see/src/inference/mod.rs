@@ -9,7 +9,7 @@ use ir::Ir;
 use openvino::{Core, DeviceType, ElementType, InferRequest, RwPropertyKey, Shape, Tensor};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, OnceLock};
-use sumo_traci::cache::cache_dir;
+use wad_sim::bundled::cache_dir;
 
 /// The version that `scripts/setup` fetches; any newer one may do as well.
 pub const VERSION: &str = "2026.4.1";
@@ -54,11 +54,21 @@ fn library(folder: &Path) -> Option<PathBuf> {
         .min()
 }
 
+static OWN: OnceLock<PathBuf> = OnceLock::new();
+
+/// Names the folder of the libraries that came with the program, e.g. with a Python package. [`VARIABLE`] still wins.
+pub fn set_own(folder: PathBuf) {
+    let _ = OWN.set(folder);
+}
+
 fn start() -> Result<Core, InferenceError> {
     let folders = match std::env::var_os(VARIABLE) {
         Some(off) if off == "off" => return Err(InferenceError::Off),
         Some(folder) if !folder.is_empty() => vec![PathBuf::from(folder)],
-        _ => cache_dir().map(|cache| cache.join(format!("openvino-{VERSION}"))).into_iter().collect(),
+        _ => {
+            let cached = cache_dir().map(|cache| cache.join(format!("openvino-{VERSION}")));
+            OWN.get().cloned().into_iter().chain(cached).collect()
+        }
     };
     let Some(library) = folders.iter().find_map(|folder| library(folder)) else {
         return Err(InferenceError::Missing { looked: folders });
