@@ -1,8 +1,8 @@
 //! CenterNet: heatmap, size and offset of eight classes over two backbones; with the road's heads, `eyes`.
 
-mod decode;
+pub mod decode;
 mod detector;
-mod graph;
+pub mod graph;
 pub mod kind;
 #[cfg(feature = "learn")]
 mod layer;
