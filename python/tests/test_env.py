@@ -218,7 +218,7 @@ def test_out_of_order(make):
 
 
 def test_learned_eyes_see_without_libtorch(make):
-    env = make("wad_cosim/Composite-v0", observation="transformed", detector="eyes", tick_limit=30)
+    env = make("Composite", observation="transformed", detector="eyes", tick_limit=30)
     observation, _ = env.reset(seed=1)
     first = observation.copy()
     for _ in range(20):
@@ -228,7 +228,7 @@ def test_learned_eyes_see_without_libtorch(make):
 
 def test_detectors_that_cannot_be_are_refused(make):
     with pytest.raises(wad_cosim.InputError, match="eyes:missing"):
-        make("wad_cosim/Composite-v0", observation="transformed", detector="eyes:missing").reset(seed=1)
+        make("Composite", observation="transformed", detector="eyes:missing").reset(seed=1)
 
 
 def test_the_sumo_is_the_packages_own(make):
