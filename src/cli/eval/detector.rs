@@ -154,7 +154,7 @@ pub fn run(args: Args, what: Scored) -> anyhow::Result<Exit> {
     let mut times = Vec::new();
     let mut roads = (what == Scored::Road).then(|| Roads::new(&weathers));
     let (views, interrupted) =
-        runtime.block_on(look(&args, config, &weathers, detector.as_mut(), (&mut times, &mut roads)))?;
+        runtime.block_on(look(&args, config, &weathers, detector.as_mut(), &mut times, &mut roads))?;
     times.sort_by(f64::total_cmp);
     let of = |weather: Preset| views.iter().filter(move |v| v.weather == weather);
     let is_trained = |v: &&View| TRAINING_WEATHERS.contains(&v.weather);
@@ -185,7 +185,8 @@ async fn look(
     config: PathBuf,
     weathers: &[Preset],
     detector: &mut dyn Detector,
-    (times, roads): (&mut Vec<f64>, &mut Option<Roads>),
+    times: &mut Vec<f64>,
+    roads: &mut Option<Roads>,
 ) -> anyhow::Result<(Vec<View>, bool)> {
     let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
     let mut interrupt = crate::cli::interrupt()?;

@@ -11,7 +11,7 @@ use wad_camera::CameraConfig;
 use wad_camera::model::ObjectClass;
 use wad_see::perception::centernet::road_targets::RoadTargets;
 use wad_see::perception::centernet::targets::{Centre, Wanted, Window, encode};
-use wad_see::perception::centernet::{Backbone, loss::Target, network::STRIDE};
+use wad_see::perception::centernet::{Backbone, kind::STRIDE, loss::Target};
 use wad_see::perception::coco::class_index;
 use wad_see::perception::metrics::{Scored, Truth};
 use wad_see::perception::score::{LEAST_VISIBLE, visible_share};

@@ -164,10 +164,21 @@ impl Ir {
         self.add("AvgPool", 1, data, &[x])
     }
 
-    /// The rows from `from` to before `to` of (n, c, h, w).
-    pub fn rows(&mut self, x: Node, from: i64, to: i64) -> Node {
-        let [from, to, step, axis] = [[from], [to], [1], [2]].map(|number| self.integers(&number));
+    /// What lies from `from` to before `to` along a dimension.
+    pub fn part(&mut self, x: Node, axis: i64, from: i64, to: i64) -> Node {
+        let [from, to, step, axis] = [from, to, 1, axis].map(|number| self.integers(&[number]));
         self.add("Slice", 8, "", &[x, from, to, step, axis])
+    }
+
+    /// The mean along a dimension, which is 1 long then.
+    pub fn mean(&mut self, x: Node, axis: i64) -> Node {
+        let axis = self.integers(&[axis]);
+        self.add("ReduceMean", 1, "keep_dims=\"true\"", &[x, axis])
+    }
+
+    /// Both, one behind the other along a dimension.
+    pub fn join(&mut self, a: Node, b: Node, axis: i64) -> Node {
+        self.add("Concat", 1, &format!("axis=\"{axis}\""), &[a, b])
     }
 
     /// Rounds to one of `levels` numbers from `low` to `high`, which are the same for all or have a shape that fits.

@@ -77,6 +77,13 @@ impl RoadWanted {
     }
 }
 
+/// y (m, left positive) of a boundary at `x` m ahead; None where it does not reach.
+pub(super) fn y_at(line: &[[f32; 2]], x: f32) -> Option<f32> {
+    let pair = line.windows(2).find(|pair| (pair[0][0]..=pair[1][0]).contains(&x))?;
+    let t = (x - pair[0][0]) / (pair[1][0] - pair[0][0]).max(1e-3);
+    Some(pair[0][1] + t * (pair[1][1] - pair[0][1]))
+}
+
 /// The lane of its edge that the ego is nearest to: it may be half-way to the next one. None inside junctions.
 pub(super) fn ego_lane(facts: &EgoFacts<'_>) -> Option<LaneId> {
     let network = facts.network;

@@ -30,16 +30,6 @@ pub(super) fn row_y(row: usize) -> f32 {
 const LEAST_LIGHT: f32 = 0.3;
 const LEAST_ROW: f32 = 0.5;
 
-/// The lanes' answers of the network's four maps (4, 20, 64): a side's columns, and the mean of its other map as none.
-pub(super) fn with_none(maps: &[f32], answers: &mut Vec<f32>) {
-    answers.clear();
-    let (sides, none) = maps.split_at(maps.len() / 2);
-    for (columns, none) in sides.chunks_exact(COLUMNS).zip(none.chunks_exact(COLUMNS)) {
-        answers.extend_from_slice(columns);
-        answers.push(none.iter().sum::<f32>() / COLUMNS as f32);
-    }
-}
-
 /// What one picture's answers say.
 pub fn decode(light: &[f32], lanes: &[f32], ground: &GroundPlane) -> Seen {
     Seen { lanes: decode_lanes(lanes, ground), light: decode_light(light) }

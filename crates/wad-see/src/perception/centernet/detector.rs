@@ -2,7 +2,7 @@
 
 use super::decode;
 use super::graph::{self, Numbers, PICTURE, Ranges};
-use super::kind::{self, Backbone, Sees};
+use super::kind::{self, Backbone, CLASSES, STRIDE, Sees};
 #[cfg(feature = "learn")]
 use super::network::CenterNet;
 use crate::inference::{self, InferenceError};
@@ -115,19 +115,21 @@ impl CenterNetDetector {
         sees: Sees,
         min_score: f32,
     ) -> Result<Self, WeightsError> {
-        let backbone = kind::backbone(weights, sees)?;
-        let engine = match how(weights, sees)? {
+        match how(weights, sees)? {
             #[cfg(feature = "learn")]
-            How::Torch => Engine::torch(CenterNet::from_weights(weights, sees, Device::Cpu)?, Device::Cpu)?,
+            How::Torch => {
+                let network = CenterNet::from_weights(weights, sees, Device::Cpu)?;
+                Ok(Self::new(name, network, Device::Cpu, min_score)?)
+            }
             #[cfg(not(feature = "learn"))]
-            How::Torch => return Err(WeightsError::NoTorch),
+            How::Torch => Err(WeightsError::NoTorch),
             How::OpenVino(ranges) => {
                 let numbers = ranges.as_ref().map_or(Numbers::Single, Numbers::Whole);
                 let ir = graph::graph(weights, sees, numbers)?;
-                Engine::OpenVino { network: inference::Network::new(&ir, &SHAPE)?, sees }
+                let engine = Engine::OpenVino { network: inference::Network::new(&ir, &SHAPE)?, sees };
+                Ok(Self::of(name, Backbone::Light, engine, min_score))
             }
-        };
-        Ok(Self::of(name, backbone, engine, min_score))
+        }
     }
 
     /// Makes a detector of a network, ready for inference by libtorch.
@@ -135,8 +137,15 @@ impl CenterNetDetector {
     /// # Errors
     /// torch fails.
     #[cfg(feature = "learn")]
-    pub fn new(name: String, network: CenterNet, device: Device, min_score: f32) -> Result<Self, TchError> {
-        Ok(Self::of(name, network.backbone, Engine::torch(network, device)?, min_score))
+    pub fn new(
+        name: String,
+        mut network: CenterNet,
+        device: Device,
+        min_score: f32,
+    ) -> Result<Self, TchError> {
+        network.fold()?;
+        let backbone = network.backbone;
+        Ok(Self::of(name, backbone, Engine::Torch { network: Box::new(network), device }, min_score))
     }
 
     fn of(name: String, backbone: Backbone, engine: Engine, min_score: f32) -> Self {
@@ -187,11 +196,11 @@ impl CenterNetDetector {
         let Outputs { shape: [h, w], maps: [heat, sizes, offsets, light, lanes], sees_road } = &self.outputs;
         self.seen = sees_road.then(|| decode::decode(light, lanes, &self.ground));
         let tensors = [
-            Output { name: "heat", shape: &[8, *h, *w], values: heat },
+            Output { name: "heat", shape: &[CLASSES as usize, *h, *w], values: heat },
             Output { name: "size", shape: &[2, *h, *w], values: sizes },
             Output { name: "offset", shape: &[2, *h, *w], values: offsets },
         ];
-        let head = Head::SizeOffset { heat: 0, size: 1, offset: 2, classes: 8 };
+        let head = Head::SizeOffset { heat: 0, size: 1, offset: 2, classes: CLASSES as usize };
         let mut found = heads::decode(&head, &tensors, width, self.min_score);
         let (right, bottom) = (width as f32, height as f32);
         for detection in &mut found {
@@ -208,12 +217,6 @@ impl CenterNetDetector {
 const SHAPE: [usize; 4] = [1, PICTURE[0], PICTURE[1], 3];
 
 impl Engine {
-    #[cfg(feature = "learn")]
-    fn torch(mut network: CenterNet, device: Device) -> Result<Self, TchError> {
-        network.fold()?;
-        Ok(Self::Torch { network: Box::new(network), device })
-    }
-
     /// `size`: rows and columns of the picture's bytes.
     fn run(&mut self, bytes: &[u8], size: [usize; 2], outputs: &mut Outputs) -> Result<(), Broken> {
         match self {
@@ -222,14 +225,11 @@ impl Engine {
                 run_torch(network, *device, bytes, size, outputs).map_err(Broken::Torch)
             }
             Self::OpenVino { network, sees } => {
-                outputs.shape = size.map(|side| side / 4);
+                outputs.shape = size.map(|side| side / STRIDE);
                 outputs.sees_road = *sees == Sees::Road;
-                let run = network.run(bytes, |at, numbers| match &mut outputs.maps[at] {
-                    lanes if at == 4 => decode::with_none(numbers, lanes),
-                    map => {
-                        map.clear();
-                        map.extend_from_slice(numbers);
-                    }
+                let run = network.run(bytes, |at, numbers| {
+                    outputs.maps[at].clear();
+                    outputs.maps[at].extend_from_slice(numbers);
                 });
                 run.map_err(Broken::Inference)
             }

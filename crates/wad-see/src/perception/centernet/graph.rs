@@ -5,7 +5,8 @@
 //! 0 to about the largest number that the network was seen to have there (see [`Ranges`]). The heads stay in single
 //! precision.
 
-use super::kind::Sees;
+use super::decode::{CELL, LIGHT, ROWS};
+use super::kind::{CLASSES, Sees};
 use crate::inference::ir::{Ir, Node};
 use crate::weights::{Stored, Weights, WeightsError};
 use safetensors::Dtype;
@@ -96,21 +97,24 @@ pub fn graph(weights: &Weights, sees: Sees, numbers: Numbers<'_>) -> Result<Ir, 
     let top = top.unwrap_or(x);
     let features = net.convolution(top, "backbone.smooth", [PYRAMID, OUT, 3, 1], true)?;
     let features = net.ir.relu(features);
-    for (name, to) in [("heat", 8), ("size", 2), ("offset", 2)] {
+    for (name, to) in [("heat", CLASSES), ("size", 2), ("offset", 2)] {
         let answer = net.head(features, &format!("{name}.last"), [OUT, to, 1, 1])?;
         let answer = if name == "heat" { net.ir.sigmoid(answer) } else { answer };
         net.ir.output(answer);
     }
     if sees == Sees::Road {
-        let light = net.head(features, "road.light", [OUT, super::decode::LIGHT, 1, 1])?;
+        let light = net.head(features, "road.light", [OUT, LIGHT, 1, 1])?;
         net.ir.output(light);
         let half = net.ir.halve(features);
-        let last = (PICTURE[0] / super::decode::CELL) as i64;
-        let below = net.ir.rows(half, last - super::decode::ROWS as i64, last);
+        let last = (PICTURE[0] / CELL) as i64;
+        let below = net.ir.part(half, 2, last - ROWS as i64, last);
         let below = net.rounded(below)?;
         let hidden = net.convolution(below, "road.hidden", [OUT, HIDDEN, 3, 1], true)?;
         let hidden = net.ir.relu(hidden);
-        let lanes = net.head(hidden, "road.lanes", [HIDDEN, 4, 1, 1])?;
+        let answers = net.head(hidden, "road.lanes", [HIDDEN, 4, 1, 1])?;
+        let [columns, none] = [0, 2].map(|from| net.ir.part(answers, 1, from, from + 2));
+        let none = net.ir.mean(none, 3);
+        let lanes = net.ir.join(columns, none, 3);
         net.ir.output(lanes);
     }
     if matches!(numbers, Numbers::Watched) {

@@ -4,6 +4,11 @@ use crate::weights::{Weights, WeightsError};
 use serde::{Deserialize, Serialize};
 use wad_camera::CameraConfig;
 
+/// Classes, in the order of [`crate::perception::coco::CLASSES`].
+pub const CLASSES: i64 = 8;
+/// Pixels of the picture per cell.
+pub const STRIDE: usize = 4;
+
 /// The backbone, which computes the features.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

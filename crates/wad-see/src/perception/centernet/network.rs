@@ -2,7 +2,7 @@
 //! boxes' sizes, and the centres' offsets within their cell, each a quarter of the picture in size.
 
 use super::graph::OUT;
-use super::kind::{self, Backbone, Sees};
+use super::kind::{self, Backbone, CLASSES, Sees};
 use super::layer::{Conv, Kernel};
 use super::light::Light;
 use super::resnet::{self, Resnet50V2};
@@ -13,10 +13,6 @@ use std::path::PathBuf;
 use tch::{Device, Kind, TchError, Tensor, nn};
 use wad_camera::CameraConfig;
 
-/// Classes, in the order of [`super::super::coco::CLASSES`].
-pub const CLASSES: i64 = 8;
-/// Pixels of the picture per cell.
-pub const STRIDE: usize = 4;
 /// The heatmap's output before training (the paper's): -log(1 / 0.1 - 1).
 pub(super) const FIRST_ANSWER: f64 = -2.19;
 

@@ -7,14 +7,15 @@
 //! ```
 
 use super::decode::{LIGHT, ROWS};
-use super::graph::HIDDEN;
+use super::graph::{HIDDEN, PICTURE};
+use super::kind::STRIDE;
 use super::layer::{Conv, Kernel};
 use tch::nn::Path;
 use tch::{Kind, TchError, Tensor};
 
-/// Whole pictures have this many cells of features, 4 pixels wide: width and height. Parts of pictures have no answers, for where
-/// the ego is in them is not known.
-pub(super) const WHOLE: [i64; 2] = [128, 80];
+/// Whole pictures have this many cells of features: width and height. Parts of pictures have no answers, for where the ego is in
+/// them is not known.
+pub(super) const WHOLE: [i64; 2] = [(PICTURE[1] / STRIDE) as i64, (PICTURE[0] / STRIDE) as i64];
 
 /// The heads.
 #[derive(Debug)]

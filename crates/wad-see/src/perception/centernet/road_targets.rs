@@ -1,16 +1,17 @@
 //! The targets and the loss of the road's heads.
 
 use super::decode::{ANSWERS, CELL, COLUMNS, HORIZON, LIGHT, ROWS, row_y};
+use super::graph::PICTURE;
+use super::kind::Backbone;
 use super::loss::focal;
 use super::road::{RoadAnswer, WHOLE};
 use super::targets::{NO_MATTER, Wanted, encode};
+use crate::perception::road_truth::y_at;
 use crate::perception::{GroundPlane, RoadWanted};
 use tch::{Device, Kind, TchError, Tensor};
 
 /// Deviation of a boundary's column in the target (cells).
 const SPREAD: f32 = 0.7;
-/// The first row of a picture that the light backbone sees.
-const TOP: f32 = 96.0;
 
 /// The targets of a batch of whole pictures, on the processor.
 #[derive(Clone, Debug, Default)]
@@ -36,12 +37,13 @@ impl RoadTargets {
         self.heat.resize(self.pictures * cells, if wanted.is_some() { 0.0 } else { NO_MATTER });
         self.lanes.resize(self.pictures * answers, 0.0);
         let Some(wanted) = wanted else { return };
+        let top = Backbone::Light.rows(PICTURE[1]).0 as f32;
         let boxes: Vec<Wanted> = wanted
             .heads
             .iter()
             .map(|&([l, t, r, b], counts)| Wanted {
                 class: 0,
-                bounds: [l, t - TOP, r, b - TOP],
+                bounds: [l, t - top, r, b - top],
                 ignored: !counts || wanted.light.is_none(),
             })
             .collect();
@@ -90,12 +92,7 @@ fn column(line: Option<&[[f32; 2]]>, row: usize, ground: &GroundPlane) -> Column
     if x > end[0] {
         return if end[0] > FAR { Column::Unknown } else { Column::None };
     }
-    let Some(pair) = line.windows(2).find(|pair| (pair[0][0]..=pair[1][0]).contains(&x)) else {
-        return Column::Unknown;
-    };
-    let t = (x - pair[0][0]) / (pair[1][0] - pair[0][0]).max(1e-3);
-    let y = pair[0][1] + t * (pair[1][1] - pair[0][1]);
-    match ground.pixel([x, y]) {
+    match y_at(line, x).and_then(|y| ground.pixel([x, y])) {
         Some([u, _]) if (0.0..(COLUMNS * CELL) as f32).contains(&u) => Column::At(u / CELL as f32 - 0.5),
         _ => Column::Unknown,
     }

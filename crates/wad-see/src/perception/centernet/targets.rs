@@ -1,7 +1,6 @@
 //! The network's training targets for a picture (Zhou et al. 2019, section 3).
 
-use super::kind::Backbone;
-use super::network::STRIDE;
+use super::kind::{Backbone, STRIDE};
 
 /// A target box, or a box that does not count.
 #[derive(Clone, Copy, Debug, PartialEq)]

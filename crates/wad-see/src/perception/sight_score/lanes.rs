@@ -12,8 +12,8 @@ use wad_camera::scene::painted_sides;
 
 /// Where lateral errors are measured (m ahead of the ego's centre).
 pub const MEASURED_AT: f64 = 10.0;
-/// A boundary within this of the painted one is found (m).
-const FOUND: f64 = 0.5;
+/// A boundary within this of the true one is found (m).
+pub(super) const FOUND: f64 = 0.5;
 
 /// A painted boundary next to the ego's lane.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,11 +1,11 @@
 //! What networks saw of lane and light against what is true of both.
 
+use super::lanes::FOUND;
 use super::{MEASURED_AT, Spread, share};
+use crate::perception::road_truth::y_at;
 use crate::perception::{RoadWanted, Seen, colour};
 use serde::{Deserialize, Serialize};
 
-/// A boundary within this of the true one is found (m).
-const FOUND: f64 = 0.5;
 /// A light counts up to this far before its stop line, the error of the distance up to this far (m).
 const LIGHT_REACH: f32 = 40.0;
 const LINE_REACH: f32 = 20.0;
@@ -74,7 +74,7 @@ impl RoadScore {
         match &wanted.boundaries {
             Some(sides) => {
                 for (line, seen) in sides.iter().zip(lanes) {
-                    let Some(y) = at(line, MEASURED_AT as f32) else { continue };
+                    let Some(y) = y_at(line, MEASURED_AT as f32) else { continue };
                     self.boundaries += 1;
                     let error = seen.map(|seen| f64::from((seen.y(MEASURED_AT as f32) - y).abs()));
                     self.found += usize::from(error.is_some_and(|e| e <= FOUND));
@@ -127,13 +127,6 @@ impl RoadScore {
             line_error: Spread::of(&self.line),
         }
     }
-}
-
-/// y (m, left positive) of a line of points at `x` m ahead; None where it does not reach so far.
-fn at(line: &[[f32; 2]], x: f32) -> Option<f32> {
-    let pair = line.windows(2).find(|pair| (pair[0][0]..=pair[1][0]).contains(&x))?;
-    let t = (x - pair[0][0]) / (pair[1][0] - pair[0][0]).max(1e-3);
-    Some(pair[0][1] + t * (pair[1][1] - pair[0][1]))
 }
 
 #[cfg(test)]
