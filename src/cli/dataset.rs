@@ -75,6 +75,10 @@ pub struct CollectArgs {
     /// bicycle, person, bus, truck, "traffic light", bench.
     #[arg(long, value_name = "CLASS", value_delimiter = ',', value_parser = class)]
     showing: Vec<ObjectClass>,
+    /// In pictures and labels, signals show lamps drawn at random, each incoming road its own; traffic obeys the real ones.
+    /// For training eyes: real programs show little yellow, and who stands at a line always sees red.
+    #[arg(long)]
+    random_signals: bool,
     /// Mean seconds between disturbances of the autopilot's controls; 0: none.
     #[arg(long, value_name = "SECONDS", default_value_t = NoiseParams::default().pause, value_parser = super::seconds)]
     noise_pause: f64,
@@ -152,6 +156,7 @@ fn run_collect(args: &CollectArgs) -> anyhow::Result<Exit> {
     options.every = args.every;
     options.noise.pause = args.noise_pause;
     options.showing.clone_from(&args.showing);
+    options.random_signals = args.random_signals;
     options.jobs = args.jobs.max(1);
     options.per_segment = args.per_shard.unwrap_or(options.per_segment).max(1);
     options.time_limit = minutes(args.max_minutes)?;

@@ -3,6 +3,8 @@
 use serde_json::Value;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
+use wad_cosim::dataset::{Dataset, FrameRecord};
+use wad_cosim::world::SignalState;
 
 fn wad(args: &[&str], folder: &Path) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_wad-cosim"));
@@ -50,6 +52,38 @@ fn collecting_goes_on_where_it_stopped() {
     let error = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(2));
     assert!(error.contains("the seed") && error.contains('3'), "{error}");
+}
+
+/// With random signals the traffic is the same, and so is all that a frame shows but the lamps and what follows from them.
+#[test]
+fn random_signals_change_the_lamps_and_nothing_else() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = ["--town", "town3", "--frames", "50", "--per-shard", "50", "--every", "1", "--seed", "3"];
+    let frames = |name: &str, more: &[&str]| -> Vec<FrameRecord> {
+        let path = folder.path().join(name);
+        collect(&path, &[&args[..], more].concat());
+        let mut reader = Dataset::open(&path, false).unwrap().reader(0).unwrap();
+        std::iter::from_fn(|| reader.next_record().unwrap()).collect()
+    };
+    let (real, drawn) = (frames("real", &[]), frames("drawn", &["--random-signals"]));
+    assert_eq!((real.len(), drawn.len()), (50, 50));
+    let mut others = 0;
+    for (real, drawn) in real.iter().zip(&drawn) {
+        assert_eq!((real.time, real.ego, real.control), (drawn.time, drawn.ego, drawn.control));
+        assert_eq!(real.boxes, drawn.boxes);
+        let (Some((is, at)), Some((shown, drawn_at))) = (real.light, drawn.light) else { continue };
+        others += usize::from(is != shown && at == drawn_at);
+        if drawn.road.as_ref().is_some_and(|road| !road.heads.is_empty()) {
+            assert!([SignalState::Red, SignalState::Yellow, SignalState::GreenMajor].contains(&shown));
+        }
+    }
+    assert!(others > 5, "{others}");
+    let shown = |state| drawn.iter().filter(|one| one.light.is_some_and(|(is, _)| is == state)).count();
+    assert!(shown(SignalState::Yellow) > 1 && shown(SignalState::GreenMajor) > 1);
+    // The same folder is not gone on with real ones.
+    let output = wad(&[&["dataset", "collect"], &args[..]].concat(), &folder.path().join("drawn"));
+    let error = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.code() == Some(2) && error.contains("signals are random"), "{error}");
 }
 
 /// A recorded run is driven again, looked at in each weather, and it is the run that was recorded.

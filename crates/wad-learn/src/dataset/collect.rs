@@ -370,7 +370,7 @@ async fn collect_run(
     scratch: &Path,
 ) -> Result<(), DatasetError> {
     let options = shared.options;
-    let mut drive = RunDrive::start(run, segment, options.every, options.camera, scratch).await?;
+    let mut drive = RunDrive::start(run, segment, options, scratch).await?;
     while let Some(frame) = drive.next_frame().await? {
         if shared.is_over() {
             shared.frames.fetch_sub(shard.frames(), Ordering::Relaxed);

@@ -2,10 +2,15 @@
 
 use super::error::DatasetError;
 use super::image_codec::CameraCodec;
+use super::options::CollectOptions;
 use super::plan::Segment;
 use super::record::{BoxRecord, Frame, FrameRecord, Labels};
-use sumo_network::network::Network;
-use sumo_network::world::Actor;
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use std::collections::HashMap;
+use sumo_network::network::{EdgeId, Network};
+use sumo_network::seeds;
+use sumo_network::world::{Actor, WorldState};
 use wad_camera::{CameraConfig, Outputs, Town, model};
 use wad_see::eyes::Eyes;
 use wad_see::perception::{EgoFacts, Heads, RoadTruth, TruthDetector};
@@ -24,6 +29,7 @@ pub struct Eye {
     heads: Heads,
     /// The format of camera pictures; None: they are not kept.
     codec: Option<CameraCodec>,
+    signals: Option<RandomSignals>,
 }
 
 /// A frame's facts that do not come from camera and perception.
@@ -39,7 +45,7 @@ pub struct Moment {
 }
 
 impl Eye {
-    /// For the segment's weather; `keeps_camera`: with the camera's pictures.
+    /// For the segment's weather, with the camera's pictures and random signals where `options` say so.
     ///
     /// # Errors
     /// This build cannot detect lanes.
@@ -47,13 +53,14 @@ impl Eye {
         network: &Network,
         town: Town,
         segment: Segment,
-        keeps_camera: bool,
+        options: &CollectOptions,
     ) -> Result<Self, DatasetError> {
         let heads = Heads::new(network, town.scene());
         let outputs = Outputs { boxes: true, ..Outputs::RGB };
         let eyes = Eyes::new(town, CameraConfig::default(), Box::new(TruthDetector::new()))?;
-        let codec = keeps_camera.then(CameraCodec::best);
-        let mut eye = Self { segment, eyes: eyes.with_outputs(outputs), heads, codec };
+        let codec = options.camera.then(CameraCodec::best);
+        let signals = options.random_signals.then(|| RandomSignals::new(segment.seed));
+        let mut eye = Self { segment, eyes: eyes.with_outputs(outputs), heads, codec, signals };
         eye.reset();
         Ok(eye)
     }
@@ -73,12 +80,16 @@ impl Eye {
     /// # Errors
     /// A stage of perception fails.
     pub fn record(&mut self, network: &Network, ego: &Ego, moment: Moment) -> Result<Frame, DatasetError> {
-        let facts = EgoFacts::of(network, ego, moment.since);
+        let drawn = self.signals.as_mut().map(|signals| signals.draw(network, ego.world()));
+        let world = drawn.as_ref().unwrap_or(ego.world());
+        if drawn.is_some() {
+            self.eyes.follow(world);
+        }
+        let facts = EgoFacts { signals: &world.traffic_lights, ..EgoFacts::of(network, ego, moment.since) };
         self.eyes.look(&facts)?;
         let (Some(frame), Some(percept)) = (self.eyes.frame(), self.eyes.percept()) else {
             return Err(DatasetError::Image("the camera gave no frame".to_string()));
         };
-        let world = ego.world();
         // The frame numbers road users by their place in the world; a shard by what they are.
         let keys: Vec<u64> = world.vehicles.iter().chain(&world.pedestrians).map(|a| a.key).collect();
         let key = |id: u32| {
@@ -119,6 +130,40 @@ impl Eye {
             None => Vec::new(),
         };
         Ok(Frame { record, transformed: percept.transformed.clone(), camera })
+    }
+}
+
+/// Lamps drawn at random. Real programs show yellow for three seconds a minute, and who stands at a line sees red: a network
+/// would learn the place instead of the lamp.
+struct RandomSignals {
+    rng: ChaCha8Rng,
+}
+
+/// What is drawn, as SUMO writes it: two in five are red or green.
+const LAMPS: [char; 5] = ['r', 'r', 'y', 'G', 'G'];
+
+impl RandomSignals {
+    fn new(seed: u64) -> Self {
+        Self { rng: seeds::rng(seed, "signals") }
+    }
+
+    /// The world with other lamps: the links that leave one road show the same, crossings what they showed.
+    fn draw(&mut self, network: &Network, world: &WorldState) -> WorldState {
+        let mut world = world.clone();
+        for (program, states) in network.traffic_lights.iter().zip(&mut world.traffic_lights) {
+            let Some(shown) = states else { continue };
+            let mut shown: Vec<char> = shown.chars().collect();
+            let mut lamps: HashMap<EdgeId, char> = HashMap::new();
+            for link in program.links.iter().map(|link| network.link(*link)) {
+                let road = network.lane(link.from).edge;
+                let lamp = *lamps.entry(road).or_insert_with(|| LAMPS[self.rng.random_range(0..LAMPS.len())]);
+                if let Some(state) = link.signal.and_then(|signal| shown.get_mut(signal.index)) {
+                    *state = lamp;
+                }
+            }
+            *states = Some(shown.into_iter().collect::<String>().into());
+        }
+        world
     }
 }
 

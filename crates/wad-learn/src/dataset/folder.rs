@@ -83,6 +83,9 @@ pub struct Manifest {
     /// Every frame shows an object of one of these classes; empty: all frames were kept.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub showing: Vec<ObjectClass>,
+    /// Signals show lamps drawn at random.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub random_signals: bool,
 }
 
 impl Manifest {
@@ -103,6 +106,7 @@ impl Manifest {
             program: wad_sim::program::version().to_string(),
             runs: options.runs.iter().map(|run| run.folder.clone()).collect(),
             showing: options.showing.clone(),
+            random_signals: options.random_signals,
         }
     }
 
@@ -144,6 +148,7 @@ impl Manifest {
                     m.runs.iter().map(|r| r.display().to_string()).collect::<Vec<_>>().join(","),
                 ),
                 ("the classes shown", m.showing.iter().map(|c| class_name(*c)).collect::<Vec<_>>().join(",")),
+                ("whether signals are random", m.random_signals.to_string()),
                 ("the camera", m.camera.clone()),
                 ("whether camera pictures are kept", m.keeps_camera.to_string()),
             ]

@@ -30,6 +30,8 @@ pub struct CollectOptions {
     pub every: f64,
     /// Keep only frames that show an object of one of these classes; empty: all frames.
     pub showing: Vec<ObjectClass>,
+    /// Signals show lamps drawn at random in pictures and labels, each incoming road its own; traffic obeys the real ones.
+    pub random_signals: bool,
     /// Disturbances of the autopilot's controls.
     pub noise: NoiseParams,
     /// SUMOs in parallel.
@@ -56,6 +58,7 @@ impl CollectOptions {
             camera: false,
             every: 0.5,
             showing: Vec::new(),
+            random_signals: false,
             noise: NoiseParams::default(),
             jobs: 1,
             time_limit: None,

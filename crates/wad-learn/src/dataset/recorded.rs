@@ -3,6 +3,7 @@
 
 use super::error::DatasetError;
 use super::eye::{Eye, Moment};
+use super::options::CollectOptions;
 use super::plan::{Segment, due};
 use super::record::Frame;
 use crate::drive::{Drive, DriveOptions};
@@ -109,8 +110,7 @@ impl<'a> RunDrive<'a> {
     pub async fn start(
         run: &'a RecordedRun,
         segment: Segment,
-        every: f64,
-        keeps_camera: bool,
+        how: &CollectOptions,
         scratch: &Path,
     ) -> Result<Self, DatasetError> {
         let mut options = run.options.clone();
@@ -119,8 +119,8 @@ impl<'a> RunDrive<'a> {
         options.bridge.gui = false;
         let drive = Drive::start(options).await?;
         let assets = drive.assets();
-        let eye = Eye::new(assets.network(), assets.town(), segment, keeps_camera)?;
-        Ok(Self { run, drive, eye, every, next: 0, since_frame: 0.0, standing: 0.0, respawns: 0 })
+        let eye = Eye::new(assets.network(), assets.town(), segment, how)?;
+        Ok(Self { run, drive, eye, every: how.every, next: 0, since_frame: 0.0, standing: 0.0, respawns: 0 })
     }
 
     /// Drives until the next frame is due; None at the run's end.
