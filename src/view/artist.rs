@@ -149,7 +149,7 @@ impl Artist {
         let boxes: Vec<Value> = (percept.detections.iter())
             .map(|d| {
                 let [l, t, r, b] = d.bounds.map(|v| v.round() as i32);
-                json!([format!("{:?}", d.class), l, t, r, b])
+                json!([format!("{:?}", d.class), l, t, r, b, (100.0 * d.score).round()])
             })
             .collect();
         let lanes: Vec<Value> = [&percept.lanes.left, &percept.lanes.right]
@@ -158,7 +158,9 @@ impl Artist {
             .map(|lane| lane.pixels(&self.ground).iter().flat_map(|p| p.map(|v| v.round() as i32)).collect())
             .collect();
         let gap = percept.raw.lead.map(|lead| lead.gap);
-        (json!({ "boxes": boxes, "lanes": lanes, "red": percept.light_red, "gap": gap }), images)
+        let light = percept.light.map(|light| json!({ "state": light.state, "distance": light.distance }));
+        let red = percept.light_red;
+        (json!({ "boxes": boxes, "lanes": lanes, "light": light, "red": red, "gap": gap }), images)
     }
 }
 

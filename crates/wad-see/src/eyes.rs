@@ -371,10 +371,11 @@ impl Eyes {
         }
     }
 
-    /// The stages side by side, `side` pixels each: camera, detections, transformed, reconstruction. None
+    /// The stages side by side, `side` pixels each: camera, what was seen, transformed, reconstruction. None
     /// where there is no perception.
     pub fn strip(&self, side: usize) -> Option<Picture> {
-        Some(stages::strip(self.frame()?, self.percept()?, self.reconstruction(), side))
+        let ground = self.perception()?.ground();
+        Some(stages::strip(self.frame()?, self.percept()?, ground, self.reconstruction(), side))
     }
 }
 

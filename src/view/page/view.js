@@ -235,13 +235,13 @@ function paintPictures(drawn) {
 }
 
 function overlay() {
-  const c = cameraContext, { boxes, lanes, red } = state.sees;
+  const c = cameraContext, { boxes, lanes, light: lamp, red } = state.sees;
   c.lineWidth = 2;
   c.font = "12px system-ui, DejaVu Sans, sans-serif";
-  for (const [name, l, t, r, b] of boxes) {
+  for (const [name, l, t, r, b, sure] of boxes) {
     c.strokeStyle = name === "Person" ? "#ff5aa0" : name === "TrafficLight" ? "#ffe14a" : "#5ab4ff";
     c.strokeRect(l + 1, t + 1, r - l - 2, b - t - 2);
-    if (r - l > 26) { c.fillStyle = c.strokeStyle; c.fillText(words(name).toLowerCase(), l + 2, Math.max(t - 4, 11)); }
+    if (r - l > 26) { c.fillStyle = c.strokeStyle; c.fillText(`${words(name).toLowerCase()} ${sure} %`, l + 2, Math.max(t - 4, 11)); }
   }
   c.strokeStyle = "#43e07d";
   c.lineWidth = 3;
@@ -250,8 +250,18 @@ function overlay() {
     for (let i = 0; i + 1 < lane.length; i += 2) i ? c.lineTo(lane[i], lane[i + 1]) : c.moveTo(lane[i], lane[i + 1]);
     c.stroke();
   }
+  if (lamp) {
+    c.font = "15px system-ui, DejaVu Sans, sans-serif";
+    const text = seenLight(lamp);
+    c.fillStyle = "#000a";
+    c.fillRect(8, 8, c.measureText(text).width + 12, 23);
+    c.fillStyle = { bad: "#ff5a4f", warn: "#ffe14a", good: "#43e07d" }[lightColour[lamp.state]] || "#fff";
+    c.fillText(text, 14, 25);
+  }
   if (red) { c.strokeStyle = "#ff2d20"; c.lineWidth = 6; c.strokeRect(3, 3, 506, 506); }
 }
+
+const seenLight = lamp => lamp ? `${light[lamp.state] || lamp.state}, ${lamp.distance.toFixed(0)} m` : "none";
 
 // ---- gauges ----
 const put = (id, text) => { const e = $(id); if (e.textContent !== text) e.textContent = text; };
@@ -321,7 +331,7 @@ function paint() {
     put("sees-objects", String(s.sees.boxes.length));
     put("sees-lanes", ["none", "one", "both"][s.sees.lanes.length]);
     put("sees-gap", s.sees.gap === null ? "–" : s.sees.gap.toFixed(0) + " m");
-    put("sees-red", s.sees.red ? "yes" : "no");
+    put("sees-light", seenLight(s.sees.light));
   }
   if (hello.mode === "replay") {
     if (!scrubbing) $("scrub").value = s.tick;

@@ -50,6 +50,11 @@ pub fn seen(frame: &Frame, percept: &Percept, ground: &GroundPlane) -> Picture {
         let words = format!("{} {:.0}", class_name(detection.class), 100.0 * detection.score);
         picture.label(&words, l, t.saturating_sub(9), 1);
     }
+    label_light(&mut picture, percept);
+    picture
+}
+
+fn label_light(picture: &mut Picture, percept: &Percept) {
     let light = match percept.light {
         None => "no light".to_string(),
         Some(light) => {
@@ -58,7 +63,6 @@ pub fn seen(frame: &Frame, percept: &Percept, ground: &GroundPlane) -> Picture {
         }
     };
     picture.label(&light, 8, 8, 2);
-    picture
 }
 
 fn draw_lanes(picture: &mut Picture, percept: &Percept, ground: &GroundPlane) {
@@ -85,16 +89,19 @@ pub fn transformed(image: &TransformedImage) -> Picture {
     Picture { width: TRANSFORMED_SIZE, height: TRANSFORMED_SIZE, rgb: image.bytes().to_vec() }
 }
 
-/// Camera, detections, transformed image and, where there is one, reconstruction, side by side, `side`
-/// pixels each.
+/// Camera, what was seen in its picture (boxes, boundaries, light), transformed image and, where there is one,
+/// reconstruction, side by side, `side` pixels each.
 pub fn strip(
     frame: &Frame,
     percept: &Percept,
+    ground: &GroundPlane,
     reconstruction: Option<&TransformedImage>,
     side: usize,
 ) -> Picture {
-    let mut pictures =
-        vec![Picture::rgb(frame), detections(frame, &percept.detections), transformed(&percept.transformed)];
+    let mut seen = lanes(frame, percept, ground);
+    draw_boxes(&mut seen, &percept.detections);
+    label_light(&mut seen, percept);
+    let mut pictures = vec![Picture::rgb(frame), seen, transformed(&percept.transformed)];
     pictures.extend(reconstruction.map(transformed));
     let mut strip = Picture::new(side * pictures.len(), side);
     for (n, picture) in pictures.iter().enumerate() {
