@@ -13,6 +13,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 use wad_cosim::agent::action::{Action, to_control};
 use wad_cosim::agent::actor::PlainActor;
+use wad_cosim::agent::external::Limits;
 use wad_cosim::agent::params::{Algorithm, InputScale, Inputs};
 use wad_cosim::agent::policy::{Policy, PolicyCard, find_encoder};
 use wad_cosim::agent::{Agent, AgentError};
@@ -146,6 +147,8 @@ struct Wanted {
     observation: ObservationMode,
     detector: String,
     encoder: String,
+    /// Seconds for each answer of an external agent.
+    agent_timeout: f64,
     jobs: usize,
     out: Option<PathBuf>,
     resume: bool,
@@ -225,24 +228,39 @@ struct Drivers {
     /// What a driver of Python's gets, and the encoder of it.
     mode: ObservationMode,
     encoder: String,
+    /// Of external agents.
+    limits: Limits,
     raised: Raised,
     stop: Arc<AtomicBool>,
 }
 
 impl Drivers {
-    fn new(act: Option<Py<PyAny>>, mode: ObservationMode, encoder: &str) -> Self {
-        Self {
+    fn new(
+        act: Option<Py<PyAny>>,
+        mode: ObservationMode,
+        encoder: &str,
+        agent_timeout: f64,
+    ) -> Result<Self, Failure> {
+        let limits = Limits::answer_within(agent_timeout).ok_or_else(|| {
+            Failure::Input(format!("agent_timeout={agent_timeout}: expected seconds above 0"))
+        })?;
+        Ok(Self {
             act: act.map(Arc::new),
             mode,
             encoder: encoder.to_string(),
+            limits,
             raised: Raised::default(),
             stop: Arc::new(AtomicBool::new(false)),
-        }
+        })
+    }
+
+    fn of(wanted: &Wanted, act: Option<Py<PyAny>>) -> Result<Self, Failure> {
+        Self::new(act, wanted.observation, &wanted.encoder, wanted.agent_timeout)
     }
 
     fn make(&self, spec: &DriverSpec) -> Result<Made, DriverError> {
         let Some(act) = &self.act else {
-            return Made::trained(&spec.to_string(), None, &CameraConfig::default());
+            return Made::open(spec, None, &CameraConfig::default(), self.limits);
         };
         let (act, raised, stop) = (Arc::clone(act), Arc::clone(&self.raised), Arc::clone(&self.stop));
         let agent = PythonAgent { name: spec.to_string(), act, mode: self.mode, raised, stop };
@@ -308,7 +326,7 @@ pub fn evaluate(
     watch: Option<Py<PyAny>>,
 ) -> PyResult<String> {
     let wanted = parse::<Wanted>(wanted)?;
-    let drivers = Arc::new(Drivers::new(act, wanted.observation, &wanted.encoder));
+    let drivers = Arc::new(Drivers::of(&wanted, act)?);
     let thread = {
         let drivers = Arc::clone(&drivers);
         let spawned = std::thread::Builder::new().name("evaluation".to_string());
@@ -355,7 +373,7 @@ impl Ledger {
     #[new]
     fn new(py: Python<'_>, wanted: &str, act: Option<Py<PyAny>>) -> PyResult<Self> {
         let wanted = parse::<Wanted>(wanted)?;
-        let drivers = Drivers::new(act, wanted.observation, &wanted.encoder);
+        let drivers = Drivers::of(&wanted, act)?;
         let opened = py.detach(|| wanted.with_order(&drivers, |order| eval::Ledger::open(&order)));
         Ok(Self(Held::new("the evaluation", opened?.0)))
     }
@@ -416,13 +434,19 @@ struct Warm {
 
 #[pymethods]
 impl Worker {
-    /// For the evaluation of `manifest`; `act` is Python's driver, if it is one.
+    /// For the evaluation of `manifest`; `act` is Python's driver, if it is one, and an external one has `agent_timeout` seconds for each answer.
     #[new]
-    fn new(manifest: &str, encoder: &str, keep: &str, act: Option<Py<PyAny>>) -> PyResult<Self> {
+    fn new(
+        manifest: &str,
+        encoder: &str,
+        keep: &str,
+        agent_timeout: f64,
+        act: Option<Py<PyAny>>,
+    ) -> PyResult<Self> {
         let input = |e: serde_json::Error| Failure::Input(format!("the evaluation's manifest: {e}"));
         let manifest: Manifest = serde_json::from_str(manifest).map_err(input)?;
         let keep = keep.parse().map_err(Failure::Input)?;
-        let drivers = Drivers::new(act, manifest.options.observation, encoder);
+        let drivers = Drivers::new(act, manifest.options.observation, encoder, agent_timeout)?;
         Ok(Self { manifest, keep, drivers, warm: Mutex::default() })
     }
 

@@ -112,6 +112,26 @@ def test_bundled_agents_act_without_libtorch():
             wad_cosim.load_agent(name)
 
 
+def test_a_program_over_a_pipe_is_judged_and_one_that_dies_costs_its_episode_only(tmp_path):
+    script = pathlib.Path(__file__).parents[2] / "scripts" / "example_agent.py"
+    good = f"exec:python3 {script}"
+    dying = "exec:echo '{}'; read -r line; echo out of ideas >&2; exit 3"
+    table = rows(wad_cosim.evaluate("tasks", good, **PART, out=tmp_path / "python", keep="none"))
+    assert table[0]["agent"] == good and table[0]["agent_failures"] == 0 and table[0]["mean_distance_m"] > 3
+    table = rows(wad_cosim.evaluate("tasks", dying, **PART, out=tmp_path / "dying"))
+    assert table[0]["agent_failures"] == table[0]["episodes"] == 2
+    assert "it died (exit status: 3); it said: out of ideas" in (tmp_path / "dying" / "episodes.jsonl").read_text()
+    with pytest.raises(wad_cosim.InputError, match="agent_timeout"):
+        wad_cosim.evaluate("tasks", good, **PART, agent_timeout=0)
+    if PROGRAM.exists():
+        command = [PROGRAM, "eval", "tasks", "--agent", good, "--out", tmp_path / "program", "--keep", "none"]
+        for option, value in PART.items():
+            command += [f"--{option}", str(value)]
+        assert subprocess.run(command, capture_output=True).returncode == 0
+        for name in ("episodes.jsonl", "summary.json"):
+            assert (tmp_path / "program" / name).read_bytes() == (tmp_path / "python" / name).read_bytes()
+
+
 def test_a_bundled_agent_drives_as_from_the_command_line(tmp_path):
     # The same camera, lanes, encoder and actor, without libtorch and OpenCV: by name, and by its own function.
     part = {**PART, "task": "straight", "weather": "WetCloudyNoon"}

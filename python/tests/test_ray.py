@@ -110,7 +110,6 @@ def test_local_needs_no_cluster(drive, one_machine, tmp_path):
     out = tmp_path / "out"
     finish(drive(out, "--address", "local", "--workers", "1"))
     assert_same(out, one_machine)
-    assert "only the program drives external agents" in finish(drive(out, "--resume", "--agent", "exec:python3 a.py"), 2)
 
 
 def test_a_driver_that_dies_is_resumed_and_another_is_refused(nodes, drive, one_machine, tmp_path):
@@ -132,6 +131,40 @@ def test_a_driver_that_dies_is_resumed_and_another_is_refused(nodes, drive, one_
     assert json.loads((out / "summary.json").read_text())["episodes"] == done > before
     finish(drive(out, "--resume"))
     assert_same(out, one_machine)
+
+
+#: It also starts a process that would outlive it: in a session of its own, and deaf to its end of input.
+EXTERNAL = """exec:setsid sleep 1000 & echo '{}'; while read -r line; do echo '{"throttle": 0.3, "steer": 0, "brake": 0}'; done"""
+
+
+def test_an_external_agent_leaves_no_process_however_its_worker_ends(cluster, nodes, start, tmp_path):
+    one, out = tmp_path / "one", tmp_path / "out"
+    wad_cosim.evaluate("tasks", EXTERNAL, **PART, out=one, keep="all")
+    assert not processes("sleep"), "the evaluation here left a process"
+    options = [text for name, value in PART.items() for text in (f"--{name}", str(value))]
+    command = ["eval", "tasks", "--agent", EXTERNAL, "--keep", "all", *options]
+
+    def until_driven(driver, episodes):
+        assert until(lambda: len(lines(out)) >= episodes or driver.poll() is not None, 60)
+        assert driver.poll() is None, finish(driver)
+        assert processes("sleep")
+
+    first = start(command, out)
+    until_driven(first, 1)
+    first.kill()
+    first.wait()
+    assert until(lambda: not processes("sleep")), "an agent's process outlives the driver"
+    second = start(command, out, "--resume")
+    until_driven(second, len(lines(out)) + 1)
+    second.send_signal(signal.SIGINT)
+    assert "--resume goes on" in finish(second, 4)
+    assert until(lambda: not processes("sleep")), "an agent's process outlives Ctrl-C"
+    third = start(command, out, "--resume")
+    assert until(lambda: processes("sleep") or third.poll() is not None, 60)
+    kill_worker(cluster, SCHEDULE.choice(nodes))
+    finish(third)
+    assert until(lambda: not processes("sleep")), "an agent's process outlives its worker"
+    assert_same(out, one)
 
 
 def test_a_full_disk_at_the_driver_costs_the_rest_only(nodes, drive, one_machine, tmp_path):
@@ -174,7 +207,7 @@ def test_an_episode_counts_once_and_is_driven_by_the_same_build(tmp_path):
     wanted = wanted_by("tasks", [AGENT], **part, detector="truth", out=tmp_path / "a", keep="all")
     ledger = _native.Ledger(json.dumps(wanted), None)
     (case,) = ledger.left()
-    worker = _native.Worker(ledger.manifest, "default", "all", None)
+    worker = _native.Worker(ledger.manifest, "default", "all", 10.0, None)
     driven = worker.drive(case)
     assert driven == worker.drive(case), "equal cases give equal bytes"
     assert [ledger.add(*driven), ledger.add(*driven)] == [True, False] and not ledger.left()
@@ -184,7 +217,7 @@ def test_an_episode_counts_once_and_is_driven_by_the_same_build(tmp_path):
         ledger.add(json.dumps(foreign).encode(), None)
     manifest = json.loads(ledger.manifest) | {"build": "0.0.1 (elsewhere)"}
     with pytest.raises(wad_cosim.InputError, match=r"build: expected \"0.0.1 \(elsewhere\)"):
-        _native.Worker(json.dumps(manifest), "default", "all", None).drive(case)
+        _native.Worker(json.dumps(manifest), "default", "all", 10.0, None).drive(case)
     ledger.finish()
     with pytest.raises(wad_cosim.Error, match="finished"):
         ledger.left()

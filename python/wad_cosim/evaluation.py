@@ -28,6 +28,7 @@ def evaluate(
     action: Any = "continuous",
     detector: str = "truth",
     encoder: str | os.PathLike[str] = "default",
+    agent_timeout: float = 10.0,
     condition: str | Iterable[str] = (),
     task: str | Iterable[str] = (),
     town: str | Iterable[str] = (),
@@ -49,12 +50,13 @@ def evaluate(
         agent: A function of an observation that gives an action; an object with ``predict(observation,
             deterministic=True)`` such as a model of Stable-Baselines3; or a driver by name: ``autopilot``, ``random``,
             ``constant:THROTTLE,STEER,BRAKE``, ``wad-t``, ``wad-s``, or the file
-            of a trained agent, which bring their encoder. If it has a method ``reset``, that is called at an episode's begin.
+            of a trained agent, which bring their encoder, or ``exec:COMMAND``, a program over a pipe (docs/evaluate.md). If it has a method ``reset``, that is called at an episode's begin.
         name: Its name in tables. Default: the function's or the class's.
         observation: What it gets: ``raw``, ``vector`` or ``latent``, as :class:`DrivingEnv` has them.
         action: What it gives, as :class:`DrivingEnv`'s ``action``.
         detector: As the command line's ``--detector``.
         encoder: What makes the latent of ``observation="latent"``.
+        agent_timeout: Seconds for each answer of an ``exec:`` agent.
         condition, task, town, weather, traffic, seed: Only these of the suite; one or several.
         episodes: Episodes per task, town and weather. Default: the suite's.
         jobs: Environments in parallel. Several call the agent from as many threads, one at a time. Default: 1; with
@@ -95,6 +97,7 @@ def evaluate(
         observation=observation,
         detector=detector,
         encoder=encoder,
+        agent_timeout=agent_timeout,
         jobs=jobs,
         out=out,
         resume=resume,
@@ -130,12 +133,10 @@ def wanted_by(
     keep: str,
     observation: str = "raw",
     encoder: str | os.PathLike[str] = "default",
+    agent_timeout: float = 10.0,
     jobs: int | None = None,
 ) -> dict[str, Any]:
     """The evaluation as the simulator's half reads it; see :func:`evaluate`."""
-    for agent in agents:
-        if agent.startswith("exec:"):
-            raise InputError(f"agent={agent!r}: only the program drives external agents (wad-cosim eval); give a Python function here")
     return {
         "suite": suite,
         "selection": {
@@ -151,6 +152,7 @@ def wanted_by(
         "observation": _MODES[observation],
         "detector": detector,
         "encoder": os.fspath(encoder),
+        "agent_timeout": agent_timeout,
         "jobs": jobs or 1,
         "out": None if out is None else os.fspath(out),
         "resume": resume,

@@ -1,7 +1,7 @@
 //! Agents by their names on the command line.
 
 use super::Exit;
-use wad_cosim::agent::external::{ExternalAgent, Limits};
+use wad_cosim::agent::external::Limits;
 use wad_cosim::assets::Assets;
 use wad_cosim::camera::CameraConfig;
 use wad_cosim::driver::{DriverError, DriverSpec, Made, Pilot};
@@ -13,27 +13,7 @@ pub fn maker(
     camera: CameraConfig,
     limits: Limits,
 ) -> impl Fn(&DriverSpec) -> Result<Made, DriverError> + Sync {
-    move |spec| open(spec, None, &camera, limits)
-}
-
-/// The agent of a specification, and its encoder: `encoder`, or the one that it was trained with.
-///
-/// # Errors
-/// The agent or encoder does not exist, or they do not fit together.
-pub fn open(
-    spec: &DriverSpec,
-    encoder: Option<&str>,
-    camera: &CameraConfig,
-    limits: Limits,
-) -> Result<Made, DriverError> {
-    match spec {
-        DriverSpec::Exec(command) => {
-            let encoder = default_encoder(encoder)?;
-            let id = format!("exec:{command}, encoder {}", encoder.hash());
-            Ok(Made { agent: Box::new(ExternalAgent::new(command, limits)), encoder, id })
-        }
-        other => Made::trained(&other.to_string(), encoder, camera),
-    }
+    move |spec| Made::open(spec, None, &camera, limits)
 }
 
 /// The driver of a run in the town of `assets`, with camera and perception if it needs them.
@@ -47,7 +27,7 @@ pub fn pilot(
         return Ok(pilot);
     }
     let camera = CameraConfig::default();
-    let made = open(spec, encoder, &camera, Limits::default()).map_err(|e| Exit::Input.because(e))?;
+    let made = Made::open(spec, encoder, &camera, Limits::default()).map_err(|e| Exit::Input.because(e))?;
     let pilot = Pilot::of_agent(assets, made.agent, made.encoder, detector, camera);
     pilot.map_err(|e| Exit::Input.because(e))
 }

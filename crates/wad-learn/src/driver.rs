@@ -1,5 +1,6 @@
 //! Drivers: one list for `run`, `eval`, scenarios and the live view.
 
+use crate::agent::external::{ExternalAgent, Limits};
 use crate::agent::{Agent, AgentError, Seen, policy};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -78,6 +79,27 @@ pub struct Made {
 }
 
 impl Made {
+    /// The agent of a specification that names one, and its encoder: `encoder`, or the one that it was trained with. External agents
+    /// have the time limits `limits`, and the default encoder.
+    ///
+    /// # Errors
+    /// The agent or the encoder does not exist, or they do not fit together or this camera.
+    pub fn open(
+        spec: &DriverSpec,
+        encoder: Option<&str>,
+        camera: &CameraConfig,
+        limits: Limits,
+    ) -> Result<Self, DriverError> {
+        match spec {
+            DriverSpec::Exec(command) => {
+                let encoder = policy::find_encoder(encoder.unwrap_or("default"))?;
+                let id = format!("exec:{command}, encoder {}", encoder.hash());
+                Ok(Self { agent: Box::new(ExternalAgent::new(command, limits)), encoder, id })
+            }
+            other => Self::trained(&other.to_string(), encoder, camera),
+        }
+    }
+
     /// The trained agent called `name`, and `encoder` or the one that it was trained with.
     ///
     /// # Errors

@@ -27,6 +27,7 @@ def _parser() -> argparse.ArgumentParser:
     drive.add_argument("--seed", action="append", type=int, default=[], metavar="N")
     drive.add_argument("--episodes", type=int, metavar="N", help="per task, town and weather")
     drive.add_argument("--detector", default="truth", metavar="NAME")
+    drive.add_argument("--agent-timeout", type=float, default=10, metavar="SECONDS", help="for each answer of an exec: agent [10]")
     drive.add_argument("--keep", default="failures", choices=("none", "failures", "all"), help="which to record")
     drive.add_argument("--resume", action="store_true", help="continue the evaluation in --out")
     _shared(drive)
@@ -120,6 +121,7 @@ def _eval(asked: argparse.Namespace) -> int:
         seed=asked.seed,
         episodes=asked.episodes,
         detector=asked.detector,
+        agent_timeout=asked.agent_timeout,
         out=asked.out,
         resume=asked.resume,
         keep=asked.keep,

@@ -211,14 +211,17 @@ def share(
     limit: float,
     progress: Progress,
     take: Callable[[Any], int],
+    runtime_env: dict[str, Any] | None = None,
 ) -> None:
     """Has ``tasks`` done by actors, each within ``limit`` seconds, and hands each result to ``take``, which says how many are done.
 
     A task whose worker or node dies is done again by Ray, so ``take`` may get a result twice. A result that was lost with
-    its node is missing: its task is to be given again.
+    its node is missing: its task is to be given again. ``runtime_env`` is Ray's, of the actors.
     """
     # A core for each; a dead one comes back, here or on another node, and does its task again.
     actor: Any = ray.remote(num_cpus=1, max_restarts=-1, max_task_retries=-1)(Worker)
+    if runtime_env is not None:
+        actor = actor.options(runtime_env=runtime_env)
     waiting, made = collections.deque(tasks), 0
     doing: dict[Any, Any] = {}
     watch = Watch(limit)

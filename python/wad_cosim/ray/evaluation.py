@@ -12,8 +12,13 @@ from . import cluster
 Driven = tuple[bytes, tuple[bytes, bytes] | None]
 
 
-def _worker(manifest: str, encoder: str, keep: str, act: Any) -> Callable[[str], Driven]:
-    return _native.Worker(manifest, encoder, keep, act).drive
+#: A Ray worker that ends kills its children by SIGKILL, and an external agent's guard could not end what the agent has started. Our
+#: children end with their parent by themselves.
+_SPARE_CHILDREN = {"env_vars": {"RAY_kill_child_processes_on_worker_exit": "0"}}
+
+
+def _worker(manifest: str, encoder: str, keep: str, agent_timeout: float, act: Any) -> Callable[[str], Driven]:
+    return _native.Worker(manifest, encoder, keep, agent_timeout, act).drive
 
 
 def evaluate(
@@ -32,7 +37,10 @@ def evaluate(
     # Before Ray starts: what is wrong with the arguments or the folder is said at once.
     ledger = _native.Ledger(json.dumps(wanted), act)
     keep = "none" if wanted["out"] is None else wanted["keep"]
-    given = (ledger.manifest, wanted["encoder"], keep, act)
+    given = (ledger.manifest, wanted["encoder"], keep, wanted["agent_timeout"], act)
+    # Workers with an environment of their own start anew, where Ray has others ready: only for those that need it.
+    external = act is None and any(agent.startswith("exec:") for agent in wanted["selection"]["agents"])
+    runtime_env = _SPARE_CHILDREN if external else None
     bar = cluster.Progress("episodes", ledger.done, ledger.planned, progress)
 
     def take(driven: Driven) -> int:
@@ -43,7 +51,7 @@ def evaluate(
         with cluster.connected(address, workers):
             # Again for results that were lost with their node.
             while left := ledger.left():
-                cluster.share(left, _worker, given, workers, limit, bar, take)
+                cluster.share(left, _worker, given, workers, limit, bar, take, runtime_env)
             bar.show(last=True)
     except KeyboardInterrupt:
         ledger.finish()

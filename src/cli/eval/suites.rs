@@ -6,7 +6,6 @@ use crate::cli::{Exit, print};
 use clap::ValueHint;
 use serde::Serialize;
 use std::path::PathBuf;
-use std::time::Duration;
 use wad_cosim::agent::external::Limits;
 use wad_cosim::camera::Preset;
 use wad_cosim::env::EnvOptions;
@@ -149,7 +148,10 @@ pub fn run(suite: &str, args: Args) -> anyhow::Result<Exit> {
         detector: args.detector.clone(),
         ..EnvOptions::evaluation()
     };
-    let limits = Limits { answer: seconds(args.agent_timeout)?, ..Limits::default() };
+    let limits = Limits::answer_within(args.agent_timeout).ok_or_else(|| {
+        let given = args.agent_timeout;
+        Exit::Input.because(anyhow::anyhow!("--agent-timeout: expected seconds above 0, found {given}"))
+    })?;
     let make_agent = agents::maker(options.camera, limits);
     let stop = crate::cli::interrupt()?.flag();
     let order = Order {
@@ -226,12 +228,6 @@ fn selection(suite: &Suite, args: &Args) -> Selection {
         routes: args.routes.clone(),
     };
     selection.in_traffic(suite, &args.traffic)
-}
-
-fn seconds(given: f64) -> anyhow::Result<Duration> {
-    Duration::try_from_secs_f64(given).ok().filter(|d| !d.is_zero()).ok_or_else(|| {
-        Exit::Input.because(anyhow::anyhow!("--agent-timeout: expected seconds above 0, found {given}"))
-    })
 }
 
 /// The error with its exit code.

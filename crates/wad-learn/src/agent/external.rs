@@ -40,6 +40,14 @@ impl Default for Limits {
     }
 }
 
+impl Limits {
+    /// With `seconds` for each answer; None: that is no time above 0.
+    pub fn answer_within(seconds: f64) -> Option<Self> {
+        let answer = Duration::try_from_secs_f64(seconds).ok().filter(|limit| !limit.is_zero())?;
+        Some(Self { answer, ..Self::default() })
+    }
+}
+
 /// An agent in another process.
 pub struct ExternalAgent {
     name: String,
