@@ -1,9 +1,10 @@
-"""Evaluation on Ray over hosts of their own: network namespaces on this machine, joined by a link that is cut."""
+"""Evaluation and training on Ray over hosts of their own: network namespaces on this machine, joined by a link that is cut."""
 
 import contextlib
 import json
 import os
 import pathlib
+import signal
 import subprocess
 import sys
 import time
@@ -12,6 +13,7 @@ import pytest
 from conftest import until
 from ray_cluster import MARK, finish, processes
 from test_ray import AGENT, EPISODES, PART, assert_same, lines, one_machine  # noqa: F401
+from test_train import COMMAND, MORE, assert_trained, saved, step, wait_for
 
 RAY = pathlib.Path(sys.executable).with_name("ray")
 #: Checks in a row that a node does not answer, one every half second, after which it counts as dead.
@@ -24,7 +26,7 @@ def quiet(*command):
 
 
 class Hosts:
-    """Two hosts: a network and a /tmp/ray of its own each, and a link between them."""
+    """Two hosts: a network and a /tmp/ray of its own each, and a link between them. :meth:`join` makes them nodes of a cluster."""
 
     def __init__(self, stack):
         pathlib.Path("/tmp/ray").mkdir(exist_ok=True)
@@ -49,6 +51,10 @@ class Hosts:
         self._stack.callback(process.terminate)
         return process
 
+    @property
+    def cluster(self):
+        return f"{self.address(0)}:{PORT}"
+
     def address(self, number):
         return f"{NET}.{number + 1}"
 
@@ -61,6 +67,30 @@ class Hosts:
     def start(self, number, *command, **more):
         return self._start(*self.on(number, *command), **more)
 
+    def join(self, number, cores):
+        """Starts a Ray node on the host; the first is the cluster's head."""
+        health = {"health_check_initial_delay_ms": 0, "health_check_period_ms": 500, "health_check_timeout_ms": 500}
+        health |= {"health_check_failure_threshold": CHECKS}
+        head = ["--head", f"--port={PORT}", "--include-dashboard=false", f"--system-config={json.dumps(health)}"]
+        options = [f"--address={self.cluster}"] if number else head
+        options = ["start", "--block", f"--num-cpus={cores}", f"--node-ip-address={self.address(number)}", *options]
+        log = subprocess.DEVNULL
+        self.start(number, RAY, *options, stdout=log, stderr=log)
+        assert until(lambda: self.alive() == number + 1, 60)
+
+    def alive(self):
+        """Nodes that live, by the head."""
+        code = f"import ray; ray.init({self.cluster!r}, log_to_driver=False); print(sum(node['Alive'] for node in ray.nodes()))"
+        try:
+            return int(self.run(0, sys.executable, "-c", code).stdout)
+        except subprocess.CalledProcessError:
+            return 0
+
+    def drive(self, *command):
+        """Starts a command of ``python -m wad_cosim.ray`` on the first host."""
+        command = [sys.executable, "-m", "wad_cosim.ray", *command, "--address", self.cluster]
+        return self.start(0, *command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
     def up(self, number):
         self.run(number, "ip", "link", "set", "wad0", "up")
 
@@ -70,7 +100,7 @@ class Hosts:
 
 @pytest.fixture
 def hosts(monkeypatch):
-    """A Ray node of one core on each of two hosts; the first is the head."""
+    """Two hosts, without a cluster yet."""
     monkeypatch.delenv("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", raising=False)
     monkeypatch.setenv(*MARK.split("="))
     with contextlib.ExitStack() as stack:
@@ -78,46 +108,52 @@ def hosts(monkeypatch):
             made = Hosts(stack)
         except (OSError, subprocess.CalledProcessError) as error:
             pytest.skip(f"this machine allows no network namespaces: {getattr(error, 'stderr', None) or error}")
-        address = f"{made.address(0)}:{PORT}"
-        health = {"health_check_initial_delay_ms": 0, "health_check_period_ms": 500, "health_check_timeout_ms": 500}
-        health |= {"health_check_failure_threshold": CHECKS}
-        head = ["--head", f"--port={PORT}", "--include-dashboard=false", f"--system-config={json.dumps(health)}"]
-        log = subprocess.DEVNULL
-        for number, options in enumerate((head, [f"--address={address}"])):
-            options = ["start", "--block", "--num-cpus=1", f"--node-ip-address={made.address(number)}", *options]
-            made.start(number, RAY, *options, stdout=log, stderr=log)
-            assert until(lambda: _alive(made, address) == number + 1, 60)
-        yield made, address
+        yield made
     assert until(lambda: not processes("ray")), "a worker is left"
-
-
-def _alive(hosts, address):
-    """Nodes that live, by the head."""
-    code = f"import ray; ray.init({address!r}, log_to_driver=False); print(sum(node['Alive'] for node in ray.nodes()))"
-    try:
-        return int(hosts.run(0, sys.executable, "-c", code).stdout)
-    except subprocess.CalledProcessError:
-        return 0
 
 
 @pytest.mark.parametrize("cut", ["for a moment", "until the node counts as dead"])
 def test_a_link_that_is_cut_changes_nothing(hosts, one_machine, tmp_path, cut):
-    made, address = hosts
     out = tmp_path / "out"
+    for number in range(2):
+        hosts.join(number, 1)
     options = [text for name, value in PART.items() for text in (f"--{name}", str(value))]
-    command = ["-m", "wad_cosim.ray", "eval", "tasks", "--agent", AGENT, "--keep", "all", *options]
-    command += ["--address", address, "--out", out]
-    driver = made.start(0, sys.executable, *command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    driver = hosts.drive("eval", "tasks", "--agent", AGENT, "--keep", "all", *options, "--out", out)
     assert until(lambda: (lines(out) and len(processes("sumo")) == 2) or driver.poll() is not None, 60)
     assert driver.poll() is None, finish(driver)
-    made.down(1)
+    hosts.down(1)
     assert len(lines(out)) < EPISODES
     if cut == "for a moment":
         time.sleep(CHECKS * 0.5 / 5)
     else:
-        assert until(lambda: _alive(made, address) == 1, 60)
-    made.up(1)
+        assert until(lambda: hosts.alive() == 1, 60)
+    hosts.up(1)
     finish(driver)
     # No SUMO is left on the host that was cut off either.
     assert_same(out, one_machine)
-    assert _alive(made, address) == (2 if cut == "for a moment" else 1)
+    assert hosts.alive() == (2 if cut == "for a moment" else 1)
+
+
+def test_a_training_goes_on_without_the_collector_that_is_cut_off(hosts, tmp_path):
+    out = tmp_path / "out"
+    # Learner and one collector fill the first host; the other collector comes to the second.
+    hosts.join(0, 2)
+    # So many steps that it is not done before, however fast the machine is.
+    driver = hosts.drive(*COMMAND, "--workers", "2", "--steps", "1000000", "--out", out)
+    wait_for(driver, lambda: step(out) > 0)
+    assert len(processes("sumo")) == 1
+    hosts.join(1, 1)
+    wait_for(driver, lambda: len(processes("sumo")) == 2)
+    hosts.down(1)
+    wait_for(driver, lambda: hosts.alive() == 1)
+    before = saved(out)
+    wait_for(driver, lambda: saved(out) > before)
+    assert len(processes("sumo")) == 2, "the host that is cut off knows nothing yet"
+    hosts.up(1)
+    wait_for(driver, lambda: len(processes("sumo")) == 1)
+    driver.send_signal(signal.SIGINT)
+    said = finish(driver, 4)
+    assert "--resume goes on" in said and "the learner died" not in said
+    steps = saved(out) + 200
+    assert_trained(out, finish(hosts.drive(*MORE, "--steps", str(steps), "--resume", "--out", out)), steps)
+    assert hosts.alive() == 1
