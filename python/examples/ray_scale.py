@@ -38,6 +38,7 @@ parser.add_argument("--agent", default="autopilot")
 parser.add_argument("--episodes", type=int, default=48, help="of the suite's first condition, in one weather")
 parser.add_argument("--delays", type=float, nargs="*", default=[], metavar="MS")
 parser.add_argument("--train", type=int, default=0, metavar="STEPS")
+parser.add_argument("--update-ratio", type=float, default=1.0, help="of the training: lower, and the learner is not the limit")
 options = parser.parse_args()
 
 PART = {"condition": "training", "weather": "ClearNoon", "seed": 3, "episodes": options.episodes}
@@ -88,6 +89,7 @@ def on_ray(address: str, workers: int, out: pathlib.Path) -> tuple[float, float]
 def trained(address: str, collectors: int, out: pathlib.Path) -> float:
     """Steps a second that the learner took, its starts left out."""
     command = ["-m", "wad_cosim.ray", "train", "--algo", "sac", "--seed", "1", "--steps", str(options.train)]
+    command += ["--update-ratio", str(options.update_ratio)]
     seconds(*command, "--learning-starts", "1000", "--address", address, "--workers", str(collectors), "--out", str(out))
     lines = [json.loads(line) for line in (out / "train.jsonl").read_text().splitlines()]
     return statistics.median(line["charts/SPS"] for line in lines if "charts/SPS" in line)
@@ -103,7 +105,7 @@ def median(pairs: list[tuple[float, float]]) -> tuple[float, float]:
 
 with tempfile.TemporaryDirectory() as folder:
     new = iter(pathlib.Path(folder) / str(number) for number in range(10_000))
-    what = f"WAD-S, {options.train} steps" if options.train else f"{options.suite}, {options.agent}, {options.episodes} episodes"
+    what = f"WAD-S, {options.train} steps, {options.update_ratio:g} updates for a step" if options.train else f"{options.suite}, {options.agent}, {options.episodes} episodes"
     print(f"{what}, {options.turns} turns; load {os.getloadavg()[0]:.1f}\n")
     if options.delays:
         row("delay (ms)", "nodes", "episodes/h", "steps/s")
