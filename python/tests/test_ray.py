@@ -4,6 +4,7 @@ import json
 import os
 import random
 import signal
+import time
 
 import pytest
 from conftest import until
@@ -12,6 +13,7 @@ from ray_cluster import children, cluster, finish, nodes, processes, raylet, sta
 import wad_cosim
 from wad_cosim import _native
 from wad_cosim.evaluation import wanted_by
+from wad_cosim.ray import evaluation
 
 PART = {"condition": "development", "task": "obstacle", "weather": "ClearNoon", "seed": 3, "episodes": 8}
 AGENT = "constant:0.3,0,0"
@@ -64,6 +66,13 @@ def kill_sumo(cluster, node):
         os.kill(sumo, signal.SIGKILL)
 
 
+def stop_sumo(cluster, node):
+    """It hangs for longer than an episode may take: its worker is ended, and it with its worker."""
+    assert until(lambda: children(raylet(node), "sumo"))
+    for sumo in children(raylet(node), "sumo"):
+        os.kill(sumo, signal.SIGSTOP)
+
+
 def stop_worker(cluster, node):
     """It hangs for good, while its node lives."""
     assert until(lambda: children(raylet(node), "sumo"))
@@ -94,7 +103,7 @@ def stop_node(cluster, node):
     cluster.remove_node(node, allow_graceful=False)
 
 
-@pytest.mark.parametrize("fault", [kill_worker, kill_sumo, stop_worker, kill_node, stop_node])
+@pytest.mark.parametrize("fault", [kill_worker, kill_sumo, stop_sumo, stop_worker, kill_node, stop_node])
 def test_a_death_on_the_way_changes_nothing(cluster, nodes, drive, one_machine, tmp_path, fault):
     out = tmp_path / "out"
     victim, after = SCHEDULE.choice(nodes), SCHEDULE.randrange(1, 4)
@@ -103,6 +112,27 @@ def test_a_death_on_the_way_changes_nothing(cluster, nodes, drive, one_machine, 
     assert driver.poll() is None, finish(driver)
     fault(cluster, victim)
     finish(driver)
+    assert_same(out, one_machine)
+
+
+def test_a_worker_that_hangs_before_its_first_episode_is_started_again(cluster, nodes, one_machine, tmp_path):
+    out, mark = tmp_path / "out", tmp_path / "hung"
+
+    def unpickle():
+        if not mark.exists():
+            mark.touch()
+            time.sleep(1000)
+        return None
+
+    class Hangs:
+        """What a worker gets in place of None."""
+
+        def __reduce__(self):
+            return unpickle, ()
+
+    wanted = wanted_by("tasks", [AGENT], **PART, **NO_MORE, detector="truth", out=out, keep="all")
+    evaluation.evaluate(wanted, Hangs(), address=cluster.address, limit=5)
+    assert mark.exists()
     assert_same(out, one_machine)
 
 

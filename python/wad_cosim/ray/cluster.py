@@ -15,6 +15,8 @@ from .._native import Error, InputError
 
 try:
     import ray
+    from ray.util.placement_group import PlacementGroup, placement_group, placement_group_table, remove_placement_group
+    from ray.util.scheduling_strategies import PlacementGroupSchedulingStrategy
 except ImportError as missing:
     raise InputError("Ray is not installed: pip install 'wad-cosim[ray]'") from missing
 
@@ -58,52 +60,60 @@ LIMIT = 1800.0
 _ATTEMPTS = 3
 
 
-class Located:
-    """An actor that says where it is."""
-
-    def where(self) -> str:
-        """The id of its node."""
-        found: str = ray.get_runtime_context().get_node_id()
-        return found
-
-
 @dataclasses.dataclass
 class _Asked:
     """What an actor is asked for."""
 
     actor: Any
+    #: When its time begins; the start of a process comes before.
     since: float
     #: Processes that were ended for it.
     ended: int = 0
 
 
-class Watch:
-    """Ends the process of an actor that works on a task for ``limit`` seconds: Ray watches nodes and processes, not progress. Ray then
-    starts it again, and the task is done again.
+class Actors:
+    """Actors of one core each. The process of one that works on a task for ``limit`` seconds is ended: Ray watches nodes and processes, not
+    progress. Ray then starts it again, and the task is done again.
 
-    An actor that waits for a core, at first or after its node's death, is not late: time counts where it is known to be on a node
-    that lives.
+    An actor that waits for a core, at first or after its node's death, is not late. Its core is a placement group of its own, since that is
+    how Ray says whether it has one.
     """
 
     def __init__(self, limit: float) -> None:
         self._limit = limit
         self._asked: dict[Any, _Asked] = {}
-        #: By actor: its node's id, or what will say it.
-        self._nodes: dict[Any, Any] = {}
+        #: By actor.
+        self._cores: dict[Any, PlacementGroup] = {}
+        #: Those that have done a task.
+        self._warm: set[Any] = set()
+
+    def start(self, kind: type, *given: Any, **options: Any) -> Any:
+        """A new actor, with Ray's ``options``."""
+        core = placement_group([{"CPU": 1}])
+        where = PlacementGroupSchedulingStrategy(core)
+        actor: Any = ray.remote(num_cpus=1, scheduling_strategy=where, **options)(kind)
+        actor = actor.remote(*given)
+        self._cores[actor] = core
+        return actor
+
+    def stop(self, actor: Any) -> None:
+        """Ends it, which gives its core to those that wait for one after their node's death."""
+        ray.kill(actor)
+        remove_placement_group(self._cores.pop(actor))
+
+    def stop_all(self) -> None:
+        """Ends all."""
+        for actor in list(self._cores):
+            self.stop(actor)
 
     def begin(self, ref: Any, actor: Any) -> None:
-        """``actor`` is asked for ``ref``. Call :meth:`meet` before its first."""
-        self._asked[ref] = _Asked(actor, time.monotonic())
+        """``actor`` is asked for ``ref``."""
+        now = time.monotonic()
+        self._asked[ref] = _Asked(actor, now if actor in self._warm else now + self._limit)
 
-    def meet(self, actor: Any) -> None:
-        """A new actor; it is asked where it is."""
-        self._nodes[actor] = actor.where.remote()
-
-    def end(self, ref: Any, node: str | None = None) -> None:
-        """``ref`` is there, from ``node``."""
-        asked = self._asked.pop(ref)
-        if node is not None:
-            self._nodes[asked.actor] = node
+    def end(self, ref: Any) -> None:
+        """``ref`` is there."""
+        self._warm.add(self._asked.pop(ref).actor)
 
     def look(self) -> None:
         """Ends processes whose time is over.
@@ -111,10 +121,11 @@ class Watch:
         Raises:
             Error: It is over again and again for the same task.
         """
-        now, alive = time.monotonic(), {node["NodeID"] for node in ray.nodes() if node["Alive"]}
+        now, groups = time.monotonic(), placement_group_table()
         for asked in self._asked.values():
-            if self._node(asked.actor) not in alive:
-                asked.since = now
+            has_core = groups.get(self._cores[asked.actor].id.hex(), {}).get("state") == "CREATED"
+            if not has_core:
+                asked.since = now + self._limit
             elif now - asked.since >= self._limit:
                 asked.ended += 1
                 if asked.ended == _ATTEMPTS:
@@ -126,17 +137,10 @@ class Watch:
                 # As long again for the start of the next process.
                 asked.since = now + self._limit
 
-    def _node(self, actor: Any) -> str | None:
-        node = self._nodes[actor]
-        if isinstance(node, ray.ObjectRef):
-            if not ray.wait([node], timeout=0)[0]:
-                return None
-            try:
-                node = self._nodes[actor] = ray.get(node)
-            except ray.exceptions.RayError:
-                # Its answer was lost with its node; its next result says where it is.
-                node = self._nodes[actor] = ""
-        return str(node)
+
+def process() -> tuple[str, int]:
+    """The node and the number of this process."""
+    return ray.get_runtime_context().get_node_id(), os.getpid()
 
 
 class Progress:
@@ -192,7 +196,7 @@ class Progress:
         print(f"\r{text}\033[K" if self._again else text, end=end, file=sys.stderr, flush=True)
 
 
-class Worker(Located):
+class Worker:
     """An actor: does tasks with what ``make`` made in its process, which stays warm between them."""
 
     def __init__(self, number: int, make: Callable[..., Callable[[Any], Any]], given: tuple[Any, ...]) -> None:
@@ -200,7 +204,7 @@ class Worker(Located):
 
     def do(self, task: Any) -> tuple[int, tuple[str, int], Any]:
         """The task's result, and whose it is."""
-        return self._number, (self.where(), os.getpid()), self._do(task)
+        return self._number, process(), self._do(task)
 
 
 def share(
@@ -218,40 +222,35 @@ def share(
     A task whose worker or node dies is done again by Ray, so ``take`` may get a result twice. A result that was lost with
     its node is missing: its task is to be given again. ``runtime_env`` is Ray's, of the actors.
     """
-    # A core for each; a dead one comes back, here or on another node, and does its task again.
-    actor: Any = ray.remote(num_cpus=1, max_restarts=-1, max_task_retries=-1)(Worker)
-    if runtime_env is not None:
-        actor = actor.options(runtime_env=runtime_env)
+    # A dead one comes back, here or on another node, and does its task again.
+    options: dict[str, Any] = {"max_restarts": -1, "max_task_retries": -1, "runtime_env": runtime_env}
     waiting, made = collections.deque(tasks), 0
     doing: dict[Any, Any] = {}
-    watch = Watch(limit)
+    actors = Actors(limit)
 
     def give(worker: Any) -> None:
         ref = worker.do.remote(waiting.popleft())
         doing[ref] = worker
-        watch.begin(ref, worker)
+        actors.begin(ref, worker)
 
     while waiting or doing:
         if progress.is_due():
             progress.show()
-            watch.look()
+            actors.look()
             # Nodes may join: then there are more cores.
             cores = workers or int(ray.cluster_resources().get("CPU", 1))
             while waiting and made < cores:
-                worker = actor.remote(made, make, given)
+                worker = actors.start(Worker, made, make, given, **options)
                 made += 1
-                watch.meet(worker)
                 give(worker)
         for ref in ray.wait(list(doing), num_returns=1, timeout=0.5)[0] if doing else ():
-            worker, node = doing.pop(ref), None
+            worker = doing.pop(ref)
             with contextlib.suppress(ray.exceptions.ObjectLostError), failures():
-                number, process, result = ray.get(ref)
-                node, _ = process
-                progress.came_from(number, process)
+                number, where, result = ray.get(ref)
+                progress.came_from(number, where)
                 progress.done = take(result)
-            watch.end(ref, node)
+            actors.end(ref)
             if waiting:
                 give(worker)
             else:
-                # It ends, and gives its core to those that wait for one after their node's death.
-                ray.kill(worker)
+                actors.stop(worker)

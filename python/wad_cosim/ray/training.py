@@ -29,16 +29,12 @@ import ray
 _FIGURES = 5.0
 
 
-class Collector(cluster.Located, training.Collector):
+class Collector(training.Collector):
     """A collector on a node; its first result also says whose it is."""
 
     def drive(self, *given: Any) -> Any:
         episodes, segments = super().drive(*given)
-        return ((self.where(), os.getpid()), episodes), segments
-
-
-class Learner(cluster.Located, training.Learner):
-    """The learner on a node."""
+        return (cluster.process(), episodes), segments
 
 
 class _LearnerLost(Exception):
@@ -182,9 +178,8 @@ class _Run:
 
     def __init__(self, folder: Folder, workers: int | None, limit: float, bar: cluster.Progress) -> None:
         self._folder, self._settings, self._workers, self._bar = folder, folder.settings, workers, bar
-        self._learner: Any = ray.remote(num_cpus=1)(Learner).remote(self._settings, folder.checkpoint())
-        self._watch = cluster.Watch(limit)
-        self._watch.meet(self._learner)
+        self._actors = cluster.Actors(limit)
+        self._learner: Any = self._actors.start(training.Learner, self._settings, folder.checkpoint())
         self._collectors: list[Any] = []
         #: By collector: turns that it has begun, and those that the learner has not taken yet.
         self._turns: list[int] = []
@@ -203,8 +198,7 @@ class _Run:
 
     def __exit__(self, *_: object) -> None:
         # Their SUMOs end with them.
-        for actor in (*self._collectors, self._learner):
-            ray.kill(actor)
+        self._actors.stop_all()
 
     def until(self, steps: int) -> dict[str, Any]:
         """Learns until ``steps`` transitions are taken."""
@@ -235,7 +229,7 @@ class _Run:
         """Waits for news, at most half a second."""
         if self._bar.is_due():
             self._bar.show()
-            self._watch.look()
+            self._actors.look()
             self._hire()
         awaited = [*self._learning, *self._driving]
         if not awaited:
@@ -251,13 +245,13 @@ class _Run:
         """Starts collectors, as many as there are cores; nodes may join."""
         cores = int(ray.cluster_resources().get("CPU", 1))
         # A dead one comes back, here or on another node, and drives its turn again.
-        actor: Any = ray.remote(num_cpus=1, max_restarts=-1, max_task_retries=-1)(Collector)
         while len(self._collectors) < (self._workers or max(cores - 1, 1)):
-            self._collectors.append(actor.remote(len(self._collectors), self._settings))
-            self._watch.meet(self._collectors[-1])
+            number = len(self._collectors)
+            made = self._actors.start(Collector, number, self._settings, max_restarts=-1, max_task_retries=-1)
+            self._collectors.append(made)
             self._turns.append(0)
             self._untaken.append(0)
-            self._drive(len(self._collectors) - 1)
+            self._drive(number)
 
     def _drive(self, number: int) -> None:
         self._turns[number] += 1
@@ -265,7 +259,7 @@ class _Run:
         drive = self._collectors[number].drive.options(num_returns=2)
         news, segments = drive.remote(self._turns[number], self._weights, learns, self._state.stage)
         self._driving[news] = (number, segments)
-        self._watch.begin(news, self._collectors[number])
+        self._actors.begin(news, self._collectors[number])
 
     def _driven(self, ref: Any) -> None:
         """A collector has driven its turn: the learner gets the segments."""
@@ -297,27 +291,23 @@ class _Run:
     def _learn(self, method: str, *given: Any) -> Any:
         """What will be the learner's answer."""
         ref = getattr(self._learner, method).remote(*given)
-        self._watch.begin(ref, self._learner)
+        self._actors.begin(ref, self._learner)
         return ref
 
     def _ask(self, ref: Any, died: str | None = None) -> Any:
         """The answer. An actor that is dead for good is the learner, or else it ``died``."""
-        node = None
         try:
             with cluster.failures():
                 try:
                     while not ray.wait([ref], timeout=0.5)[0]:
-                        self._watch.look()
-                    found = ray.get(ref)
+                        self._actors.look()
+                    return ray.get(ref)
                 except ray.exceptions.RayActorError as error:
                     if died:
                         raise Error(f"{died}: {error}") from None
                     raise _LearnerLost(str(error).splitlines()[0]) from None
-            if died:
-                (node, _), _ = found
-            return found
         finally:
-            self._watch.end(ref, node)
+            self._actors.end(ref)
 
     def _publish(self, state: Published) -> None:
         self._state = state
