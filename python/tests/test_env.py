@@ -237,16 +237,19 @@ def test_the_sumo_is_the_packages_own(make):
     assert "site-packages/sumo/" in os.readlink(f"/proc/{env.unwrapped.sumo_pid}/exe")
 
 
-def test_a_killed_sumo_costs_one_truncated_episode(make):
-    env = make()
+@pytest.mark.parametrize("fault", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_sumo_that_is_killed_or_hangs_costs_one_truncated_episode(make, fault):
+    env = make(options={"tick_timeout": 1})
     env.reset(seed=1)
     env.step(GO)
-    os.kill(env.unwrapped.sumo_pid, signal.SIGKILL)
+    sumo = env.unwrapped.sumo_pid
+    os.kill(sumo, fault)
     _, reward, terminated, truncated, info = env.step(GO)
     assert (reward, terminated, truncated, info["end"]) == (0.0, False, True, "error")
-    assert "SUMO" in info["cause"]
+    assert ("SUMO hangs" if fault == signal.SIGSTOP else "SUMO") in info["cause"]
     env.reset(seed=1)
     assert env.step(GO)[4]["tick"] == 1
+    assert not os.path.exists(f"/proc/{sumo}")
 
 
 def test_a_killed_python_leaves_no_sumo(tmp_path):

@@ -134,12 +134,13 @@ def test_wrong_use_is_refused():
         wad_cosim.DrivingVectorEnv(0, task="straight")
 
 
-def test_a_killed_sumo_costs_its_own_episode():
-    env = wad_cosim.DrivingVectorEnv(3, task="straight")
+@pytest.mark.parametrize("fault", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_sumo_that_is_killed_or_hangs_costs_its_own_episode(fault):
+    env = wad_cosim.DrivingVectorEnv(3, task="straight", options={"tick_timeout": 1})
     env.reset(seed=1)
     go = np.tile(np.float32([0, 0.4, 0]), (3, 1))
     env.step(go)
-    os.kill(env.sumo_pids[1], signal.SIGKILL)
+    os.kill(env.sumo_pids[1], fault)
     _, _, terminated, truncated, info = env.step(go)
     assert truncated.tolist() == [False, True, False] and not terminated.any()
     assert info["end"][1] == "error" and info["_end"].tolist() == [False, True, False]
