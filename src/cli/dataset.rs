@@ -75,7 +75,7 @@ pub struct CollectArgs {
     /// bicycle, person, bus, truck, "traffic light", bench.
     #[arg(long, value_name = "CLASS", value_delimiter = ',', value_parser = class)]
     showing: Vec<ObjectClass>,
-    /// In pictures and labels, signals show lamps drawn at random, each incoming road its own; traffic obeys the real ones.
+    /// In pictures and labels, signals show lamps drawn at random, lane by lane; traffic obeys the real ones.
     /// For training eyes: real programs show little yellow, and who stands at a line always sees red.
     #[arg(long)]
     random_signals: bool,

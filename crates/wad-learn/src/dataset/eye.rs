@@ -8,7 +8,7 @@ use super::record::{BoxRecord, Frame, FrameRecord, Labels};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use std::collections::HashMap;
-use sumo_network::network::{EdgeId, Network};
+use sumo_network::network::Network;
 use sumo_network::seeds;
 use sumo_network::world::{Actor, WorldState};
 use wad_camera::{CameraConfig, Outputs, Town, model};
@@ -147,16 +147,23 @@ impl RandomSignals {
         Self { rng: seeds::rng(seed, "signals") }
     }
 
-    /// The world with other lamps: the links that leave one road show the same, crossings what they showed.
+    fn lamp(&mut self) -> char {
+        LAMPS[self.rng.random_range(0..LAMPS.len())]
+    }
+
+    /// The world with other lamps: the links that leave one lane show the same, every second lane what its road shows, crossings
+    /// what they showed.
     fn draw(&mut self, network: &Network, world: &WorldState) -> WorldState {
         let mut world = world.clone();
         for (program, states) in network.traffic_lights.iter().zip(&mut world.traffic_lights) {
             let Some(shown) = states else { continue };
             let mut shown: Vec<char> = shown.chars().collect();
-            let mut lamps: HashMap<EdgeId, char> = HashMap::new();
+            let (mut roads, mut lanes) = (HashMap::new(), HashMap::new());
             for link in program.links.iter().map(|link| network.link(*link)) {
-                let road = network.lane(link.from).edge;
-                let lamp = *lamps.entry(road).or_insert_with(|| LAMPS[self.rng.random_range(0..LAMPS.len())]);
+                let road = *roads.entry(network.lane(link.from).edge).or_insert_with(|| self.lamp());
+                let lamp = *lanes
+                    .entry(link.from)
+                    .or_insert_with(|| if self.rng.random() { road } else { self.lamp() });
                 if let Some(state) = link.signal.and_then(|signal| shown.get_mut(signal.index)) {
                     *state = lamp;
                 }

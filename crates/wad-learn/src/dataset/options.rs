@@ -30,7 +30,7 @@ pub struct CollectOptions {
     pub every: f64,
     /// Keep only frames that show an object of one of these classes; empty: all frames.
     pub showing: Vec<ObjectClass>,
-    /// Signals show lamps drawn at random in pictures and labels, each incoming road its own; traffic obeys the real ones.
+    /// Signals show lamps drawn at random in pictures and labels, lane by lane; traffic obeys the real ones.
     pub random_signals: bool,
     /// Disturbances of the autopilot's controls.
     pub noise: NoiseParams,
