@@ -20,6 +20,7 @@ mod options;
 mod plan;
 mod record;
 mod recorded;
+mod run_drive;
 mod shard;
 #[cfg(test)]
 pub mod testing;
