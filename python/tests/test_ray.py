@@ -2,6 +2,7 @@
 
 import json
 import os
+import pathlib
 import random
 import signal
 import time
@@ -52,6 +53,12 @@ def drive(start):
     options = [text for name, value in PART.items() for text in (f"--{name}", str(value))]
     command = ["eval", "tasks", "--agent", AGENT, "--keep", "all", *options]
     return lambda out, *more, limit=None: start(command, out, *more, limit=limit)
+
+
+def seconds(*pids):
+    """What these processes have used of the cores (s)."""
+    fields = [pathlib.Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split() for pid in pids]
+    return sum(int(field[11]) + int(field[12]) for field in fields) / os.sysconf("SC_CLK_TCK")
 
 
 def kill_worker(cluster, node):
@@ -113,6 +120,39 @@ def test_a_death_on_the_way_changes_nothing(cluster, nodes, drive, one_machine, 
     fault(cluster, victim)
     finish(driver)
     assert_same(out, one_machine)
+
+
+def test_a_worker_without_a_core_is_stopped_so_that_ray_rests(cluster, nodes):
+    """Ray looks without a pause for the core of an actor that has lost its own, with a core of its own."""
+    import ray
+    from wad_cosim.ray.cluster import Actors
+
+    class Idle:
+        def here(self):
+            return True
+
+    ray.init(cluster.address, log_to_driver=False)
+    try:
+        actors = Actors(60)
+        ours = [actors.start(Idle, max_restarts=-1, max_task_retries=-1) for _ in nodes]
+        assert ray.get([one.here.remote() for one in ours]) == [True, True]
+        # Not the one that this process belongs to.
+        here = ray.get_runtime_context().get_node_id()
+        kill_node(cluster, next(node for node in nodes if node.node_id != here))
+        assert until(lambda: actors.look() or any(map(actors.lost, ours)), 60)
+        assert sum(map(actors.lost, ours)) == 1
+        before, since = seconds(*processes("gcs_server")), time.monotonic()
+        time.sleep(3)
+        assert seconds(*processes("gcs_server")) - before < 0.5 * (time.monotonic() - since)
+        # Another waits, until a node comes.
+        other = actors.start(Idle)
+        answer = other.here.remote()
+        assert not ray.wait([answer], timeout=1)[0]
+        cluster.add_node(num_cpus=1)
+        assert ray.get(answer, timeout=60)
+        actors.stop_all()
+    finally:
+        ray.shutdown()
 
 
 def test_a_worker_that_hangs_before_its_first_episode_is_started_again(cluster, nodes, one_machine, tmp_path):

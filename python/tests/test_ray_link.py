@@ -82,7 +82,8 @@ class Hosts:
         """Nodes that live, by the head."""
         code = f"import ray; ray.init({self.cluster!r}, log_to_driver=False); print(sum(node['Alive'] for node in ray.nodes()))"
         try:
-            return int(self.run(0, sys.executable, "-c", code).stdout)
+            # Ray writes its own lines after it.
+            return int(self.run(0, sys.executable, "-c", code).stdout.split()[0])
         except subprocess.CalledProcessError:
             return 0
 

@@ -75,8 +75,9 @@ class Actors:
     """Actors of one core each. The process of one that works on a task for ``limit`` seconds is ended: Ray watches nodes and processes, not
     progress. Ray then starts it again, and the task is done again.
 
-    An actor that waits for a core, at first or after its node's death, is not late. Its core is a placement group of its own, since that is
-    how Ray says whether it has one.
+    An actor that waits for a core is not late. Its core is a placement group of its own, since that is how Ray says whether it has one.
+    One that lost its core with its node, and found no other, is stopped (``lost``): the caller starts another, which waits as a new one does.
+    Ray would look for a core for it without a pause, with a whole core of the head's (Ray's pull request 65007).
     """
 
     def __init__(self, limit: float) -> None:
@@ -86,6 +87,9 @@ class Actors:
         self._cores: dict[Any, PlacementGroup] = {}
         #: Those that have done a task.
         self._warm: set[Any] = set()
+        #: Those that had lost their core at the last look, and those that were stopped for it.
+        self._homeless: set[Any] = set()
+        self._lost: set[Any] = set()
 
     def start(self, kind: type, *given: Any, **options: Any) -> Any:
         """A new actor, with Ray's ``options``."""
@@ -96,8 +100,12 @@ class Actors:
         self._cores[actor] = core
         return actor
 
+    def lost(self, actor: Any) -> bool:
+        """Whether it was stopped because it had lost its core: another is to be started, and given its task."""
+        return actor in self._lost
+
     def stop(self, actor: Any) -> None:
-        """Ends it, which gives its core to those that wait for one after their node's death."""
+        """Ends it, which gives its core to those that wait for one."""
         ray.kill(actor)
         remove_placement_group(self._cores.pop(actor))
 
@@ -122,9 +130,14 @@ class Actors:
             Error: It is over again and again for the same task.
         """
         now, groups = time.monotonic(), placement_group_table()
+        states = {actor: groups.get(core.id.hex(), {}).get("state") for actor, core in self._cores.items()}
+        homeless = {actor for actor, state in states.items() if state == "RESCHEDULING"}
+        for actor in homeless & self._homeless:
+            self.stop(actor)
+            self._lost.add(actor)
+        self._homeless = homeless - self._lost
         for asked in self._asked.values():
-            has_core = groups.get(self._cores[asked.actor].id.hex(), {}).get("state") == "CREATED"
-            if not has_core:
+            if states.get(asked.actor) != "CREATED":
                 asked.since = now + self._limit
             elif now - asked.since >= self._limit:
                 asked.ended += 1
@@ -199,12 +212,12 @@ class Progress:
 class Worker:
     """An actor: does tasks with what ``make`` made in its process, which stays warm between them."""
 
-    def __init__(self, number: int, make: Callable[..., Callable[[Any], Any]], given: tuple[Any, ...]) -> None:
-        self._number, self._do = number, make(*given)
+    def __init__(self, make: Callable[..., Callable[[Any], Any]], given: tuple[Any, ...]) -> None:
+        self._do = make(*given)
 
-    def do(self, task: Any) -> tuple[int, tuple[str, int], Any]:
-        """The task's result, and whose it is."""
-        return self._number, process(), self._do(task)
+    def do(self, task: Any) -> tuple[tuple[str, int], Any]:
+        """The process, and the task's result."""
+        return process(), self._do(task)
 
 
 def share(
@@ -219,19 +232,24 @@ def share(
 ) -> None:
     """Has ``tasks`` done by actors, each within ``limit`` seconds, and hands each result to ``take``, which says how many are done.
 
-    A task whose worker or node dies is done again by Ray, so ``take`` may get a result twice. A result that was lost with
+    A task whose worker or node dies is done again, so ``take`` may get a result twice. A result that was lost with
     its node is missing: its task is to be given again. ``runtime_env`` is Ray's, of the actors.
     """
     # A dead one comes back, here or on another node, and does its task again.
     options: dict[str, Any] = {"max_restarts": -1, "max_task_retries": -1, "runtime_env": runtime_env}
-    waiting, made = collections.deque(tasks), 0
-    doing: dict[Any, Any] = {}
+    waiting = collections.deque(tasks)
+    # By worker's number.
+    made: list[Any] = []
+    doing: dict[Any, tuple[int, Any]] = {}
     actors = Actors(limit)
 
-    def give(worker: Any) -> None:
-        ref = worker.do.remote(waiting.popleft())
-        doing[ref] = worker
-        actors.begin(ref, worker)
+    def start() -> Any:
+        return actors.start(Worker, make, given, **options)
+
+    def give(number: int, task: Any) -> None:
+        ref = made[number].do.remote(task)
+        doing[ref] = number, task
+        actors.begin(ref, made[number])
 
     while waiting or doing:
         if progress.is_due():
@@ -239,18 +257,21 @@ def share(
             actors.look()
             # Nodes may join: then there are more cores.
             cores = workers or int(ray.cluster_resources().get("CPU", 1))
-            while waiting and made < cores:
-                worker = actors.start(Worker, made, make, given, **options)
-                made += 1
-                give(worker)
+            while waiting and len(made) < cores:
+                made.append(start())
+                give(len(made) - 1, waiting.popleft())
         for ref in ray.wait(list(doing), num_returns=1, timeout=0.5)[0] if doing else ():
-            worker = doing.pop(ref)
+            number, task = doing.pop(ref)
+            actors.end(ref)
+            if actors.lost(made[number]):
+                made[number] = start()
+                give(number, task)
+                continue
             with contextlib.suppress(ray.exceptions.ObjectLostError), failures():
-                number, where, result = ray.get(ref)
+                where, result = ray.get(ref)
                 progress.came_from(number, where)
                 progress.done = take(result)
-            actors.end(ref)
             if waiting:
-                give(worker)
+                give(number, waiting.popleft())
             else:
-                actors.stop(worker)
+                actors.stop(made[number])

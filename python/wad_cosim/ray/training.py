@@ -244,16 +244,20 @@ class _Run:
     def _hire(self) -> None:
         """Starts collectors, as many as there are cores; nodes may join."""
         cores = int(ray.cluster_resources().get("CPU", 1))
-        # A dead one comes back, here or on another node, and drives its turn again.
         while len(self._collectors) < (self._workers or max(cores - 1, 1)):
             number = len(self._collectors)
-            made = self._actors.start(Collector, number, self._settings, max_restarts=-1, max_task_retries=-1)
-            self._collectors.append(made)
+            self._collectors.append(self._collector(number))
             self._turns.append(0)
             self._untaken.append(0)
             self._drive(number)
 
+    def _collector(self, number: int) -> Any:
+        # A dead one comes back, here or on another node, and drives its turn again.
+        return self._actors.start(Collector, number, self._settings, max_restarts=-1, max_task_retries=-1)
+
     def _drive(self, number: int) -> None:
+        if self._actors.lost(self._collectors[number]):
+            self._collectors[number] = self._collector(number)
         self._turns[number] += 1
         learns = self._state.updates > 0
         drive = self._collectors[number].drive.options(num_returns=2)
@@ -264,6 +268,10 @@ class _Run:
     def _driven(self, ref: Any) -> None:
         """A collector has driven its turn: the learner gets the segments."""
         number, segments = self._driving.pop(ref)
+        if self._actors.lost(self._collectors[number]):
+            self._actors.end(ref)
+            self._drive(number)
+            return
         try:
             process, episodes = self._ask(ref, died="a collector does not start")
         except ray.exceptions.ObjectLostError:
