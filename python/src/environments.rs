@@ -3,7 +3,7 @@
 use crate::episode::NUMBERS;
 use crate::errors::{Error, Failure, InputError};
 use crate::setup::{Part, Setup, Tasks};
-use crate::worker::{self, Array, Arrays, Autoreset, Job, Rows, Shared, lock};
+use crate::worker::{self, Array, Arrays, Autoreset, Driver, Job, Rows, Shared, lock};
 use numpy::{PyArray1, PyArrayDyn, PyArrayMethods, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -12,13 +12,15 @@ use std::sync::{Arc, Mutex, TryLockError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 use wad_cosim::agent::action::{ACTION_SIZE, Action};
+use wad_cosim::cores::Visit;
 use wad_cosim::observation::{LATENT_SIZE, ObservationMode, RAW_SIZE};
 use wad_cosim::perception::TRANSFORMED_SIZE;
 
 /// How often a waiting thread lets Python look for signals.
 const SIGNALS: Duration = Duration::from_millis(50);
 
-/// Environments that are driven together, each on a thread of its own. All methods release Python's lock while they wait.
+/// Environments that are driven together, each on a thread of its own but for the first one's ticks, which Python's thread
+/// drives. All methods release Python's lock while they wait or drive.
 #[pyclass(frozen)]
 pub struct Environments {
     /// None: closed.
@@ -32,6 +34,8 @@ pub struct Environments {
 }
 
 struct Open {
+    /// By SUMO.
+    drivers: Vec<Arc<Mutex<Option<Driver>>>>,
     jobs: Vec<Sender<Job>>,
     threads: Vec<JoinHandle<()>>,
     shared: Arc<Shared>,
@@ -82,11 +86,13 @@ impl Environments {
         let tasks = py.detach(|| Tasks::open(&setup)).map(Arc::new)?;
         let shared = Arc::new(Shared::new(now, last, autoreset, count, owners));
         let egos = setup.egos;
-        let mut open = Open { jobs: Vec::new(), threads: Vec::new(), shared };
+        let mut open = Open { drivers: Vec::new(), jobs: Vec::new(), threads: Vec::new(), shared };
         for index in (0..count).step_by(egos) {
             let (tasks, setup, shared) = (Arc::clone(&tasks), Arc::clone(&setup), Arc::clone(&open.shared));
-            let (sender, thread) = worker::spawn(index, tasks, setup, shared)
+            let driver = Arc::default();
+            let (sender, thread) = worker::spawn(index, tasks, setup, shared, Arc::clone(&driver))
                 .map_err(|e| Error::new_err(format!("cannot start a thread for an environment: {e}")))?;
+            open.drivers.push(driver);
             open.jobs.push(sender);
             open.threads.push(thread);
         }
@@ -253,17 +259,42 @@ impl Open {
             let mut answer = lock(answer);
             (answer.failure, answer.began, answer.news) = (None, false, Default::default());
         }
+        let mut own = None;
         for (index, job) in jobs.enumerate() {
-            if let Some(job) = job {
-                self.shared.begin(1);
-                if self.jobs[index].send(job).is_err() {
-                    self.shared.end();
-                    return Err(Error::new_err("the thread of an environment has ended"));
-                }
+            match job {
+                Some(job) if index == 0 && !self.is_long(&job) => own = Some(job),
+                Some(job) => self.send(index, job)?,
+                None => {}
+            }
+        }
+        if let Some(job) = own {
+            let left = py.detach(|| {
+                let _visit = Visit::begin();
+                lock(&self.drivers[0]).as_mut().and_then(|driver| driver.drive(job))
+            });
+            if let Some(job) = left {
+                self.send(0, job)?;
             }
         }
         self.wait(py)?;
+        if let Some(signal) = self.shared.signal() {
+            return Err(signal);
+        }
         self.failed()
+    }
+
+    /// Whether the first SUMO's thread has to do it.
+    fn is_long(&self, job: &Job) -> bool {
+        lock(&self.drivers[0]).as_ref().is_none_or(|driver| driver.is_long(job))
+    }
+
+    /// To a SUMO's thread.
+    fn send(&self, index: usize, job: Job) -> PyResult<()> {
+        self.shared.begin(1);
+        self.jobs[index].send(job).map_err(|_| {
+            self.shared.end();
+            Error::new_err("the thread of an environment has ended")
+        })
     }
 
     /// The first failure.

@@ -74,6 +74,11 @@ impl Episodes {
         Ok(Self { tasks, env, painter, parts: setup.observation.clone(), log })
     }
 
+    /// See [`Env::give_up_when`].
+    pub fn give_up_when(&mut self, asked: impl FnMut() -> bool + Send + 'static) {
+        self.env.give_up_when(asked);
+    }
+
     /// Begins the episode of `seed`, on the route of that number if one is given.
     pub fn reset(&mut self, seed: u64, route: Option<usize>) -> Result<Numbers, Failure> {
         let task = self.tasks.episode(seed, route)?;
@@ -212,6 +217,11 @@ impl Egos {
         let mut fleet = Fleet::new(tasks.assets.clone(), setup.options.clone(), encoders)?;
         fleet.set_returning(returning);
         Ok(Self { tasks: tasks.all(), fleet })
+    }
+
+    /// See [`Env::give_up_when`].
+    pub fn give_up_when(&mut self, asked: impl FnMut() -> bool + Send + 'static) {
+        self.fleet.give_up_when(asked);
     }
 
     /// Begins an episode of each ego.

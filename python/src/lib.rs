@@ -1,8 +1,8 @@
 //! The extension module `wad_cosim._native`: environments on threads of their own, and what travels with them.
 //!
 //! Python's half (`python/wad_cosim`) knows Gymnasium and speaks to users; this half knows the simulator. A
-//! thread drives each environment, so that Python's lock is free meanwhile, signals are heard during long
-//! resets, and many environments run at once.
+//! thread drives each environment, so that signals are heard during long resets, and many environments run at once;
+//! Python's own thread drives the first one's ticks, with Python's lock free meanwhile.
 
 mod collection;
 mod curriculum;

@@ -28,6 +28,8 @@ pub enum Job {
     Reset(u64, Option<usize>),
     /// Drive a tick; an episode that begins by itself has this seed.
     Step(Action, u64),
+    /// Begin the next episode, of this seed, within the step that ended the last one ([`Autoreset::SameStep`]).
+    Next(u64),
     /// Drive a tick of each ego in one SUMO.
     StepAll(Vec<Action>),
     /// The expert's action.
@@ -114,6 +116,13 @@ impl Arrays {
         // SAFETY: as above.
         unsafe { self.numbers.row(index) }.copy_from_slice(numbers);
     }
+
+    /// Copies what a tick led to (reward, terminated, truncated) to another array's row.
+    fn copy_outcome(&self, index: usize, to: &Self) {
+        // SAFETY: as in `write`; the arrays are two.
+        let (from, to) = unsafe { (self.numbers.row(index), to.numbers.row(index)) };
+        to[..3].copy_from_slice(&from[..3]);
+    }
 }
 
 /// What the environments of one [`crate::environments::Environments`] share.
@@ -128,6 +137,8 @@ pub struct Shared {
     pub answers: Vec<Mutex<Answer>>,
     /// Python's arrays: they live as long as a thread may write to them.
     _owners: Vec<Py<PyAny>>,
+    /// A signal's exception, heard while Python's thread drove.
+    signal: Mutex<Option<PyErr>>,
     running: Mutex<usize>,
     done: Condvar,
 }
@@ -147,7 +158,16 @@ impl Shared {
         owners: Vec<Py<PyAny>>,
     ) -> Self {
         let answers = (0..count).map(|_| Mutex::default()).collect();
-        Self { now, last, autoreset, answers, _owners: owners, running: Mutex::new(0), done: Condvar::new() }
+        Self {
+            now,
+            last,
+            autoreset,
+            answers,
+            _owners: owners,
+            signal: Mutex::default(),
+            running: Mutex::new(0),
+            done: Condvar::new(),
+        }
     }
 
     /// Counts `jobs` that are about to be sent.
@@ -162,6 +182,19 @@ impl Shared {
         *waited.unwrap_or_else(PoisonError::into_inner).0 == 0
     }
 
+    /// Lets Python look for signals; an exception is kept for [`Shared::signal`].
+    fn hears_a_signal(&self) -> bool {
+        let heard = Python::attach(|py| py.check_signals().err());
+        let is_one = heard.is_some();
+        *lock(&self.signal) = heard;
+        is_one
+    }
+
+    /// The exception of the signal that was heard.
+    pub fn signal(&self) -> Option<PyErr> {
+        lock(&self.signal).take()
+    }
+
     /// A job ends.
     pub fn end(&self) {
         let mut running = lock(&self.running);
@@ -172,22 +205,20 @@ impl Shared {
     }
 }
 
-/// Starts the thread of the environment `index`, or of the egos in one SUMO whose first it is; the first answer says whether it could be made.
+/// Starts the thread of the SUMO whose rows begin with `first`; the first answer says whether its environment could be
+/// made. `driver` is there once it could.
 pub fn spawn(
-    index: usize,
+    first: usize,
     tasks: Arc<Tasks>,
     setup: Arc<Setup>,
     shared: Arc<Shared>,
+    driver: Arc<Mutex<Option<Driver>>>,
 ) -> std::io::Result<(Sender<Job>, std::thread::JoinHandle<()>)> {
     let (sender, jobs) = std::sync::mpsc::channel();
     shared.begin(1);
     let counted = Arc::clone(&shared);
-    let thread = std::thread::Builder::new().name(format!("environment {index}")).spawn(move || {
-        if setup.egos > 1 {
-            serve_egos(index, &shared, &tasks, &setup, &jobs);
-        } else {
-            Worker { index, shared, over: true, waits: true }.work(&tasks, &setup, &jobs);
-        }
+    let thread = std::thread::Builder::new().name(format!("environment {first}")).spawn(move || {
+        serve(first, &shared, &tasks, &setup, &jobs, &driver);
     });
     if thread.is_err() {
         counted.end();
@@ -195,146 +226,198 @@ pub fn spawn(
     Ok((sender, thread?))
 }
 
-struct Worker {
-    index: usize,
-    shared: Arc<Shared>,
-    /// The episode has ended.
-    over: bool,
-    /// It was never reset, or its last reset failed.
-    waits: bool,
-}
-
-impl Worker {
-    fn work(mut self, tasks: &Arc<Tasks>, setup: &Setup, jobs: &Receiver<Job>) {
-        let mut episodes = None;
-        let made = guarded(|| {
-            episodes = Some(Episodes::new(Arc::clone(tasks), setup)?);
-            Ok(Answer::default())
-        });
-        self.answer(made);
-        for job in jobs {
-            let answer = match &mut episodes {
-                Some(episodes) => guarded(|| self.job(episodes, job)),
-                None => Err(Failure::Other("the environment could not be made".to_string())),
-            };
-            self.answer(answer);
-        }
-        // Nobody waits for an answer any more: what a recording lacks is said where Python shows it.
-        if let Some(Err(error)) = episodes.map(Episodes::close) {
-            eprintln!("wad_cosim: {}", error.text());
-        }
+fn serve(
+    first: usize,
+    shared: &Arc<Shared>,
+    tasks: &Arc<Tasks>,
+    setup: &Setup,
+    jobs: &Receiver<Job>,
+    driver: &Mutex<Option<Driver>>,
+) {
+    let made = guarded(|| Driver::new(first, Arc::clone(shared), tasks, setup));
+    match made {
+        Ok(made) => *lock(driver) = Some(made),
+        Err(failure) => lock(&shared.answers[first]).failure = Some(failure),
     }
-
-    fn answer(&mut self, answer: Result<Answer, Failure>) {
-        if answer.is_err() {
-            self.waits = true;
-        }
-        let answer = answer.unwrap_or_else(|failure| Answer { failure: Some(failure), ..Answer::default() });
-        *lock(&self.shared.answers[self.index]) = answer;
-        self.shared.end();
-    }
-
-    fn job(&mut self, episodes: &mut Episodes, job: Job) -> Result<Answer, Failure> {
-        let mut answer = Answer::default();
-        match job {
-            Job::Reset(seed, route) => self.reset(episodes, seed, route)?,
-            Job::Step(..) | Job::StepAll(_) | Job::Expert | Job::Picture if self.waits => {
-                return Err(Failure::Other("no episode is running: call reset first".to_string()));
-            }
-            Job::Step(action, seed) => answer = self.step(episodes, action, seed)?,
-            Job::Expert => answer.action = episodes.expert()?,
-            Job::Picture => answer.picture = episodes.picture()?.to_vec(),
-            Job::StepAll(_) => return Err(Failure::Other("several egos need egos=".to_string())),
-        }
-        answer.sumo = episodes.sumo();
-        Ok(answer)
-    }
-
-    fn reset(&mut self, episodes: &mut Episodes, seed: u64, route: Option<usize>) -> Result<(), Failure> {
-        let numbers = episodes.reset(seed, route)?;
-        (self.over, self.waits) = (false, false);
-        self.shared.now.write(self.index, |part, row| episodes.write(part, row), &numbers);
-        Ok(())
-    }
-
-    fn step(&mut self, episodes: &mut Episodes, action: Action, seed: u64) -> Result<Answer, Failure> {
-        let mut answer = Answer::default();
-        if self.over {
-            if self.shared.autoreset != Autoreset::NextStep {
-                return Err(Failure::Other("the episode has ended: call reset first".to_string()));
-            }
-            self.reset(episodes, seed, None)?;
-            answer.began = true;
-            return Ok(answer);
-        }
-        let (numbers, news) = episodes.step(action)?;
-        self.over = news.ending.is_some();
-        answer.news = news;
-        let index = self.index;
-        match &self.shared.last {
-            Some(last) if self.over && self.shared.autoreset == Autoreset::SameStep => {
-                last.write(index, |part, row| episodes.write(part, row), &numbers);
-                self.reset(episodes, seed, None)?;
-                answer.began = true;
-                // SAFETY: this thread's own row, as in `Arrays::write`.
-                let row = unsafe { self.shared.now.numbers.row(index) };
-                row[..3].copy_from_slice(&numbers[..3]);
-            }
-            _ => self.shared.now.write(index, |part, row| episodes.write(part, row), &numbers),
-        }
-        Ok(answer)
-    }
-}
-
-/// Serves the egos in one SUMO, whose rows begin with `first`.
-fn serve_egos(first: usize, shared: &Shared, tasks: &Tasks, setup: &Setup, jobs: &Receiver<Job>) {
-    let answer = |ego: usize, answer: Result<Answer, Failure>| {
-        let answer = answer.unwrap_or_else(|failure| Answer { failure: Some(failure), ..Answer::default() });
-        *lock(&shared.answers[first + ego]) = answer;
-    };
-    let mut egos = None;
-    let made = guarded(|| {
-        egos = Some(Egos::new(tasks, setup, shared.autoreset == Autoreset::NextStep)?);
-        Ok(Answer::default())
-    });
-    answer(0, made);
     shared.end();
-    let mut waits = true;
     for job in jobs {
-        let done = guarded(|| {
-            let Some(egos) = &mut egos else {
-                return Err(Failure::Other("the egos could not be made".to_string()));
-            };
-            let told: Vec<(Numbers, News, bool)> = match job {
-                Job::Reset(seed, _) => {
-                    egos.reset(seed)?.into_iter().map(|(numbers, news)| (numbers, news, false)).collect()
-                }
-                Job::StepAll(_) if waits => {
-                    return Err(Failure::Other("no episode is running: call reset first".to_string()));
-                }
-                Job::StepAll(actions) => egos.step(&actions)?,
-                _ => return Err(Failure::Input("several egos in one SUMO have none of this".to_string())),
-            };
-            waits = false;
-            for (ego, (numbers, news, began)) in told.into_iter().enumerate() {
-                shared.now.write(first + ego, |part, row| egos.write(ego, part, row), &numbers);
-                answer(ego, Ok(Answer { news, began, sumo: egos.sumo(), ..Answer::default() }));
+        if let Some(driver) = lock(driver).as_mut() {
+            let mut left = driver.drive(job);
+            while let Some(job) = left {
+                left = driver.drive(job);
             }
-            Ok(Answer::default())
-        });
-        if done.is_err() {
-            waits = true;
-            answer(0, done);
         }
         shared.end();
     }
-    if let Some(egos) = egos {
-        egos.close();
+    // Nobody waits for an answer any more: what a recording lacks is said where Python shows it.
+    if let Some(Err(error)) = lock(driver).take().map(Driver::close) {
+        eprintln!("wad_cosim: {}", error.text());
     }
 }
 
+/// What drives one SUMO: its thread does what takes long (a SUMO's start), and Python's thread the ticks where it would
+/// only wait for them, since waking another core twice costs as much as half a tick.
+pub struct Driver {
+    first: usize,
+    shared: Arc<Shared>,
+    seats: Seats,
+    /// It was never reset, or its last job failed.
+    waits: bool,
+}
+
+enum Seats {
+    /// An environment.
+    One(One),
+    /// Egos in one SUMO.
+    Many(Egos),
+}
+
+struct One {
+    episodes: Episodes,
+    /// The episode has ended.
+    over: bool,
+}
+
+impl Driver {
+    fn new(first: usize, shared: Arc<Shared>, tasks: &Arc<Tasks>, setup: &Setup) -> Result<Self, Failure> {
+        // Signals are heard on Python's thread only; its own thread is waited for by one that hears them.
+        let own = std::thread::current().id();
+        let caller = Arc::clone(&shared);
+        let is_given_up = move || std::thread::current().id() != own && caller.hears_a_signal();
+        let seats = if setup.egos > 1 {
+            let mut egos = Egos::new(tasks, setup, shared.autoreset == Autoreset::NextStep)?;
+            egos.give_up_when(is_given_up);
+            Seats::Many(egos)
+        } else {
+            let mut episodes = Episodes::new(Arc::clone(tasks), setup)?;
+            episodes.give_up_when(is_given_up);
+            Seats::One(One { episodes, over: true })
+        };
+        Ok(Self { first, shared, seats, waits: true })
+    }
+
+    /// Whether the job takes longer than a tick.
+    pub fn is_long(&self, job: &Job) -> bool {
+        match (job, &self.seats) {
+            (Job::Reset(..) | Job::Next(_), _) => true,
+            (Job::Step(..), Seats::One(one)) => one.over && !self.waits,
+            (Job::StepAll(_), Seats::Many(egos)) => egos.sumo().is_none() && !self.waits,
+            _ => false,
+        }
+    }
+
+    /// Does a job, writes arrays and answers, and tells what is left to do: after an episode's end the long begin of
+    /// the next.
+    pub fn drive(&mut self, job: Job) -> Option<Job> {
+        let done = guarded(|| {
+            let place = Place { first: self.first, shared: &self.shared };
+            if self.waits && !matches!(job, Job::Reset(..)) {
+                return Err(Failure::Other("no episode is running: call reset first".to_string()));
+            }
+            match &mut self.seats {
+                Seats::One(one) => one.drive(place, job),
+                Seats::Many(egos) => drive_all(egos, place, job).map(|()| None),
+            }
+        });
+        self.waits = done.is_err();
+        done.unwrap_or_else(|failure| {
+            lock(&self.shared.answers[self.first]).failure = Some(failure);
+            None
+        })
+    }
+
+    fn close(self) -> Result<(), Failure> {
+        match self.seats {
+            Seats::One(one) => one.episodes.close(),
+            Seats::Many(egos) => {
+                egos.close();
+                Ok(())
+            }
+        }
+    }
+}
+
+/// The rows and answers of one SUMO.
+#[derive(Clone, Copy)]
+struct Place<'a> {
+    first: usize,
+    shared: &'a Shared,
+}
+
+impl Place<'_> {
+    fn answer(&self, ego: usize) -> MutexGuard<'_, Answer> {
+        lock(&self.shared.answers[self.first + ego])
+    }
+}
+
+impl One {
+    fn drive(&mut self, place: Place<'_>, job: Job) -> Result<Option<Job>, Failure> {
+        let (shared, index) = (place.shared, place.first);
+        let mut left = None;
+        match job {
+            Job::Reset(seed, route) => self.reset(place, seed, route)?,
+            Job::Step(_, seed) if self.over => {
+                if shared.autoreset != Autoreset::NextStep {
+                    return Err(Failure::Other("the episode has ended: call reset first".to_string()));
+                }
+                self.reset(place, seed, None)?;
+                place.answer(0).began = true;
+            }
+            Job::Step(action, seed) => {
+                let (numbers, news) = self.episodes.step(action)?;
+                self.over = news.ending.is_some();
+                place.answer(0).news = news;
+                let arrays = match &shared.last {
+                    Some(last) if self.over && shared.autoreset == Autoreset::SameStep => {
+                        left = Some(Job::Next(seed));
+                        last
+                    }
+                    _ => &shared.now,
+                };
+                arrays.write(index, |part, row| self.episodes.write(part, row), &numbers);
+            }
+            Job::Next(seed) => {
+                self.reset(place, seed, None)?;
+                place.answer(0).began = true;
+                if let Some(last) = &shared.last {
+                    last.copy_outcome(index, &shared.now);
+                }
+            }
+            Job::Expert => place.answer(0).action = self.episodes.expert()?,
+            Job::Picture => place.answer(0).picture = self.episodes.picture()?.to_vec(),
+            Job::StepAll(_) => return Err(Failure::Other("several egos need egos=".to_string())),
+        }
+        place.answer(0).sumo = self.episodes.sumo();
+        Ok(left)
+    }
+
+    fn reset(&mut self, place: Place<'_>, seed: u64, route: Option<usize>) -> Result<(), Failure> {
+        let numbers = self.episodes.reset(seed, route)?;
+        self.over = false;
+        place.shared.now.write(place.first, |part, row| self.episodes.write(part, row), &numbers);
+        Ok(())
+    }
+}
+
+fn drive_all(egos: &mut Egos, place: Place<'_>, job: Job) -> Result<(), Failure> {
+    let told: Vec<(Numbers, News, bool)> = match job {
+        Job::Reset(seed, _) => {
+            egos.reset(seed)?.into_iter().map(|(numbers, news)| (numbers, news, false)).collect()
+        }
+        Job::StepAll(actions) => egos.step(&actions)?,
+        _ => return Err(Failure::Input("several egos in one SUMO have none of this".to_string())),
+    };
+    for (ego, (numbers, news, began)) in told.into_iter().enumerate() {
+        let write = |part, row: Row<'_>| egos.write(ego, part, row);
+        place.shared.now.write(place.first + ego, write, &numbers);
+        let mut answer = place.answer(ego);
+        (answer.news, answer.began, answer.sumo) = (news, began, egos.sumo());
+    }
+    Ok(())
+}
+
 /// A panic becomes an exception: nobody would answer otherwise.
-fn guarded(job: impl FnOnce() -> Result<Answer, Failure>) -> Result<Answer, Failure> {
+fn guarded<T>(job: impl FnOnce() -> Result<T, Failure>) -> Result<T, Failure> {
     catch_unwind(AssertUnwindSafe(job)).unwrap_or_else(|panic| {
         let text = panic.downcast_ref::<String>().map(String::as_str);
         let text = text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no reason given");

@@ -287,6 +287,21 @@ def test_a_signal_ends_a_long_reset(make):
     assert env.step(GO)[4]["tick"] == 1
 
 
+def test_a_signal_ends_a_step_while_sumo_hangs(make):
+    env = make(options={"tick_timeout": 600})
+    env.reset(seed=1)
+    os.kill(env.unwrapped.sumo_pid, signal.SIGSTOP)
+    sender = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
+    sender.start()
+    with pytest.raises(KeyboardInterrupt):
+        env.step(GO)
+    sender.join()
+    with pytest.raises(wad_cosim.Error, match="call reset first"):
+        env.unwrapped.step(GO)
+    env.reset(seed=1)
+    assert env.step(GO)[4]["tick"] == 1
+
+
 def interrupt_when_sumo_starts():
     if until(lambda: bool(sumos())):
         time.sleep(0.05)

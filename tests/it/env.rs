@@ -1,6 +1,8 @@
 //! The environment on a real SUMO: the same episode twice, the ends, and a SUMO that dies.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
 use wad_cosim::env::{Assets, End, Env, EnvError, EnvOptions, ObservationMode, Step};
 use wad_cosim::latent::PooledEncoder;
 use wad_cosim::tasks::{TaskKind, TaskSpec};
@@ -89,6 +91,28 @@ fn a_sumo_that_dies_costs_one_episode() {
     let (_, steps) = drive(&mut env, &task, 2, 5);
     assert_eq!(steps.len(), 5, "the next episode has a SUMO of its own");
     assert_ne!(env.sumo_pid(), Some(pid));
+}
+
+#[test]
+fn a_step_that_waits_for_sumo_can_be_given_up() {
+    let assets = Assets::load("town3").unwrap();
+    // Longer than this test may take.
+    let patient = EnvOptions { tick_timeout: Duration::from_hours(1), ..EnvOptions::training() };
+    let mut env = env(&assets, blind(patient));
+    let asked = Arc::new(AtomicUsize::new(0));
+    let counted = Arc::clone(&asked);
+    env.give_up_when(move || counted.fetch_add(1, Ordering::Relaxed) == 1);
+    let task = TaskSpec::new(TaskKind::Straight);
+    assert_eq!(drive(&mut env, &task, 1, 5).1.len(), 5);
+    let pid = env.sumo_pid().expect("a SUMO");
+    // SAFETY: sends a signal to the SUMO that this environment started.
+    assert_eq!(unsafe { libc::kill(i32::try_from(pid).unwrap(), libc::SIGSTOP) }, 0);
+    let lost = env.step(Control::default()).unwrap();
+    assert!(lost.truncated && lost.info.ending.is_some_and(|ending| ending.cause.contains("given up")));
+    assert_eq!(asked.load(Ordering::Relaxed), 2);
+    assert!(env.step(Control::default()).is_err(), "no episode runs");
+    assert_eq!(drive(&mut env, &task, 2, 5).1.len(), 5);
+    assert!(!std::path::Path::new(&format!("/proc/{pid}")).exists());
 }
 
 #[test]

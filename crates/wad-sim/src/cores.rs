@@ -6,6 +6,7 @@
 
 use rayon::prelude::*;
 use std::sync::OnceLock;
+use std::thread::ThreadId;
 use std::time::{Duration, Instant};
 
 /// The cores that the process may use, as its first thread with a SUMO found them.
@@ -38,6 +39,13 @@ pub fn each<T: Send, R: Send>(items: Vec<T>, what: impl Fn(T) -> R + Sync + Send
 /// A set of cores.
 #[derive(Clone, Copy)]
 pub struct Cores(libc::cpu_set_t);
+
+impl PartialEq for Cores {
+    fn eq(&self, other: &Self) -> bool {
+        // SAFETY: both are plain bit sets read through shared references.
+        unsafe { libc::CPU_EQUAL(&self.0, &other.0) }
+    }
+}
 
 impl Cores {
     /// The cores that this thread may run on.
@@ -90,14 +98,17 @@ impl Cores {
     }
 }
 
-/// While it lives, this thread and SUMO share a core; afterwards the thread may roam again.
+/// While it lives, the thread that ticks and SUMO share a core; afterwards the thread may roam again.
 ///
 /// Where others crowd that core (another training's bridge began on it, a compiler runs), both may roam for a moment, so
 /// that the scheduler can put them where there is room, and stay there.
 pub struct SharedCore {
     before: Option<Cores>,
     sumo: u32,
-    pinned: bool,
+    /// The thread that ticked last.
+    thread: ThreadId,
+    /// The core that is shared; None while both roam.
+    core: Option<Cores>,
     /// When it was last looked at, and how long the thread had waited for its core until then.
     looked: Instant,
     waited: Option<Duration>,
@@ -116,14 +127,24 @@ impl SharedCore {
     pub fn with(sumo: u32) -> Self {
         let before = Cores::allowed();
         ALL.get_or_init(|| before);
-        let mut shared = Self { before, sumo, pinned: false, looked: Instant::now(), waited: waited() };
+        let thread = std::thread::current().id();
+        let mut shared = Self { before, sumo, thread, core: None, looked: Instant::now(), waited: waited() };
         shared.pin();
         shared
     }
 
-    /// Call it at every tick, on the thread that made it: it moves both where the core is crowded. Cheap but once a
-    /// second.
+    /// Call it before every tick, on the thread that ticks: it moves both where the core is crowded, and SUMO to
+    /// the core of a thread that did not tick before, or was free in between ([`Visit`]). Cheap but once a second.
     pub fn settle(&mut self) {
+        let thread = std::thread::current().id();
+        if self.thread != thread {
+            (self.thread, self.looked, self.waited) = (thread, Instant::now(), waited());
+            self.pin();
+            return;
+        }
+        if self.core.is_some() && self.core != Cores::allowed() {
+            self.pin();
+        }
         let since = self.looked.elapsed();
         if since < Self::LOOK_EVERY {
             return;
@@ -134,7 +155,7 @@ impl SharedCore {
             _ => 0.0,
         };
         self.looked = Instant::now();
-        if !self.pinned {
+        if self.core.is_none() {
             self.pin();
         } else if share > Self::CROWDED {
             self.roam();
@@ -142,13 +163,11 @@ impl SharedCore {
     }
 
     fn pin(&mut self) {
-        if let Some(core) = Cores::current() {
-            // SUMO first: where that is refused the thread stays free.
-            if core.confine(self.sumo) {
-                core.confine(0);
-            }
+        // SUMO first: where that is refused the thread stays free.
+        self.core = Cores::current().filter(|here| self.core == Some(*here) || here.confine(self.sumo));
+        if let Some(core) = self.core {
+            core.confine(0);
         }
-        self.pinned = true;
     }
 
     fn roam(&mut self) {
@@ -156,7 +175,26 @@ impl SharedCore {
             before.confine(self.sumo);
             before.confine(0);
         }
-        self.pinned = false;
+        self.core = None;
+    }
+}
+
+/// While it lives, the thread may share a core with SUMO; afterwards it may run where it could before. For a thread that
+/// is not the simulation's own.
+pub struct Visit(Option<Cores>);
+
+impl Visit {
+    /// It begins.
+    pub fn begin() -> Self {
+        Self(Cores::allowed())
+    }
+}
+
+impl Drop for Visit {
+    fn drop(&mut self) {
+        if let Some(before) = self.0 {
+            before.confine(0);
+        }
     }
 }
 
@@ -191,6 +229,31 @@ mod tests {
         assert_eq!(Cores::allowed().map(|cores| count(&cores)), Some(1));
         drop(shared);
         assert_eq!(Cores::allowed().map(|cores| count(&cores)), before);
+        child.kill().unwrap();
+        child.wait().unwrap();
+    }
+
+    #[test]
+    fn sumo_follows_a_visitor_and_leaves_it_free() {
+        let cores = |status: String| {
+            let text = std::fs::read_to_string(status).unwrap();
+            text.lines().find(|line| line.starts_with("Cpus_allowed_list")).unwrap().to_owned()
+        };
+        let all = Cores::allowed();
+        let mut child = std::process::Command::new("sleep").arg("10").spawn().unwrap();
+        // As an environment's own thread makes it.
+        let id = child.id();
+        let mut shared = std::thread::spawn(move || SharedCore::with(id)).join().unwrap();
+        for _ in 0..2 {
+            let visit = Visit::begin();
+            shared.settle();
+            let mine = cores("/proc/thread-self/status".to_owned());
+            assert_eq!(cores(format!("/proc/{id}/status")), mine);
+            assert!(!mine.contains(['-', ',']), "one core: {mine}");
+            drop(visit);
+            assert!(Cores::allowed() == all);
+        }
+        drop(shared);
         child.kill().unwrap();
         child.wait().unwrap();
     }

@@ -202,6 +202,11 @@ impl Fleet {
         self.returning = returning;
     }
 
+    /// As [`super::Env::give_up_when`].
+    pub fn give_up_when(&mut self, asked: impl FnMut() -> bool + Send + 'static) {
+        self.world.give_up = Some(Box::new(asked));
+    }
+
     /// The task of ego `index`.
     ///
     /// # Panics

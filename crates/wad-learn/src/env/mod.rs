@@ -5,9 +5,9 @@
 //! step(Control)     -> Step { observation, reward, terminated, truncated, info }
 //! ```
 //!
-//! An [`Env`] is blocking and belongs to one thread: it has its own runtime and shares its core
-//! with its SUMO, so make it on the thread that uses it. Any number of them run in parallel and share
-//! the town ([`Assets`]).
+//! An [`Env`] is blocking: it has its own runtime, and the thread that steps it shares its core with SUMO, so step it
+//! on one thread, or let a thread that has other work step it within a [`wad_sim::cores::Visit`]. Any number of them
+//! run in parallel and share the town ([`Assets`]).
 //!
 //! ```no_run
 //! # fn example() -> Result<(), Box<dyn std::error::Error>> {
@@ -207,6 +207,12 @@ impl Env {
     /// No episode is running.
     pub fn expert(&mut self) -> Result<Control, EnvError> {
         self.world.expert(EGO)
+    }
+
+    /// Asks `asked` from the first second of a step on, every second, whether the step is given up: the episode then
+    /// ends as if SUMO had died. For callers who hear of signals.
+    pub fn give_up_when(&mut self, asked: impl FnMut() -> bool + Send + 'static) {
+        self.world.give_up = Some(Box::new(asked));
     }
 
     /// Where the episode takes place: enough to drive it again.

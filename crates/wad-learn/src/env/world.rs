@@ -45,6 +45,12 @@ struct Sumo {
     episodes: u64,
 }
 
+/// What ends a step that waits: see [`super::Env::give_up_when`].
+pub type GiveUp = Box<dyn FnMut() -> bool + Send>;
+
+/// A step that takes longer is asked whether it is given up, again and again (s).
+const LONG: Duration = Duration::from_secs(1);
+
 pub struct World {
     assets: Arc<Assets>,
     options: EnvOptions,
@@ -54,6 +60,7 @@ pub struct World {
     parked: Vec<Seat>,
     folder: Scratch,
     pub stages: Stages,
+    pub give_up: Option<GiveUp>,
 }
 
 impl World {
@@ -70,7 +77,16 @@ impl World {
             Ok(Slot::new(Eyes::of_agent(&assets, mode, detector, options.camera, encoder)?))
         });
         let slots = eyes.collect::<Result<_, EnvError>>()?;
-        Ok(Self { slots, assets, options, sumo: None, parked: Vec::new(), folder, stages: Stages::default() })
+        Ok(Self {
+            slots,
+            assets,
+            options,
+            sumo: None,
+            parked: Vec::new(),
+            folder,
+            stages: Stages::default(),
+            give_up: None,
+        })
     }
 
     /// Begins an episode of each ego.
@@ -358,15 +374,16 @@ impl World {
             slot.go_onward(self.assets.network(), sumo.session.seat_mut(index).ego_mut());
         }
         let before = sumo.session.timings();
-        let stepped = sumo.session.step(acts).await;
+        let stepped = patient(sumo.session.step(acts), &mut self.give_up).await;
         let after = sumo.session.timings();
         self.stages.physics += after.physics - before.physics;
         self.stages.sumo += after.bridge - before.bridge;
         self.stages.steps += acts.iter().filter(|act| **act != Act::Stay).count() as u64;
         let (time, traffic) = (sumo.session.bridge().time(), sumo.session.bridge().counts());
         let ticks = match stepped {
-            Ok(ticks) => ticks,
-            Err(error) => return Ok(self.lost(&error)),
+            Some(Ok(ticks)) => ticks,
+            Some(Err(error)) => return Ok(self.lost(&error.to_string())),
+            None => return Ok(self.lost("it was given up while SUMO did not answer")),
         };
         let network = self.assets.network();
         let judge = Judge { options: &self.options, network, time, traffic };
@@ -392,13 +409,12 @@ impl World {
     }
 
     /// SUMO died: the episodes are lost, the next reset starts a new SUMO.
-    fn lost(&mut self, error: &BridgeError) -> Vec<Outcome> {
-        tracing::warn!("an episode is lost, its SUMO is replaced: {error}");
+    fn lost(&mut self, why: &str) -> Vec<Outcome> {
+        tracing::warn!("an episode is lost, its SUMO is replaced: {why}");
         let time = self.sumo.as_ref().map_or(0.0, |sumo| sumo.session.bridge().time());
         self.park();
-        let why = error.to_string();
         let egos = self.parked.iter().map(|seat| Some(seat.ego())).chain(std::iter::repeat(None));
-        self.slots.iter_mut().zip(egos).map(|(slot, ego)| slot.lost(ego, time, &why)).collect()
+        self.slots.iter_mut().zip(egos).map(|(slot, ego)| slot.lost(ego, time, why)).collect()
     }
 
     /// The expert's control for ego `index`.
@@ -491,6 +507,19 @@ impl World {
 
     pub fn options(&self) -> &EnvOptions {
         &self.options
+    }
+}
+
+/// What `step` gives, or None where it takes long and is given up.
+async fn patient<T>(step: impl Future<Output = T>, give_up: &mut Option<GiveUp>) -> Option<T> {
+    let Some(give_up) = give_up else { return Some(step.await) };
+    let mut step = std::pin::pin!(step);
+    loop {
+        match tokio::time::timeout(LONG, &mut step).await {
+            Ok(done) => return Some(done),
+            Err(_) if give_up() => return None,
+            Err(_) => {}
+        }
     }
 }
 

@@ -365,12 +365,12 @@ impl Bridge {
     /// # Errors
     /// SUMO died, hung, sent garbage or lost an ego.
     pub async fn step(&mut self, egos: &mut [&mut Ego]) -> Result<(), BridgeError> {
+        if let Some(core) = &mut self.core {
+            core.settle();
+        }
         let replies = self.exchange(egos).await?;
         for refusal in replies.failures() {
             tracing::debug!("SUMO refused: {refusal}");
-        }
-        if let Some(core) = &mut self.core {
-            core.settle();
         }
         Ok(())
     }
