@@ -267,9 +267,9 @@ pub struct Driver {
 
 enum Seats {
     /// An environment.
-    One(One),
+    One(Box<One>),
     /// Egos in one SUMO.
-    Many(Egos),
+    Many(Box<Egos>),
 }
 
 struct One {
@@ -287,11 +287,11 @@ impl Driver {
         let seats = if setup.egos > 1 {
             let mut egos = Egos::new(tasks, setup, shared.autoreset == Autoreset::NextStep)?;
             egos.give_up_when(is_given_up);
-            Seats::Many(egos)
+            Seats::Many(Box::new(egos))
         } else {
             let mut episodes = Episodes::new(Arc::clone(tasks), setup)?;
             episodes.give_up_when(is_given_up);
-            Seats::One(One { episodes, over: true })
+            Seats::One(Box::new(One { episodes, over: true }))
         };
         Ok(Self { first, shared, seats, waits: true })
     }
