@@ -133,6 +133,8 @@ impl Roads {
             let lanes = LaneDetector::default().find(frame, &GroundPlane::new(camera), &facts);
             Seen { lanes, light: None }
         });
+        let heads = wanted.heads.iter().filter(|(_, counts)| *counts).count();
+        tracing::debug!("{weather}: {heads} heads of {:?}, seen {:?}", wanted.light, seen.light);
         self.all.add(&wanted, &seen);
         if let Some((_, score)) = self.by_weather.iter_mut().find(|(one, _)| *one == weather) {
             score.add(&wanted, &seen);

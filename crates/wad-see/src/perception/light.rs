@@ -94,31 +94,65 @@ impl StopLight {
     }
 }
 
-/// The light ahead as a network sees it, from tick to tick: distances are averaged along the ego's way, and a light
-/// that has left the picture, because the ego stands below it, is remembered.
+/// The light ahead as a network sees it, from tick to tick. Its distance is averaged along the ego's way; the lamp is
+/// believed that has been seen the most of late; one that has left the picture, because the ego stands below it, is
+/// remembered; and another light has to be seen for a while until it takes its place. Inside the junction behind a line
+/// no other is expected: what is seen there is cross traffic's.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SeenLights {
-    last: Option<Remembered>,
+    believed: Option<Track>,
+    /// What is seen elsewhere.
+    rival: Option<Track>,
+    /// How far behind the ego the last line lies (m).
+    passed: Option<f64>,
 }
 
+/// A light from tick to tick.
 #[derive(Clone, Copy, Debug)]
-struct Remembered {
+struct Track {
     light: LightAhead,
-    /// Frames that made its distance, and the time since the last of them (s).
-    seen: u32,
+    /// How sure its distance is: the sum of the certainties that made it.
+    sure: f64,
+    /// How sure it was of late.
+    fresh: f64,
+    /// How sure red, yellow, green were of late, as far as it was seen.
+    lamps: [f64; 3],
+    /// Time since it was last seen (s).
     hidden: f64,
 }
 
 /// A distance that is this much of itself, or this much (m), away from the expected one is another light's.
 const SAME: (f64, f64) = (0.35, 4.0);
-/// Most frames that a distance is averaged over.
-const AVERAGED: u32 = 8;
+/// Most certainty that a distance has: sure frames that it is averaged over. The ego's own way is exact.
+const AVERAGED: f64 = 12.0;
+/// A frame says something of the distance if the ego has moved by this since the last one (m): one that stands sees
+/// the same error again and again.
+const MOVED: f64 = 0.05;
+/// What was seen counts half after this (s).
+const HALF: f64 = 0.4;
+/// What is left of a lamp at the next look: half after four.
+const FADES: f64 = 0.84;
+/// Green after red or yellow must have been seen so many times as much: it may be another lane's.
+const GOES: f64 = 2.0;
+/// How sure another light must have been of late to take a light's place.
+const RIVAL: f64 = 1.5;
 /// Before a line, the near heads are above the picture from here on (m); beyond it, a light is forgotten (m).
 const BELOW: f64 = 10.0;
 const PASSED: f64 = 1.5;
-/// How long a light is remembered that should be in the picture, and one that the ego stands below (s).
+/// Behind a line, the next one is at least this far away (m).
+const JUNCTION: f64 = 12.0;
+/// The ego is to stop this much before the line (m), where it still sees when the near heads turn green.
+const STAND: f64 = 4.0;
+/// A light that turns while the ego drives does not stop it within this of the line (m), or where it cannot stop with
+/// this (m/s2). There the network sees far heads only, often of others.
+const LATE: f64 = 3.0;
+const BRAKE: f64 = 6.0;
+/// Below this the ego stands (m/s).
+const CREEPS: f64 = 0.5;
+/// How long a light is remembered that should be in the picture, and for each sure frame one that the ego stands below
+/// (s): in all longer than signals stay red.
 const BLINK: f64 = 0.6;
-const LONGEST_HIDDEN: f64 = 45.0;
+const HIDDEN: f64 = 10.0;
 
 impl SeenLights {
     /// Forgets everything.
@@ -128,33 +162,81 @@ impl SeenLights {
 
     /// The light ahead after `tick` s at `speed` (m/s), with what the picture shows.
     pub fn update(&mut self, seen: Option<SeenLight>, speed: f64, tick: f64) -> Option<LightAhead> {
-        let expected = self.last.map(|mut last| {
-            last.light.distance -= speed * tick;
-            last
-        });
-        self.last = match (seen, expected) {
-            (Some(seen), Some(last)) if is_same(seen.distance, last.light.distance) => {
-                let frames = (last.seen + 1).min(AVERAGED);
-                let off = seen.distance - last.light.distance;
-                let distance = last.light.distance + off / f64::from(frames);
-                let light = LightAhead { state: seen.state, distance };
-                Some(Remembered { light, seen: frames, hidden: 0.0 })
+        let moved = speed * tick;
+        self.passed = self.passed.map(|passed| passed + moved).filter(|passed| *passed < JUNCTION);
+        for track in [&mut self.believed, &mut self.rival] {
+            *track = track.map(|track| track.later(moved, tick)).filter(Track::is_remembered);
+        }
+        if let Some(behind) = self.believed.take_if(|track| track.light.distance < -PASSED) {
+            self.passed = Some(-behind.light.distance);
+        }
+        let is_next = |seen: &SeenLight| self.passed.is_none_or(|passed| seen.distance + passed > JUNCTION);
+        if let Some(seen) = seen.filter(is_next) {
+            let fits = |track: &&mut Track| is_same(seen.distance, track.light.distance);
+            if let Some(track) = self.believed.as_mut().filter(fits).or(self.rival.as_mut().filter(fits)) {
+                track.again(seen, speed, tick);
+            } else {
+                self.rival = Some(Track::new(seen));
             }
-            (Some(seen), _) => {
-                let light = LightAhead { state: seen.state, distance: seen.distance };
-                Some(Remembered { light, seen: 1, hidden: 0.0 })
-            }
-            (None, last) => {
-                last.map(|last| Remembered { hidden: last.hidden + tick, ..last }).filter(|last| {
-                    let longest = if last.light.distance < BELOW { LONGEST_HIDDEN } else { BLINK };
-                    last.hidden <= longest
-                })
-            }
-        };
-        self.last = self.last.filter(|last| last.light.distance > -PASSED);
-        let light = self.last?.light;
-        Some(LightAhead { distance: light.distance.max(0.0), ..light })
+        }
+        let is_surer =
+            |rival: &mut Track| self.believed.is_none_or(|believed| rival.fresh > RIVAL.max(believed.fresh));
+        if let Some(rival) = self.rival.take_if(is_surer) {
+            self.believed = Some(rival);
+        }
+        let light = self.believed?.light;
+        Some(LightAhead { distance: (light.distance - STAND).max(0.0), ..light })
     }
+}
+
+impl Track {
+    fn new(seen: SeenLight) -> Self {
+        let light = LightAhead { state: seen.state, distance: seen.distance };
+        let certainty = f64::from(seen.certainty);
+        let mut lamps = [0.0; 3];
+        lamps[lamp(seen.state)] = certainty;
+        Self { light, sure: certainty, fresh: certainty, lamps, hidden: 0.0 }
+    }
+
+    fn later(mut self, moved: f64, tick: f64) -> Self {
+        self.light.distance -= moved;
+        self.hidden += tick;
+        self.fresh *= 0.5_f64.powf(tick / HALF);
+        self
+    }
+
+    fn is_remembered(&self) -> bool {
+        let longest = if self.light.distance < BELOW { BLINK.max(HIDDEN * self.sure) } else { BLINK };
+        self.hidden <= longest + 1e-9
+    }
+
+    /// Seen again, after a tick (s) at a speed (m/s) by which it is nearer.
+    fn again(&mut self, seen: SeenLight, speed: f64, tick: f64) {
+        let certainty = f64::from(seen.certainty);
+        let late = LATE.max(speed * speed / (2.0 * BRAKE));
+        let turns = seen.state.stops() && !self.light.state.stops();
+        if turns && speed > CREEPS && self.light.distance < late {
+            return;
+        }
+        if speed * tick > MOVED {
+            self.sure = (self.sure + certainty).min(AVERAGED);
+            self.light.distance += (seen.distance - self.light.distance) * certainty / self.sure;
+        }
+        // Lamps age as far as they are seen: what was hidden meanwhile is not forgotten for one look.
+        self.lamps.iter_mut().for_each(|lamp| *lamp *= FADES);
+        self.lamps[lamp(seen.state)] += certainty;
+        let needed = if self.light.stops() && !seen.state.stops() { GOES } else { 1.0 };
+        if self.lamps[lamp(seen.state)] > needed * self.lamps[lamp(self.light.state)] {
+            self.light.state = seen.state;
+        }
+        self.fresh += certainty;
+        self.hidden = 0.0;
+    }
+}
+
+/// The number of a lamp that a network tells apart.
+fn lamp(state: SignalState) -> usize {
+    if state.is_red() { 0 } else { 2 - usize::from(state.stops()) }
 }
 
 fn is_same(seen: f64, expected: f64) -> bool {
@@ -209,21 +291,74 @@ mod tests {
         let mut lights = SeenLights::default();
         assert!(lights.update(None, 5.0, 0.1).is_none());
         // 0.5 m a tick; the second look is 1 m off, and half believed.
-        assert_eq!(lights.update(seen(20.0), 5.0, 0.1).map(|l| l.distance), Some(20.0));
-        assert_eq!(lights.update(seen(20.5), 5.0, 0.1).map(|l| l.distance), Some(20.0));
+        let stand = 20.0 - STAND;
+        assert_eq!(lights.update(seen(20.0), 5.0, 0.1).map(|l| l.distance), Some(stand));
+        assert_eq!(lights.update(seen(20.5), 5.0, 0.1).map(|l| l.distance), Some(stand));
         // A flicker is bridged, a light that stays away is gone.
-        assert_eq!(lights.update(None, 5.0, 0.1).map(|l| l.distance), Some(19.5));
+        assert_eq!(lights.update(None, 5.0, 0.1).map(|l| l.distance), Some(stand - 0.5));
         assert!((0..6).map(|_| lights.update(None, 0.0, 0.1)).any(|light| light.is_none()));
         // Below the heads it stays, with the way that the ego goes, until the line is passed.
-        lights.update(seen(6.0), 0.0, 0.1);
-        let near = (0..50).filter_map(|_| lights.update(None, 1.0, 0.1)).last().unwrap();
+        lights.update(seen(8.0), 0.0, 0.1);
+        let near = (0..30).filter_map(|_| lights.update(None, 1.0, 0.1)).last().unwrap();
         assert!(near.state == SignalState::Red && (near.distance - 1.0).abs() < 1e-6, "{near:?}");
-        assert!((0..30).filter_map(|_| lights.update(None, 1.0, 0.1)).all(|light| light.distance < 1.0));
+        assert!((0..35).filter_map(|_| lights.update(None, 2.0, 0.1)).all(|light| light.distance < 1.0));
         assert!(lights.update(None, 1.0, 0.1).is_none());
-        // One that shows something else is believed at once.
-        lights.update(seen(6.0), 0.0, 0.1);
-        let green = SeenLight { state: SignalState::GreenMajor, distance: 6.0, certainty: 0.9 };
-        assert_eq!(lights.update(Some(green), 0.0, 0.1).map(|l| l.stops()), Some(false));
+        // Cross traffic's heads, behind the line; then the next junction's.
+        assert!(lights.update(seen(3.0), 5.0, 0.1).is_none());
+        assert!((0..5).filter_map(|_| lights.update(seen(30.0), 0.0, 0.1)).last().is_some());
+    }
+
+    #[test]
+    fn another_lamp_is_believed_when_it_stays() {
+        let seen = |state, certainty| Some(SeenLight { state, distance: 6.0, certainty });
+        let (red, green) = (seen(SignalState::Red, 0.8), seen(SignalState::GreenMajor, 0.8));
+        let mut lights = SeenLights::default();
+        let mut stops = |seen| lights.update(seen, 0.0, 0.1).is_some_and(|light| light.stops());
+        assert!((0..20).all(|_| stops(red)));
+        assert!((0..5).all(|_| stops(seen(SignalState::GreenMajor, 0.3)) && stops(red)), "unsure");
+        assert!((0..20).all(|_| stops(red)));
+        assert!(stops(green) && stops(green) && stops(green) && stops(None), "a moment");
+        assert!((0..20).all(|_| stops(red)));
+        let ticks = (0..20).take_while(|_| stops(green)).count();
+        assert!((5..9).contains(&ticks), "{ticks}");
+        assert!((0..20).map(|_| stops(red)).last() == Some(true));
+    }
+
+    #[test]
+    fn another_light_has_to_be_seen_for_a_while() {
+        let seen = |state, distance| Some(SeenLight { state, distance, certainty: 0.8 });
+        let (near, far) = (seen(SignalState::Red, 6.0), seen(SignalState::GreenMajor, 30.0));
+        let mut lights = SeenLights::default();
+        let mut stops = |seen| lights.update(seen, 0.0, 0.1).is_some_and(|light| light.stops());
+        assert!((0..20).all(|_| stops(near)));
+        assert!(stops(far) && stops(near) && stops(far) && stops(None) && stops(near));
+        assert!((0..20).map(|_| stops(far)).last() == Some(false));
+        // A light that was hardly seen is not waited for.
+        let mut lights = SeenLights::default();
+        lights.update(Some(SeenLight { state: SignalState::Red, distance: 3.0, certainty: 0.4 }), 0.0, 0.1);
+        assert!((0..60).map(|_| lights.update(None, 0.0, 0.1)).last() == Some(None));
+    }
+
+    #[test]
+    fn who_crosses_the_line_on_green_is_not_stopped() {
+        let seen = |state, distance| Some(SeenLight { state, distance, certainty: 0.8 });
+        let mut lights = SeenLights::default();
+        let mut stops = |seen| lights.update(seen, 5.0, 0.1).is_some_and(|light| light.stops());
+        assert!((0..20).all(|n| !stops(seen(SignalState::GreenMajor, 12.0 - 0.5 * f64::from(n)))));
+        assert!((0..15).all(|_| !stops(seen(SignalState::Red, 2.2))));
+    }
+
+    #[test]
+    fn who_stands_learns_nothing_new_of_the_distance() {
+        let seen = |distance, certainty| Some(SeenLight { state: SignalState::Red, distance, certainty });
+        let mut lights = SeenLights::default();
+        let mut there = |seen, speed| lights.update(seen, speed, 0.1).unwrap().distance + STAND;
+        assert!((0..8).all(|n| {
+            let true_one = 12.0 - 0.4 * f64::from(n);
+            (there(seen(true_one, 0.8), if n == 0 { 0.0 } else { 4.0 }) - true_one).abs() < 1e-6
+        }));
+        // As by a far head.
+        assert!((0..50).all(|_| (there(seen(11.0, 0.4), 0.1) - 9.2).abs() < 0.6));
     }
 
     #[test]

@@ -136,7 +136,16 @@ impl Perception {
     /// Third stage: the light, the vehicle in front, the raw state.
     pub fn judge(&mut self, facts: &EgoFacts<'_>) {
         let light = match self.detector.seen() {
-            Some(seen) => self.seen_lights.update(seen.light, facts.on_route.state.speed, facts.tick),
+            Some(seen) => {
+                let speed = facts.on_route.state.speed;
+                let believed = self.seen_lights.update(seen.light, speed, facts.tick);
+                tracing::debug!(
+                    "light: {:?} seen, {believed:?} believed, {:?} there, {speed:.2} m/s",
+                    seen.light,
+                    LightAhead::find(facts)
+                );
+                believed
+            }
             None => LightAhead::find(facts),
         };
         self.percept.light = light;
@@ -222,8 +231,9 @@ mod tests {
         let green = look("GGG");
         assert_eq!(green, look("rGG"), "the simulator's light is in the percept");
         assert_eq!(green.1, seen.lanes);
-        assert_eq!(green.2.map(|light| light.distance), Some(12.0));
-        assert_eq!(green.3.stop_light, Some(12.0));
+        // Less the room before the line.
+        assert_eq!(green.2.map(|light| light.distance), Some(8.0));
+        assert_eq!(green.3.stop_light, Some(8.0));
     }
 
     #[test]

@@ -1,8 +1,8 @@
 //! What the answers of the road's heads say: the ego's lane and its light.
 //!
-//! Light: 5 channels of 80 x 128 cells of 4 pixels: whether a head of the ego is here (before the sigmoid); red, yellow, green
-//! (before the softmax); ln(1 + the stop line's distance / m). Lanes: left and right boundary, each 20 rows from the horizon
-//! down, each 65 numbers before their softmax: columns of 8 pixels, then none.
+//! Light: 4 channels of 80 x 128 cells of 4 pixels: whether a head of the ego is here that shows red, yellow, green (before the
+//! sigmoid, as the heatmaps of objects); ln(1 + the stop line's distance / m). Lanes: left and right boundary, each 20 rows from
+//! the horizon down, each 65 numbers before their softmax: columns of 8 pixels, then none.
 
 use crate::perception::{GroundPlane, LaneBoundary, LaneEstimate, Seen, SeenLight};
 use nalgebra::{Matrix4, Vector4};
@@ -16,8 +16,9 @@ pub(super) const ROWS: usize = 20;
 pub(super) const HORIZON: usize = 256;
 /// Sides and their answers per row: a column each, and none.
 pub(super) const ANSWERS: usize = COLUMNS + 1;
-/// Channels of the light's map: whether a head of the ego is here; red, yellow, green; ln(1 + distance / m).
-pub(super) const LIGHT: i64 = 5;
+/// Channels of the light's map: whether a head of the ego is here that shows each of [`COLOURS`]; ln(1 + distance / m).
+pub(super) const LIGHT: i64 = 1 + LAMPS as i64;
+pub(super) const LAMPS: usize = COLOURS.len();
 /// The lamps in the order of [`crate::perception::colour`].
 const COLOURS: [SignalState; 3] = [SignalState::Red, SignalState::Yellow, SignalState::GreenMajor];
 
@@ -38,30 +39,22 @@ pub fn decode(light: &[f32], lanes: &[f32], ground: &GroundPlane) -> Seen {
 fn decode_light(map: &[f32]) -> Option<SeenLight> {
     let cells = map.len() / LIGHT as usize;
     let sigmoid = |x: f32| 1.0 / (1.0 + (-x).exp());
-    let heat = &map[..cells];
+    let (heat, distances) = map.split_at(LAMPS * cells);
     let certainty = sigmoid(heat.iter().copied().fold(f32::MIN, f32::max));
     if certainty < LEAST_LIGHT {
         return None;
     }
-    // Every head that is about as sure has a vote.
-    let (mut sum, mut votes, mut distance) = (0.0, [0.0; 3], 0.0);
-    for (cell, x) in heat.iter().enumerate() {
-        let p = sigmoid(*x);
-        if p < 0.5 * certainty {
-            continue;
+    // Every head that is about as sure has a vote: how sure the lamp is, and where its line is.
+    let vote = |lamp: &[f32]| {
+        let (mut sum, mut distance) = (0.0, 0.0);
+        for (p, d) in lamp.iter().map(|x| sigmoid(*x)).zip(distances).filter(|(p, _)| *p >= 0.5 * certainty) {
+            (sum, distance) = (sum + p, distance + p * d);
         }
-        let at = |channel: usize| map[channel * cells + cell];
-        let lamps = [1, 2, 3].map(|c| at(c).exp());
-        let all: f32 = lamps.iter().sum();
-        for (vote, lamp) in votes.iter_mut().zip(lamps) {
-            *vote += p * lamp / all;
-        }
-        sum += p;
-        distance += p * at(4);
-    }
-    let lamp = (0..3).max_by(|&a, &b| votes[a].total_cmp(&votes[b])).unwrap_or(0);
-    let distance = f64::from((distance / sum).exp_m1().max(0.0));
-    Some(SeenLight { state: COLOURS[lamp], distance, certainty: certainty * votes[lamp] / sum })
+        (sum, distance)
+    };
+    let votes = heat.chunks_exact(cells).map(vote).zip(COLOURS);
+    let ((sum, distance), state) = votes.max_by(|a, b| a.0.0.total_cmp(&b.0.0))?;
+    Some(SeenLight { state, distance: f64::from((distance / sum).exp_m1().max(0.0)), certainty })
 }
 
 fn decode_lanes(answers: &[f32], ground: &GroundPlane) -> LaneEstimate {

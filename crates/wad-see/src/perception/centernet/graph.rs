@@ -17,7 +17,7 @@ pub(super) const CHANNELS: [i64; 5] = [16, 24, 48, 96, 160];
 pub(super) const PYRAMID: i64 = 32;
 /// Channels that the heads see.
 pub const OUT: i64 = 48;
-/// Channels of the road's head between features and answers.
+/// Channels of the road's heads between features and answers.
 pub(super) const HIDDEN: i64 = 32;
 /// Batch norm keeps its root from 0.
 pub(super) const EPSILON: f64 = 1e-5;
@@ -103,7 +103,11 @@ pub fn graph(weights: &Weights, sees: Sees, numbers: Numbers<'_>) -> Result<Ir, 
         net.ir.output(answer);
     }
     if sees == Sees::Road {
-        let light = net.head(features, "road.light", [OUT, LIGHT, 1, 1])?;
+        // What it sees is what the lanes see, so it is rounded alike.
+        let all = net.rounded(features)?;
+        let hidden = net.convolution(all, "road.light_hidden", [OUT, HIDDEN, 3, 1], true)?;
+        let hidden = net.ir.relu(hidden);
+        let light = net.head(hidden, "road.light", [HIDDEN, LIGHT, 1, 1])?;
         net.ir.output(light);
         let half = net.ir.halve(features);
         let last = (PICTURE[0] / CELL) as i64;

@@ -2,7 +2,7 @@
 //! ego's lane, row by row, and the light that is the ego's.
 //!
 //! ```text
-//! features at /4 --1x1-----------------------> the ego's signal heads, their colour, distance of the stop line
+//! features at /4 --3x3, 1x1------------------> the ego's signal heads by lamp, distance of the stop line
 //!                --/8, rows below the horizon, 3x3, 1x1--> per row and side: the boundary's column, or none
 //! ```
 
@@ -20,6 +20,7 @@ pub(super) const WHOLE: [i64; 2] = [(PICTURE[1] / STRIDE) as i64, (PICTURE[0] / 
 /// The heads.
 #[derive(Debug)]
 pub struct RoadHeads {
+    light_hidden: Conv,
     light: Conv,
     hidden: Conv,
     lanes: Conv,
@@ -28,7 +29,7 @@ pub struct RoadHeads {
 /// Their output before softmax and sigmoid.
 #[derive(Debug)]
 pub struct RoadAnswer {
-    /// (n, 5, h, w): see [`super::decode`].
+    /// (n, 4, h, w): see [`super::decode`].
     pub light: Tensor,
     /// (n, 2, 20, 65): left and right boundary, by rows from the horizon down: columns, then none.
     pub lanes: Tensor,
@@ -40,9 +41,10 @@ impl RoadHeads {
     /// # Errors
     /// torch fails.
     pub fn new(path: &Path<'_>, channels: i64) -> Result<Self, TchError> {
-        let mut light = Conv::new(&(path / "light"), channels, LIGHT, Kernel::plain(1));
+        let mut light = Conv::new(&(path / "light"), HIDDEN, LIGHT, Kernel::plain(1));
         light.begin_at(0.01, super::network::FIRST_ANSWER)?;
         Ok(Self {
+            light_hidden: Conv::new(&(path / "light_hidden"), channels, HIDDEN, Kernel::normed(3, 1)),
             light,
             hidden: Conv::new(&(path / "hidden"), channels, HIDDEN, Kernel::normed(3, 1)),
             lanes: Conv::new(&(path / "lanes"), HIDDEN, 4, Kernel::plain(1)),
@@ -64,7 +66,8 @@ impl RoadHeads {
         let answers = self.lanes.forward(&hidden, train)?;
         let none = answers.f_narrow(1, 2, 2)?.f_mean_dim([3_i64].as_slice(), true, Kind::Float)?;
         let lanes = Tensor::f_cat(&[answers.f_narrow(1, 0, 2)?, none], 3)?;
-        Ok(Some(RoadAnswer { light: self.light.forward(x, train)?, lanes }))
+        let hidden = self.light_hidden.forward(x, train)?.f_relu()?;
+        Ok(Some(RoadAnswer { light: self.light.forward(&hidden, train)?, lanes }))
     }
 
     /// Folds every batch norm.
@@ -72,6 +75,7 @@ impl RoadHeads {
     /// # Errors
     /// torch fails.
     pub fn fold(&mut self) -> Result<(), TchError> {
+        self.light_hidden.fold()?;
         self.hidden.fold()
     }
 }

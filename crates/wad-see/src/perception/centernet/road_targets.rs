@@ -1,6 +1,6 @@
 //! The targets and the loss of the road's heads.
 
-use super::decode::{ANSWERS, CELL, COLUMNS, HORIZON, LIGHT, ROWS, row_y};
+use super::decode::{ANSWERS, CELL, COLUMNS, HORIZON, LAMPS, ROWS, row_y};
 use super::graph::PICTURE;
 use super::kind::Backbone;
 use super::loss::focal;
@@ -17,11 +17,10 @@ const SPREAD: f32 = 0.7;
 #[derive(Clone, Debug, Default)]
 pub struct RoadTargets {
     pictures: usize,
-    /// n x 80 x 128, as CenterNet's heatmap.
+    /// n x 3 x 80 x 128, as CenterNet's heatmap: lamps for classes.
     heat: Vec<f32>,
-    /// Of each head's centre: picture * h * w + cell, the lamp, and ln(1 + distance).
+    /// Of each head's centre: picture * h * w + cell, and ln(1 + distance).
     cells: Vec<i64>,
-    lamps: Vec<i64>,
     distances: Vec<f32>,
     /// n x 2 x 20 x 65: how likely each answer is to be; all 0 where a row does not count.
     lanes: Vec<f32>,
@@ -32,26 +31,27 @@ impl RoadTargets {
     pub fn add(&mut self, wanted: Option<&RoadWanted>, ground: &GroundPlane) {
         let [w, h] = WHOLE.map(|side| side as usize);
         let (cells, answers) = (w * h, 2 * ROWS * ANSWERS);
+        let planes = LAMPS * cells;
         let n = self.pictures;
         self.pictures += 1;
-        self.heat.resize(self.pictures * cells, if wanted.is_some() { 0.0 } else { NO_MATTER });
+        self.heat.resize(self.pictures * planes, if wanted.is_some() { 0.0 } else { NO_MATTER });
         self.lanes.resize(self.pictures * answers, 0.0);
         let Some(wanted) = wanted else { return };
         let top = Backbone::Light.rows(PICTURE[1]).0 as f32;
-        let boxes: Vec<Wanted> = wanted
-            .heads
-            .iter()
-            .map(|&([l, t, r, b], counts)| Wanted {
-                class: 0,
-                bounds: [l, t - top, r, b - top],
-                ignored: !counts || wanted.light.is_none(),
-            })
-            .collect();
-        let centres = encode(&boxes, (w, h), &mut self.heat[n * cells..]);
-        if let Some((lamp, distance)) = wanted.light {
+        let lamp = wanted.light.map(|(lamp, _)| lamp);
+        let mut boxes = Vec::new();
+        for &([l, t, r, b], counts) in &wanted.heads {
+            let bounds = [l, t - top, r, b - top];
+            let one = |class, ignored| Wanted { class, bounds, ignored };
+            match lamp.filter(|_| counts) {
+                Some(lamp) => boxes.push(one(lamp, false)),
+                None => boxes.extend((0..LAMPS).map(|class| one(class, true))),
+            }
+        }
+        let centres = encode(&boxes, (w, h), &mut self.heat[n * planes..]);
+        if let Some((_, distance)) = wanted.light {
             for centre in centres {
                 self.cells.push((n * cells + centre.cell) as i64);
-                self.lamps.push(lamp as i64);
                 self.distances.push(distance.max(0.0).ln_1p());
             }
         }
@@ -111,31 +111,23 @@ pub fn road_loss(answer: &RoadAnswer, targets: &RoadTargets, device: Device) -> 
     let rows = lanes.f_sum(Kind::Float)?.f_clamp_min(1.0)?;
     let log = answer.lanes.f_log_softmax(3, Kind::Float)?;
     let mut loss = log.f_mul(&lanes)?.f_sum(Kind::Float)?.f_div(&rows)?.f_neg()?;
-    let heat = Tensor::f_from_slice(&targets.heat)?.f_view([n, 1, h, w])?.f_to_device(device)?;
+    let lamps = LAMPS as i64;
+    let heat = Tensor::f_from_slice(&targets.heat)?.f_view([n, lamps, h, w])?.f_to_device(device)?;
     let centres = (targets.cells.len() as f64).max(1.0);
-    let found = focal(&answer.light.f_narrow(1, 0, 1)?, &heat)?.f_div_scalar(centres)?;
+    let found = focal(&answer.light.f_narrow(1, 0, lamps)?, &heat)?.f_div_scalar(centres)?;
     loss = loss.f_add(&found)?;
     if targets.cells.is_empty() {
         return Ok(loss);
     }
     let cells = Tensor::f_from_slice(&targets.cells)?.f_to_device(device)?;
-    let rows = answer.light.f_permute([0, 2, 3, 1])?.f_reshape([-1, LIGHT])?.f_index_select(0, &cells)?;
-    let lamps = Tensor::f_from_slice(&targets.lamps)?.f_to_device(device)?;
-    let lamp = rows.f_narrow(1, 1, 3)?.f_cross_entropy_loss::<Tensor>(
-        &lamps,
-        None,
-        tch::Reduction::Mean,
-        -100,
-        0.0,
-    )?;
+    let seen = answer.light.f_select(1, lamps)?.f_reshape([-1])?.f_index_select(0, &cells)?;
     let distances = Tensor::f_from_slice(&targets.distances)?.f_to_device(device)?;
-    let off = rows.f_select(1, 4)?.f_sub(&distances)?.f_abs()?.f_mean(Kind::Float)?;
-    loss.f_add(&lamp)?.f_add(&off)
+    loss.f_add(&seen.f_sub(&distances)?.f_abs()?.f_mean(Kind::Float)?)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::decode::decode;
+    use super::super::decode::{LIGHT, decode};
     use super::*;
     use crate::perception::Seen;
     use sumo_network::world::SignalState;
@@ -161,11 +153,11 @@ mod tests {
         let lanes: Vec<f32> = targets.lanes.iter().map(|p| p.max(1e-9).ln()).collect();
         let cells = (WHOLE[0] * WHOLE[1]) as usize;
         let mut light = vec![-9.0; LIGHT as usize * cells];
-        for (n, &cell) in targets.cells.iter().enumerate() {
-            let cell = cell as usize;
-            light[cell] = 3.0;
-            light[(1 + targets.lamps[n] as usize) * cells + cell] = 5.0;
-            light[4 * cells + cell] = targets.distances[n];
+        for (out, heat) in light.iter_mut().zip(&targets.heat) {
+            *out = if *heat == 1.0 { 3.0 } else { -9.0 };
+        }
+        for (&cell, distance) in targets.cells.iter().zip(&targets.distances) {
+            light[LAMPS * cells + cell as usize] = *distance;
         }
         assert_eq!(targets.cells.len(), 2);
         let seen = decode(&light, &lanes, &ground());
