@@ -103,7 +103,9 @@ impl Cores {
 /// Where others crowd that core (another training's bridge began on it, a compiler runs), both may roam for a moment, so
 /// that the scheduler can put them where there is room, and stay there.
 pub struct SharedCore {
+    /// Where the thread that made it may run without it, and that thread's number.
     before: Option<Cores>,
+    maker: u32,
     sumo: u32,
     /// The thread that ticked last.
     thread: ThreadId,
@@ -128,7 +130,10 @@ impl SharedCore {
         let before = Cores::allowed();
         ALL.get_or_init(|| before);
         let thread = std::thread::current().id();
-        let mut shared = Self { before, sumo, thread, core: None, looked: Instant::now(), waited: waited() };
+        // SAFETY: the call takes and touches nothing.
+        let maker = unsafe { libc::gettid() }.cast_unsigned();
+        let mut shared =
+            Self { before, maker, sumo, thread, core: None, looked: Instant::now(), waited: waited() };
         shared.pin();
         shared
     }
@@ -139,8 +144,7 @@ impl SharedCore {
         let thread = std::thread::current().id();
         if self.thread != thread {
             (self.thread, self.looked, self.waited) = (thread, Instant::now(), waited());
-            self.pin();
-            return;
+            self.free_the_maker();
         }
         if self.core.is_some() && self.core != Cores::allowed() {
             self.pin();
@@ -167,6 +171,13 @@ impl SharedCore {
         self.core = Cores::current().filter(|here| self.core == Some(*here) || here.confine(self.sumo));
         if let Some(core) = self.core {
             core.confine(0);
+        }
+    }
+
+    /// Another thread ticks now, or nobody: the one that made it would else stay on a core for ever.
+    fn free_the_maker(&self) {
+        if let Some(before) = self.before {
+            before.confine(self.maker);
         }
     }
 
@@ -206,9 +217,7 @@ fn waited() -> Option<Duration> {
 
 impl Drop for SharedCore {
     fn drop(&mut self) {
-        if let Some(before) = self.before {
-            before.confine(0);
-        }
+        self.free_the_maker();
     }
 }
 
@@ -241,9 +250,16 @@ mod tests {
         };
         let all = Cores::allowed();
         let mut child = std::process::Command::new("sleep").arg("10").spawn().unwrap();
-        // As an environment's own thread makes it.
+        // As an environment's own thread makes it, which lives on.
         let id = child.id();
-        let mut shared = std::thread::spawn(move || SharedCore::with(id)).join().unwrap();
+        let (sender, made) = std::sync::mpsc::channel();
+        let (again, asked) = std::sync::mpsc::channel();
+        let maker = std::thread::spawn(move || {
+            sender.send(SharedCore::with(id)).unwrap();
+            asked.recv().unwrap();
+            Cores::allowed()
+        });
+        let mut shared = made.recv().unwrap();
         for _ in 0..2 {
             let visit = Visit::begin();
             shared.settle();
@@ -254,6 +270,8 @@ mod tests {
             assert!(Cores::allowed() == all);
         }
         drop(shared);
+        again.send(()).unwrap();
+        assert!(maker.join().unwrap() == all, "its maker is free again");
         child.kill().unwrap();
         child.wait().unwrap();
     }
