@@ -8,6 +8,9 @@ use nalgebra::{Point2, Point3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 
+/// Room for rounding where a place is left out of a search because it is farther than the best one (m).
+const SURELY_FARTHER: f64 = 1e-6;
+
 /// A point in the world's horizontal plane (m).
 pub type Point = Point2<f64>;
 /// A direction or displacement in the world's horizontal plane (m).
@@ -206,12 +209,22 @@ impl Polyline {
             return best;
         }
         let (first, last) = (self.segment_at(from), self.segment_at(to));
-        for i in first..=last {
+        let mut i = first;
+        while i <= last {
             let a = self.points[i].xy();
+            // No place of the line is nearer than `a` by more than the way to it.
+            let spare = (point - a).norm() - best.distance - SURELY_FARTHER;
+            if spare > self.lengths[i + 1] - self.lengths[i] {
+                let searched = self.lengths[i] + spare;
+                while i <= last && self.lengths[i + 1] <= searched {
+                    i += 1;
+                }
+                continue;
+            }
             let ab = self.points[i + 1].xy() - a;
             let span = self.lengths[i + 1] - self.lengths[i];
-            let lo = ((from - self.lengths[i]) / span).clamp(0.0, 1.0);
-            let hi = ((to - self.lengths[i]) / span).clamp(lo, 1.0);
+            let lo = if i == first { ((from - self.lengths[i]) / span).clamp(0.0, 1.0) } else { 0.0 };
+            let hi = if i == last { ((to - self.lengths[i]) / span).clamp(lo, 1.0) } else { 1.0 };
             let t = ((point - a).dot(&ab) / ab.norm_squared()).clamp(lo, hi);
             let r = point - (a + ab * t);
             let distance = r.norm();
@@ -219,6 +232,7 @@ impl Polyline {
                 let side = ab.perp(&(point - a));
                 best = Projection { s: self.lengths[i] + t * span, d: distance.copysign(side), distance };
             }
+            i += 1;
         }
         best
     }
@@ -263,5 +277,29 @@ mod tests {
         let line = Polyline::new([Point3::new(0.0, 0.0, 0.0), Point3::new(10.0, 0.0, 0.0)]);
         let p = line.project(Point::new(13.0, 4.0));
         assert_eq!((p.s, p.distance), (10.0, 5.0));
+    }
+
+    /// The search leaves out what is surely farther; it finds what a look at every segment finds.
+    #[test]
+    fn a_search_that_skips_finds_the_same_place() {
+        let wave = |i: i32| {
+            let t = f64::from(i);
+            Point3::new(12.0 * (t / 9.0).sin() + 0.4 * t, 30.0 * (t / 17.0).cos(), 0.01 * t)
+        };
+        let line = Polyline::new((0..200).map(wave));
+        for i in 0..2000 {
+            let t = f64::from(i);
+            let point = Point::new(40.0 + 90.0 * (t * 0.7).sin(), 70.0 * (t * 0.31).cos());
+            let (from, to) = (line.length() * (t * 0.13).sin().abs() * 0.7, line.length());
+            let found = line.project_within(point, from, to);
+            let pieces = (line.segment_at(from)..=line.segment_at(to)).map(|segment| {
+                let [begin, end] = [segment, segment + 1].map(|i| line.arc_lengths()[i]);
+                line.project_within(point, begin.max(from), end.min(to).next_down())
+            });
+            let nearest = pieces.min_by(|a, b| a.distance.total_cmp(&b.distance)).unwrap();
+            assert!((found.distance - nearest.distance).abs() < 1e-9, "{i}: {found:?} {nearest:?}");
+            let at = line.at(found.s).position.xy();
+            assert!(((at - point).norm() - found.distance).abs() < 1e-9);
+        }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::Situation;
 use sumo_network::geometry::{Point, Vector, polygon_contains};
-use sumo_network::network::{EdgeKind, JunctionId, Network, VehicleClass};
+use sumo_network::network::{EdgeKind, JunctionId, Lane, Network, VehicleClass};
 
 /// Slack for the tyre's own width and for the file's rounding (m).
 const TOLERANCE: f64 = 0.15;
@@ -15,9 +15,17 @@ const REACH: f64 = 8.0;
 pub fn wheel_off_road(now: &Situation<'_>) -> bool {
     let pose = &now.after.state.pose;
     let (x, y) = (0.5 * now.wheelbase, 0.5 * now.track);
-    [(x, y), (x, -y), (-x, y), (-x, -y)]
-        .into_iter()
-        .any(|(x, y)| !on_road(now.network, pose.to_world(Vector::new(x, y)), pose.position.z))
+    // Nearly always all wheels stand on the lane that the route is on, and nothing need be searched.
+    let lane = now.network.lane(now.route.section_at(now.after.s).lane);
+    [(x, y), (x, -y), (-x, y), (-x, -y)].into_iter().any(|(x, y)| {
+        let wheel = pose.to_world(Vector::new(x, y));
+        !is_on(lane, lane.shape.project(wheel).distance) && !on_road(now.network, wheel, pose.position.z)
+    })
+}
+
+/// Whether a point stands on a lane whose centre line is `distance` (m) away.
+fn is_on(lane: &Lane, distance: f64) -> bool {
+    distance <= 0.5 * lane.width + TOLERANCE
 }
 
 /// Whether a point lies on the surface that vehicles may use: a lane open to motor vehicles or
@@ -32,7 +40,7 @@ pub fn on_road(network: &Network, point: Point, z: f64) -> bool {
             && [VehicleClass::Passenger, VehicleClass::Bus, VehicleClass::Motorcycle, VehicleClass::Bicycle]
                 .iter()
                 .any(|class| lane.permissions.allows(*class));
-        if road && hit.distance <= 0.5 * lane.width + TOLERANCE {
+        if road && is_on(lane, hit.distance) {
             return true;
         }
         for junction in [edge.junction, edge.from, edge.to].into_iter().flatten() {
