@@ -79,12 +79,14 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
         super::note(format_args!("recorded by {}, this is {}", kept.build, env!("WAD_COSIM_VERSION")));
     }
     let mut answer = serde_json::json!({ "episode": episode, "ticks": recording.frames().len() - 1 });
+    let mut exit = Exit::Done;
     if let Some(path) = &args.record {
-        film(args, path, &recording)?;
+        if !film(args, path, &recording)? {
+            exit = Exit::Interrupted;
+        }
         answer["record"] = path.display().to_string().into();
     }
-    let mut exit = Exit::Done;
-    if args.verify || args.gui {
+    if exit == Exit::Done && (args.verify || args.gui) {
         let verdict = again(args, &kept, &recording)?;
         exit = if verdict.same { Exit::Done } else { Exit::Other };
         let all = verdict.ticks == recording.frames().len() as u64;
@@ -121,8 +123,8 @@ fn with_exit(error: VerifyError) -> anyhow::Error {
     exit.because(error)
 }
 
-/// The recorded states as a film.
-fn film(args: &Args, path: &std::path::Path, recording: &Recording) -> anyhow::Result<()> {
+/// The recorded states as a film. False: it was interrupted, and the film ends there.
+fn film(args: &Args, path: &std::path::Path, recording: &Recording) -> anyhow::Result<bool> {
     let header = recording.header();
     let town = Assets::load(&header.config).map_err(|e| with_exit(e.into()))?.town();
     let fps = 1000.0 / header.tick_ms;
@@ -147,8 +149,13 @@ fn film(args: &Args, path: &std::path::Path, recording: &Recording) -> anyhow::R
     }
     bar.clear();
     film.finish()?;
-    super::note(format_args!("{}", path.display()));
-    Ok(())
+    let whole = !stop.load(Ordering::Relaxed);
+    super::note(format_args!(
+        "{}{}",
+        path.display(),
+        if whole { "" } else { ": interrupted, it ends there" }
+    ));
+    Ok(whole)
 }
 
 /// Simulates the episode again.

@@ -273,6 +273,40 @@ fn a_sumo_that_dies_while_an_episode_is_verified_is_no_difference() {
     assert!(stderr(&output).contains("SUMO"), "{}", stderr(&output));
 }
 
+/// OpenCV does not say that a film cannot be written: a full disk once ended with 0 and a film that no player opens.
+#[cfg(feature = "vision")]
+#[test]
+fn a_film_that_a_full_disk_or_ctrl_c_cuts_off_is_told() {
+    let small = Small::new(400, 1);
+    ok(&mut small.eval("run", &["--agent", "autopilot", "--keep", "all"]));
+    let kept = std::fs::read_dir(small.out("run").join("episodes")).unwrap().next().unwrap().unwrap().path();
+    // A limit on file sizes behaves like a full disk once the signal for it is ignored. Blocks of 1 KiB.
+    let script = "trap '' XFSZ; ulimit -f 64; exec \"$@\"";
+    let record = |out: &Path| {
+        let mut command = Command::new("bash");
+        command.args(["-c", script, "bash", env!("CARGO_BIN_EXE_wad-cosim"), "replay"]);
+        command.arg(&kept).arg("--record").arg(out).stdin(Stdio::null()).output().unwrap()
+    };
+    for name in ["film.mp4", "film/"] {
+        let output = record(&small.out(name));
+        assert_eq!(output.status.code(), Some(1), "{name}: {}", stderr(&output));
+        assert!(stderr(&output).contains("film"), "{}", stderr(&output));
+    }
+    let film = small.out("whole.mp4");
+    let mut replay = wad(&["replay", "--record"]);
+    let mut child = replay.arg(&film).arg(&kept).stderr(Stdio::piped()).spawn().unwrap();
+    let began = Instant::now();
+    while std::fs::metadata(&film).map_or(0, |file| file.len()) < 30_000 {
+        assert!(began.elapsed() < Duration::from_secs(120) && child.try_wait().unwrap().is_none());
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    // SAFETY: kill() only takes numbers; the process is this test's own child.
+    unsafe { libc::kill(child.id() as i32, libc::SIGINT) };
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(4), "{}", stderr(&output));
+    assert!(stderr(&output).contains("it ends there"), "{}", stderr(&output));
+}
+
 #[cfg(feature = "vision")]
 #[test]
 fn an_external_agent_drives_and_one_that_fails_costs_its_episode_only() {

@@ -8,6 +8,7 @@ mod autopilot;
 mod bridge;
 #[cfg(feature = "vision")]
 mod camera;
+mod close_signals;
 mod crates;
 mod dataset;
 mod doctor;

@@ -9,7 +9,6 @@ use std::fmt::Write;
 use wad_cosim::geometry::Point;
 use wad_cosim::network::*;
 use wad_cosim::traci::{LaunchOptions, SumoProcess, lane};
-use wad_cosim::world::{SignalAhead, SignalState};
 
 #[test]
 fn every_shipped_net_loads_and_can_be_driven() {
@@ -366,51 +365,4 @@ fn roads_that_cross_over_each_other_are_told_apart() {
     let at = |s| LanePosition { lane: above, s };
     let route = network.route(at(0.0), at(400.0), VehicleClass::Passenger).unwrap();
     assert!((route.at(200.0).pose.position.z - 8.0).abs() < 0.05, "the climb is kept");
-}
-
-#[test]
-fn signals_without_room_between_are_drawn_both_and_the_one_that_stops_is_told() {
-    let nets = Nets::new();
-    let nodes = [("a", -100, 0), ("b", 120, 0), ("pn", 0, 80), ("ps", 0, -80)];
-    let node = |(id, x, y): (&str, i32, i32)| format!("<node id=\"{id}\" x=\"{x}\" y=\"{y}\"/>");
-    let light = |id: &str, x: f64| format!("<node id=\"{id}\" x=\"{x}\" y=\"0\" type=\"traffic_light\"/>");
-    let far = ["qn\" x=\"12.6\" y=\"80", "qs\" x=\"12.6\" y=\"-80"].map(|n| format!("<node id=\"{n}\"/>"));
-    let text = nodes.map(node).concat() + &light("p", 0.0) + &light("q", 12.6) + &far.concat();
-    nets.write("two.nod.xml", &format!("<nodes>{text}</nodes>"));
-    let ways = ["a p", "p q", "q b", "pn p", "p ps", "qn q", "q qs"].map(|way| {
-        let (from, to) = way.split_once(' ').unwrap();
-        format!("<edge id=\"{from}{to}\" from=\"{from}\" to=\"{to}\"/>")
-    });
-    nets.write("two.edg.xml", &format!("<edges>{}</edges>", ways.concat()));
-    let (_, network) = nets.make("netconvert", &["-n", "two.nod.xml", "-e", "two.edg.xml"]);
-    let lane = |edge: &str| network.edge(network.edge_by_id(edge).unwrap()).lanes[0];
-    assert!((network.lane(lane("pq")).length - 1.4).abs() < 0.2, "{}", network.lane(lane("pq")).length);
-
-    let town = wad_cosim::camera::Town::new(&network, &Shapes::default(), 1);
-    let shown = |id: &str, beyond: f64| {
-        let light = network.traffic_light_by_id(id).unwrap();
-        let (from, to) = if id == "p" { ("ap", "pq") } else { ("pq", "qb") };
-        let link = network.links.iter().find(|l| l.from == lane(from) && l.to == lane(to)).unwrap();
-        assert_eq!(link.signal.unwrap().traffic_light, light);
-        let end = network.lane(lane("ap")).shape.at(network.lane(lane("ap")).shape.length());
-        let heads = town.scene().chunks.iter().flat_map(|chunk| &chunk.instances);
-        heads.filter(|i| i.signal == link.signal && end.to_local(i.pose.xy()).x > beyond).count()
-    };
-    assert!(shown("p", -20.0) >= 2 && shown("q", -20.0) >= 2, "both have heads");
-    assert_eq!(shown("p", 5.0), 0, "no head of the first stands behind the second's");
-
-    // The way over both, with the first on green.
-    let at = |edge: &str, s| LanePosition { lane: lane(edge), s };
-    let route = network.route(at("ap", 10.0), at("qb", 60.0), VehicleClass::Passenger).unwrap();
-    let told = |first: SignalState, second: SignalState| {
-        let mut ahead = SignalAhead::default();
-        for (link, state) in route.links.iter().zip([first, second]) {
-            ahead.pass(Some(state), link.stop_s, link.end_s);
-        }
-        ahead.counts().unwrap()
-    };
-    let (first, second) = (route.links[0].stop_s, route.links[1].stop_s);
-    assert_eq!(told(SignalState::GreenMajor, SignalState::Red), (SignalState::Red, second));
-    assert_eq!(told(SignalState::Red, SignalState::Red), (SignalState::Red, first));
-    assert_eq!(told(SignalState::GreenMajor, SignalState::GreenMajor), (SignalState::GreenMajor, first));
 }

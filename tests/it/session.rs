@@ -199,39 +199,36 @@ fn run_knows_the_drivers_that_eval_knows() {
 /// The promise of docs/evaluate.md, with an agent that looks, in a sunny weather.
 #[cfg(feature = "learn")]
 #[test]
-fn results_of_an_agent_that_looks_do_not_depend_on_jobs() {
+fn results_of_an_agent_that_looks_do_not_depend_on_jobs_shards_or_resume() {
     let dir = tempfile::tempdir().unwrap();
-    let lines = |jobs: &str| -> Vec<String> {
-        let out = dir.path().join(jobs);
-        let out = out.to_string_lossy();
-        let args = [
-            "eval",
-            "tasks",
-            "--task",
-            "one_turn",
-            "--condition",
-            "new",
-            "--weather",
-            "WetSunset",
-            "--episodes",
-            "3",
-            "--agent",
-            "wad-t",
-            "--jobs",
-            jobs,
-            "--out",
-            &out,
-        ];
-        let output = wad(&args).output().unwrap();
+    let run = |name: &str, more: &[&str]| {
+        let out = dir.path().join(name);
+        let mut command = wad(&["eval", "tasks", "--task", "one_turn", "--condition", "new"]);
+        command.args(["--weather", "WetSunset", "--episodes", "3", "--agent", "wad-t"]);
+        let output = command.args(more).arg("--out").arg(&out).output().unwrap();
         assert!(output.status.success(), "{}", stderr(&output));
-        let text = std::fs::read_to_string(Path::new(&*out).join("episodes.jsonl")).unwrap();
+        out.join("episodes.jsonl")
+    };
+    let lines = |files: &[std::path::PathBuf]| -> Vec<String> {
+        let text: String = files.iter().map(|file| std::fs::read_to_string(file).unwrap()).collect();
         let mut lines: Vec<String> = text.lines().map(str::to_string).collect();
         lines.sort();
         lines
     };
-    let (one, two) = (lines("1"), lines("2"));
-    assert_eq!(one.len(), 3);
-    assert!(one == two, "the same episodes, other results:\n{one:#?}\n{two:#?}");
+    let one = run("one", &["--jobs", "1"]);
+    let whole = lines(std::slice::from_ref(&one));
+    assert_eq!(whole.len(), 3);
+    let same = |what: &str, other: Vec<String>| {
+        assert!(whole == other, "{what}: the same episodes, other results:\n{whole:#?}\n{other:#?}");
+    };
+    same("two jobs", lines(&[run("two", &["--jobs", "2"])]));
+    // Each shard begins with another episode.
+    same("shards", lines(&[run("first", &["--shard", "1/2"]), run("second", &["--shard", "2/2"])]));
+    // Only the second is missing: no episode was driven before it.
+    let text = std::fs::read_to_string(&one).unwrap();
+    let kept: Vec<&str> = text.lines().enumerate().filter(|(n, _)| *n != 1).map(|(_, line)| line).collect();
+    std::fs::write(&one, kept.join("\n") + "\n").unwrap();
+    same("resumed", lines(&[run("one", &["--resume"])]));
 }
 
 /// The gap to the vehicle in front (m) with boxes from shapes, against that with drawn boxes, at every tick of a

@@ -2,6 +2,7 @@
 
 use crate::geometry::Pose;
 use crate::network::{LaneId, SignalIndex};
+pub use crate::signal_ahead::{NO_ROOM, SignalAhead};
 use std::sync::Arc;
 
 /// A road user's kind, by SUMO's vehicle class and shape.
@@ -123,41 +124,6 @@ impl SignalState {
     /// Whether it requires to stop: red, red with yellow, or yellow.
     pub fn stops(self) -> bool {
         self.is_red() || self == Self::Yellow
-    }
-}
-
-/// Room (m) between two junctions in which no car can wait.
-pub const NO_ROOM: f64 = 5.0;
-
-/// The signal that counts on a way over junctions: the next one or, where that one lets pass, one that does not and is
-/// so close behind it that no car can wait between ([`NO_ROOM`]).
-#[derive(Clone, Copy, Debug, Default)]
-pub struct SignalAhead {
-    counts: Option<(SignalState, f64)>,
-    /// Where the junction before is left (m).
-    end_s: f64,
-    decided: bool,
-}
-
-impl SignalAhead {
-    /// Takes the next junction on the way: what its signal shows (None: it has none, or it is out of sight), where its
-    /// stop line lies, and where it is left (m on the way).
-    pub fn pass(&mut self, state: Option<SignalState>, stop_s: f64, end_s: f64) {
-        let far = stop_s - self.end_s >= NO_ROOM;
-        self.decided |= self.counts.is_some_and(|(shown, _)| shown.stops() || far);
-        self.end_s = end_s;
-        let state = state.filter(|state| !self.decided && (self.counts.is_none() || state.stops()));
-        self.counts = state.map(|state| (state, stop_s)).or(self.counts);
-    }
-
-    /// What the signal shows, and where its stop line lies (m on the way).
-    pub fn counts(&self) -> Option<(SignalState, f64)> {
-        self.counts
-    }
-
-    /// Whether junctions further on matter no more.
-    pub fn is_decided(&self) -> bool {
-        self.decided
     }
 }
 

@@ -108,6 +108,19 @@ pub enum RecordError {
         /// The film.
         path: PathBuf,
     },
+    /// The film lacks pictures at its end: OpenCV does not say that it cannot write.
+    #[error(
+        "could not write all of {path}: {written} pictures were made, {whole} can be read. Is the disk full? Make room \
+         and film again"
+    )]
+    Cut {
+        /// The film.
+        path: PathBuf,
+        /// Pictures that were made.
+        written: u64,
+        /// Pictures that the file holds.
+        whole: u64,
+    },
     /// OpenCV or the PNG encoder fails.
     #[error("cannot encode {path}: {why}")]
     Encode {
@@ -322,8 +335,8 @@ fn numbered(folder: &Path, stem: &str, number: u64) -> PathBuf {
 mod video {
     use super::{Codec, Picture, RecordError};
     use opencv::core::{Mat, Size, Vec3b};
-    use opencv::prelude::{VideoWriterTrait, VideoWriterTraitConst};
-    use opencv::videoio::VideoWriter;
+    use opencv::prelude::{VideoCaptureTraitConst, VideoWriterTrait, VideoWriterTraitConst};
+    use opencv::videoio::{CAP_ANY, CAP_PROP_FRAME_COUNT, VideoCapture, VideoWriter};
     use std::path::{Path, PathBuf};
 
     /// An .mp4 file under way.
@@ -331,6 +344,7 @@ mod video {
         writer: VideoWriter,
         path: PathBuf,
         line: Vec<Vec3b>,
+        written: u64,
     }
 
     impl Video {
@@ -352,7 +366,7 @@ mod video {
                 let size = Size::new(width as i32, height as i32);
                 let writer = VideoWriter::new(path, fourcc, fps, size, true).map_err(failed)?;
                 if writer.is_opened().map_err(failed)? {
-                    return Ok(Self { writer, path: path.to_path_buf(), line: Vec::new() });
+                    return Ok(Self { writer, path: path.to_path_buf(), line: Vec::new(), written: 0 });
                 }
                 tracing::warn!("this OpenCV cannot encode {}", String::from_utf8_lossy(code));
             }
@@ -363,6 +377,7 @@ mod video {
         }
 
         pub fn write(&mut self, picture: &Picture) -> Result<(), RecordError> {
+            self.written += 1;
             self.line.clear();
             self.line.extend(picture.rgb.chunks_exact(3).map(|p| Vec3b::from([p[2], p[1], p[0]])));
             let (rows, columns) = (picture.height as i32, picture.width as i32);
@@ -372,8 +387,24 @@ mod video {
         }
 
         pub fn finish(mut self) -> Result<(), RecordError> {
-            self.writer.release().map_err(|e| RecordError::Encode { path: self.path, why: e.message })
+            let failed = |e: opencv::Error| RecordError::Encode { path: self.path.clone(), why: e.message };
+            self.writer.release().map_err(failed)?;
+            let whole = pictures_in(&self.path).map_err(failed)?;
+            if whole < self.written {
+                return Err(RecordError::Cut { path: self.path, written: self.written, whole });
+            }
+            Ok(())
         }
+    }
+
+    /// How many pictures the film at `path` holds; none where it cannot be read.
+    fn pictures_in(path: &Path) -> opencv::Result<u64> {
+        let film = VideoCapture::from_file(path, CAP_ANY)?;
+        if !film.is_opened()? {
+            return Ok(0);
+        }
+        // As a cast, what is below 0 is 0.
+        Ok(film.get(CAP_PROP_FRAME_COUNT)? as u64)
     }
 }
 

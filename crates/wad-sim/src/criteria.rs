@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use sumo_network::geometry::Vector;
 use sumo_network::network::{Network, Route};
-use sumo_network::world::WorldState;
+use sumo_network::world::{SignalAhead, WorldState};
 use wad_vehicle::{Contact, EgoState, PartnerKind};
 
 /// Thresholds of the events.
@@ -244,11 +244,9 @@ impl Criteria {
 /// Whether a red light or a road user in the ego's path is a reason to stand.
 fn is_held(now: &Situation<'_>) -> bool {
     const LOOK_AHEAD: f64 = 20.0;
-    let red = now.route.next_link(now.after.front_s - 1.0).is_some_and(|link| {
-        let signal = now.network.link(link.link).signal;
-        link.stop_s - now.after.front_s < LOOK_AHEAD
-            && signal.and_then(|s| now.world.signal(s)).is_some_and(|state| state.is_red())
-    });
+    let front_s = now.after.front_s;
+    let light = SignalAhead::find(now.network, now.route, front_s - 1.0, |signal| now.world.signal(signal));
+    let red = light.is_some_and(|light| light.state.is_red() && light.stop_s - front_s < LOOK_AHEAD);
     let reach = LOOK_AHEAD + now.length;
     red || now.world.vehicles.iter().chain(&now.world.pedestrians).any(|actor| {
         let offset = actor.pose.xy() - now.after.state.pose.xy();

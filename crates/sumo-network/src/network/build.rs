@@ -55,8 +55,9 @@ fn build(raw: RawNet, source: &Source<'_>) -> Result<Network, NetworkError> {
     crossings(&mut network, &raw);
     for light in &raw.traffic_lights {
         let id = traffic_light(&mut network, &light.id);
-        let signals = &mut network.traffic_lights[id.index()].signals;
-        *signals = light.signals.max(*signals);
+        let known = &mut network.traffic_lights[id.index()];
+        known.signals = light.signals.max(known.signals);
+        known.programs.push(light.program.clone());
     }
     links(&mut network, &raw, source)?;
     requests::apply(&mut network, &raw, source)?;
@@ -218,6 +219,7 @@ fn traffic_light(network: &mut Network, id: &str) -> TrafficLightId {
     network.traffic_lights.push(TrafficLight {
         id: id.to_owned(),
         signals: 0,
+        programs: Vec::new(),
         links: Vec::new(),
         crossings: Vec::new(),
         position: Point::origin(),

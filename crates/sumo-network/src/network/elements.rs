@@ -1,6 +1,7 @@
 //! What a network consists of: edges, lanes, links, crossings, junctions, traffic lights, and their ids.
 
 use super::permissions::Permissions;
+use super::programs::SignalProgram;
 use crate::geometry::{Point, Polyline};
 
 macro_rules! index_type {
@@ -200,6 +201,8 @@ pub struct TrafficLight {
     pub id: String,
     /// Number of characters in its state.
     pub signals: usize,
+    /// The net's programs for it. A run may bring others.
+    pub programs: Vec<SignalProgram>,
     /// Links controlled by it.
     pub links: Vec<LinkId>,
     /// Crossings controlled by it.

@@ -12,6 +12,7 @@ mod parse;
 mod pedestrian;
 mod permissions;
 mod polygons;
+mod programs;
 mod reach;
 mod requests;
 mod route;
@@ -32,6 +33,7 @@ pub use elements::{
 pub use error::NetworkError;
 pub use permissions::{Permissions, VehicleClass};
 pub use polygons::{PointOfInterest, Polygon, Shapes};
+pub use programs::SignalProgram;
 pub use route::{RoadOption, Route, RouteError, RouteLink, RoutePoint, RouteSection};
 
 use crate::geometry::{Point, Polyline};

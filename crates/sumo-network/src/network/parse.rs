@@ -2,6 +2,7 @@
 
 use super::error::NetworkError;
 use super::permissions::Permissions;
+use super::programs::SignalProgram;
 use super::xml::{Element, Step, Walk};
 use nalgebra::Point3;
 use std::borrow::Cow;
@@ -66,10 +67,11 @@ pub(super) struct RawConnection {
     pub position: u64,
 }
 
-/// `<tlLogic>`: its id and the length of its longest state.
+/// `<tlLogic>`: its id, the length of its longest state, and its program.
 pub(super) struct RawTrafficLight {
     pub id: String,
     pub signals: usize,
+    pub program: SignalProgram,
 }
 
 /// The whole file.
@@ -113,9 +115,10 @@ pub(super) fn parse(path: &Path, text: &str) -> Result<RawNet, NetworkError> {
                         Inside::Junction
                     }
                     "tlLogic" => {
-                        let [id] = element.read(["id"]);
-                        net.traffic_lights
-                            .push(RawTrafficLight { id: at.need(id, "tlLogic", "", "id")?, signals: 0 });
+                        let [id, kind, offset] = element.read(["id", "type", "offset"]);
+                        let id = at.need(id, "tlLogic", "", "id")?;
+                        let program = SignalProgram::new(kind.as_deref(), offset.as_deref());
+                        net.traffic_lights.push(RawTrafficLight { id, signals: 0, program });
                         Inside::TrafficLight
                     }
                     "roundabout" => {
@@ -144,9 +147,10 @@ pub(super) fn parse(path: &Path, text: &str) -> Result<RawNet, NetworkError> {
                 }
             }
             (2, "phase") if inside == Inside::TrafficLight => {
-                if let ([Some(state)], Some(light)) = (element.read(["state"]), net.traffic_lights.last_mut())
-                {
+                let [state, duration] = element.read(["state", "duration"]);
+                if let (Some(state), Some(light)) = (state, net.traffic_lights.last_mut()) {
                     light.signals = light.signals.max(state.len());
+                    light.program.push(&state, duration.as_deref());
                 }
             }
             _ => {}

@@ -13,7 +13,7 @@ pub const AT_INTERSECTION: f64 = 20.0;
 pub struct LightAhead {
     /// What it shows.
     pub state: SignalState,
-    /// From the front bumper to the stop line (m).
+    /// From the front bumper to the line to wait at (m).
     pub distance: f64,
 }
 
@@ -23,30 +23,15 @@ impl LightAhead {
         Self::with_signal(facts).map(|(light, ..)| light)
     }
 
-    /// The same with the signal, and the road's heading at its stop line (rad).
+    /// The same with the signal, and the road's heading at its own stop line (rad).
     pub(super) fn with_signal(facts: &EgoFacts<'_>) -> Option<(Self, SignalIndex, f64)> {
         let front = facts.on_route.front_s;
-        let links = &facts.route.links;
-        let next = links.partition_point(|link| link.stop_s < front);
-        let mut ahead = SignalAhead::default();
-        for link in &links[next..] {
-            let signal = facts.network.link(link.link).signal;
-            let state = signal.and_then(|signal| {
-                let states = facts.signals.get(signal.traffic_light.index())?.as_ref()?;
-                Some(SignalState::from_sumo(*states.as_bytes().get(signal.index)?))
-            });
-            if signal.is_some() && state.is_none() {
-                break;
-            }
-            ahead.pass(state, link.stop_s, link.end_s);
-            if ahead.is_decided() {
-                break;
-            }
-        }
-        let (state, stop_s) = ahead.counts()?;
-        let link = links[next..].iter().find(|link| link.stop_s == stop_s)?;
-        let heading = facts.route.at(stop_s).pose.heading;
-        Some((Self { state, distance: stop_s - front }, facts.network.link(link.link).signal?, heading))
+        let ahead = SignalAhead::find(facts.network, facts.route, front, |signal| {
+            let states = facts.signals.get(signal.traffic_light.index())?.as_ref()?;
+            Some(SignalState::from_sumo(*states.as_bytes().get(signal.index)?))
+        })?;
+        let heading = facts.route.at(ahead.line_s).pose.heading;
+        Some((Self { state: ahead.state, distance: ahead.stop_s - front }, ahead.signal, heading))
     }
 
     /// Whether it requires to stop: red, red with yellow, or yellow.

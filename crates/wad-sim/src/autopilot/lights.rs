@@ -24,7 +24,8 @@ pub struct Lights {
 }
 
 impl Lights {
-    /// Whether the stop line `distance` m before the front bumper may be crossed at `speed` m/s.
+    /// Whether the line `distance` m before the front bumper, at which the ego waits for the light of `plan`, may be
+    /// crossed at `speed` m/s.
     #[allow(clippy::too_many_arguments)]
     pub fn judge(
         &mut self,
@@ -36,7 +37,7 @@ impl Lights {
         top: f64,
         latency: f64,
         params: &AutopilotParams,
-    ) -> (Verdict, Option<SignalState>) {
+    ) -> Verdict {
         let link = network.link(plan.link);
         if speed < 0.3 && distance < 2.5 {
             self.stopped_at = Some(plan.link);
@@ -46,7 +47,7 @@ impl Lights {
         let needed = speed * speed / (2.0 * room);
         let Some(signal) = link.signal else {
             let must_stop = link.state == 's' && self.stopped_at != Some(plan.link);
-            return (if must_stop { Verdict::Stop } else { by_rules }, None);
+            return if must_stop { Verdict::Stop } else { by_rules };
         };
         let state = world.signal(signal);
         let verdict = match state {
@@ -96,6 +97,6 @@ impl Lights {
         if matches!(verdict, Verdict::Go { .. }) && self.stopping_for == Some(plan.link) {
             self.stopping_for = None;
         }
-        (verdict, state)
+        verdict
     }
 }

@@ -253,7 +253,8 @@ impl Autopilot {
             tick_s,
         };
         let leader = self.follow_leaders(&now, &mut choice);
-        let light = self.pass_junctions(&now, &mut choice);
+        let light = SignalAhead::find(network, route, front_s - 0.5, |signal| world.signal(signal));
+        self.pass_junctions(&now, light, &mut choice);
 
         let walk = pedestrians::Approach { front_s, rear_s, speed, top: profile.target.max(2.0) };
         if let Some(halt) = pedestrians::judge(network, &self.path, &self.plans, world, &walk, &params) {
@@ -292,7 +293,7 @@ impl Autopilot {
             target_speed: profile.target,
             acceleration,
             leader,
-            light,
+            light: light.map(|light| (light.state, light.stop_s - front_s)),
             held: is_held(&choice.reason),
             blinker_left: blinker > 0,
             blinker_right: blinker < 0,
@@ -362,18 +363,17 @@ impl Autopilot {
         leader
     }
 
-    /// Lights, full junctions and right of way at the links ahead; the next light and its distance (m).
-    fn pass_junctions(&mut self, now: &Situation<'_>, choice: &mut Choice) -> Option<(SignalState, f64)> {
+    /// Lights, full junctions and right of way at the links ahead. `light` is the signal that counts.
+    fn pass_junctions(&mut self, now: &Situation<'_>, light: Option<SignalAhead>, choice: &mut Choice) {
         let by_lane = ByLane::new(now.world);
-        let (mut light, mut yielding_at) = (SignalAhead::default(), None);
+        let mut yielding_at = None;
         let plans = std::mem::take(&mut self.plans);
         for plan in plans.iter().filter(|plan| now.rear_s <= plan.end_s) {
             let distance = plan.stop_s - now.front_s;
             let yields = if distance > -0.5 {
-                let (yields, state) = self.approach_line(plan, distance, now, choice);
-                light.pass(state, plan.stop_s, plan.end_s);
+                let line = line_to_wait_at(plan, light, now);
                 // Behind a red light nothing matters.
-                let Some(yields) = yields else { break };
+                let Some(yields) = self.approach_line(plan, line, now, choice) else { break };
                 yields
             } else {
                 let link = now.network.link(plan.link);
@@ -389,26 +389,24 @@ impl Autopilot {
         }
         self.plans = plans;
         self.note_waiting(yielding_at, now);
-        light.counts().map(|(state, stop_s)| (state, stop_s - now.front_s))
     }
 
     /// The stop line of `plan`, `distance` ahead (m): its light, and whether there is room behind the junction.
-    /// Whether to give way to vehicles with right of way (None: it stops here), and what the light shows.
+    /// Whether to give way to vehicles with right of way; None: it stops here.
     fn approach_line(
         &mut self,
         plan: &LinkPlan,
         distance: f64,
         now: &Situation<'_>,
         choice: &mut Choice,
-    ) -> (Option<bool>, Option<SignalState>) {
+    ) -> Option<bool> {
         let (params, speed, latency) = (self.params, now.speed, now.latency);
         let top = now.profile.target.max(speed);
-        let (verdict, state) =
-            self.lights.judge(now.network, plan, now.world, distance, speed, top, latency, &params);
+        let verdict = self.lights.judge(now.network, plan, now.world, distance, speed, top, latency, &params);
         let Verdict::Go { yields } = verdict else {
             let a = self.stop(speed, distance - params.stop_margin, latency);
             choice.offer(a, Reason::RedLight { distance });
-            return (None, state);
+            return None;
         };
         let matters = !plan.conflicts.is_empty() || !plan.crossings.is_empty();
         let can_stop = speed * speed / (2.0 * (distance - speed * latency).max(0.3)) < 3.0;
@@ -421,7 +419,7 @@ impl Autopilot {
                 choice.offer(a, Reason::JunctionBlocked { distance });
             }
         }
-        (Some(yields), state)
+        Some(yields)
     }
 
     /// The gaps in the traffic over the link of `plan`; whether it waits for one.
@@ -501,6 +499,19 @@ impl Autopilot {
             LinkDirection::Straight | LinkDirection::Invalid => 0,
         })
     }
+}
+
+/// How far ahead (m) the ego waits for the light of `plan`: at its own stop line or, where that one stands without room
+/// behind another junction and the ego can still stop in comfort, before that junction.
+fn line_to_wait_at(plan: &LinkPlan, light: Option<SignalAhead>, now: &Situation<'_>) -> f64 {
+    let before = light
+        .filter(|light| light.line_s == plan.stop_s && light.stop_s < plan.stop_s)
+        .map(|light| light.stop_s - now.front_s)
+        .filter(|distance| {
+            let room = (distance - now.speed * now.latency).max(0.3);
+            now.speed * now.speed / (2.0 * room) < 3.0
+        });
+    before.unwrap_or(plan.stop_s - now.front_s)
 }
 
 fn is_held(reason: &Reason) -> bool {
