@@ -16,15 +16,17 @@ pub fn of<'py>(py: Python<'py>, numbers: &[f64]) -> PyResult<Bound<'py, PyDict>>
         NUMBERS.iter().map(|name| PyString::intern(py, name).unbind()).collect::<Vec<_>>()
     });
     let info = PyDict::new(py);
-    for index in FACTS..TERMS {
-        match numbers[index] {
-            whole if WHOLE.contains(&index) => info.set_item(&names[index], whole as u64)?,
-            number => info.set_item(&names[index], number)?,
+    let named = || names.iter().zip(numbers);
+    for (index, (name, number)) in named().enumerate().take(TERMS).skip(FACTS) {
+        if WHOLE.contains(&index) {
+            info.set_item(name, *number as u64)?;
+        } else {
+            info.set_item(name, number)?;
         }
     }
     let terms = PyDict::new(py);
-    for index in TERMS..NUMBERS.len() {
-        terms.set_item(&names[index], numbers[index])?;
+    for (name, number) in named().skip(TERMS) {
+        terms.set_item(name, number)?;
     }
     info.set_item(intern!(py, "reward_terms"), terms)?;
     Ok(info)

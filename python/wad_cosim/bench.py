@@ -90,6 +90,7 @@ def _sumo_rl() -> tuple[str, gymnasium.Env[Any, Any]]:
         single_agent=True,
         num_seconds=100_000,
         sumo_warnings=False,
+        additional_sumo_cmd="--no-step-log true",
     )
     return "SumoEnvironment, densities and queues of one intersection (a signal's view, no ego), 5 s a step", env
 
