@@ -2,6 +2,7 @@
 
 use crate::episode::NUMBERS;
 use crate::errors::{Error, Failure, InputError};
+use crate::info;
 use crate::setup::{Part, Setup, Tasks};
 use crate::worker::{self, Array, Arrays, Autoreset, Driver, Job, Rows, Shared, lock};
 use numpy::{PyArray1, PyArrayDyn, PyArrayMethods, PyReadonlyArray2, PyUntypedArrayMethods};
@@ -13,8 +14,6 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 use wad_cosim::agent::action::{ACTION_SIZE, Action};
 use wad_cosim::cores::Visit;
-use wad_cosim::observation::{LATENT_SIZE, ObservationMode, RAW_SIZE};
-use wad_cosim::perception::TRANSFORMED_SIZE;
 
 /// How often a waiting thread lets Python look for signals.
 const SIGNALS: Duration = Duration::from_millis(50);
@@ -28,6 +27,8 @@ pub struct Environments {
     count: usize,
     /// In each SUMO.
     egos: usize,
+    /// The parts of one observation, and their shapes.
+    parts: Vec<(Part, Vec<usize>)>,
     picture: [usize; 3],
     /// The process that has the threads.
     process: u32,
@@ -47,6 +48,9 @@ impl Drop for Open {
         self.jobs.clear();
     }
 }
+
+/// See [`Environments::step_one`].
+type OneStep<'py> = (Bound<'py, PyDict>, f64, bool, bool, Bound<'py, PyDict>);
 
 #[pymethods]
 impl Environments {
@@ -83,6 +87,7 @@ impl Environments {
         let now = arrays(now, &setup, count, &mut owners)?;
         let last = last.map(|last| arrays(last, &setup, count, &mut owners)).transpose()?;
         let camera = setup.options.camera;
+        let parts = setup.observation.iter().map(|part| (*part, part.shape(&camera))).collect();
         let tasks = py.detach(|| Tasks::open(&setup)).map(Arc::new)?;
         let shared = Arc::new(Shared::new(now, last, autoreset, count, owners));
         let egos = setup.egos;
@@ -99,7 +104,7 @@ impl Environments {
         open.wait(py)?;
         open.failed()?;
         let picture = [camera.height, camera.width, 3];
-        Ok(Self { open: Mutex::new(Some(open)), count, egos, picture, process: std::process::id() })
+        Ok(Self { open: Mutex::new(Some(open)), count, egos, parts, picture, process: std::process::id() })
     }
 
     /// Begins episodes: `seeds` has a seed for each environment that is to begin, None for the others.
@@ -127,19 +132,7 @@ impl Environments {
     ) -> PyResult<Bound<'py, PyList>> {
         self.with(|open| {
             self.fits(seeds.len())?;
-            let shape = actions.shape();
-            if shape != [self.count, ACTION_SIZE] {
-                let expected = (self.count, ACTION_SIZE);
-                return Err(InputError::new_err(format!(
-                    "actions of shape {shape:?}: expected {expected:?}"
-                )));
-            }
-            let actions = actions.as_array();
-            if actions.iter().any(|number| !number.is_finite()) {
-                return Err(InputError::new_err(format!("an action is not finite: {actions}")));
-            }
-            let mut rows: Vec<Action> = Vec::with_capacity(self.count);
-            rows.extend(actions.rows().into_iter().map(|row| [row[0], row[1], row[2]]));
+            let rows = self.rows(&actions)?;
             if self.egos > 1 {
                 open.run(py, rows.chunks(self.egos).map(|rows| Some(Job::StepAll(rows.to_vec()))))?;
             } else {
@@ -147,6 +140,25 @@ impl Environments {
                 open.run(py, jobs)?;
             }
             open.news(py)
+        })
+    }
+
+    /// Drives a tick of the only environment. Returns what Gymnasium's `step` does: the observation's parts by name, in arrays
+    /// of their own, the reward, whether the episode is terminated and whether truncated, and `info`.
+    fn step_one<'py>(&self, py: Python<'py>, action: PyReadonlyArray2<'py, f32>) -> PyResult<OneStep<'py>> {
+        self.with(|open| {
+            if self.count != 1 || open.shared.autoreset != Autoreset::Disabled {
+                return Err(InputError::new_err("step_one is for one environment without autoreset"));
+            }
+            let rows = self.rows(&action)?;
+            let (observation, parts) = self.fresh(py)?;
+            let mut numbers = [0.0; NUMBERS.len()];
+            let into = Arrays { parts, numbers: Rows::new(numbers.as_mut_ptr(), NUMBERS.len()) };
+            open.step_one(py, rows[0], &into)?;
+            let info = info::of(py, &numbers)?;
+            info::add_news(py, &info, &lock(&open.shared.answers[0]).news)?;
+            let [reward, terminated, truncated, ..] = numbers;
+            Ok((observation, reward, terminated != 0.0, truncated != 0.0, info))
         })
     }
 
@@ -223,6 +235,38 @@ impl Environments {
         }
     }
 
+    /// The actions, checked.
+    fn rows(&self, actions: &PyReadonlyArray2<'_, f32>) -> PyResult<Vec<Action>> {
+        let shape = actions.shape();
+        if shape != [self.count, ACTION_SIZE] {
+            let expected = (self.count, ACTION_SIZE);
+            return Err(InputError::new_err(format!("actions of shape {shape:?}: expected {expected:?}")));
+        }
+        let actions = actions.as_array();
+        if actions.iter().any(|number| !number.is_finite()) {
+            return Err(InputError::new_err(format!("an action is not finite: {actions}")));
+        }
+        Ok(actions.rows().into_iter().map(|row| [row[0], row[1], row[2]]).collect())
+    }
+
+    /// New arrays for an observation, by the names of its parts, and the same for a thread that writes.
+    fn fresh<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyDict>, Vec<Array>)> {
+        let observation = PyDict::new(py);
+        let mut parts = Vec::with_capacity(self.parts.len());
+        for (part, shape) in &self.parts {
+            parts.push(if part.is_bytes() {
+                let array = PyArrayDyn::<u8>::zeros(py, shape.as_slice(), false);
+                observation.set_item(part.name(), &array)?;
+                Array::Bytes(*part, Rows::new(array.data(), array.len()))
+            } else {
+                let array = PyArrayDyn::<f32>::zeros(py, shape.as_slice(), false);
+                observation.set_item(part.name(), &array)?;
+                Array::Numbers(*part, Rows::new(array.data(), array.len()))
+            });
+        }
+        Ok((observation, parts))
+    }
+
     fn fits(&self, found: usize) -> PyResult<()> {
         if found == self.count {
             return Ok(());
@@ -245,20 +289,47 @@ impl Drop for Environments {
 impl Open {
     /// Waits until no job runs; a signal's exception ends the waiting, and the jobs go on.
     fn wait(&self, py: Python<'_>) -> PyResult<()> {
-        while !py.detach(|| self.shared.wait(SIGNALS)) {
+        while !self.shared.is_idle() && !py.detach(|| self.shared.wait(SIGNALS)) {
             py.check_signals()?;
         }
         Ok(())
     }
 
-    /// Sends each environment its job, and waits for the answers.
-    fn run(&self, py: Python<'_>, jobs: impl Iterator<Item = Option<Job>>) -> PyResult<()> {
-        // Of a call that was interrupted.
-        self.wait(py)?;
+    /// Nothing is answered any more.
+    fn clear(&self) {
         for answer in &self.shared.answers {
             let mut answer = lock(answer);
             (answer.failure, answer.began, answer.news) = (None, false, Default::default());
         }
+    }
+
+    /// Drives a tick of the first environment on Python's thread, and writes what it leads to into arrays of the caller's.
+    fn step_one(&self, py: Python<'_>, action: Action, into: &Arrays) -> PyResult<()> {
+        // For a call that was interrupted.
+        self.wait(py)?;
+        self.clear();
+        py.detach(|| {
+            let _visit = Visit::begin();
+            if let Some(driver) = lock(&self.drivers[0]).as_mut() {
+                driver.drive_into(Job::Step(action, 0), into);
+            }
+        });
+        self.told()
+    }
+
+    /// A signal that was heard meanwhile, or the first failure.
+    fn told(&self) -> PyResult<()> {
+        match self.shared.signal() {
+            Some(signal) => Err(signal),
+            None => self.failed(),
+        }
+    }
+
+    /// Sends each environment its job, and waits for the answers.
+    fn run(&self, py: Python<'_>, jobs: impl Iterator<Item = Option<Job>>) -> PyResult<()> {
+        // For a call that was interrupted.
+        self.wait(py)?;
+        self.clear();
         let mut own = None;
         for (index, job) in jobs.enumerate() {
             match job {
@@ -277,10 +348,7 @@ impl Open {
             }
         }
         self.wait(py)?;
-        if let Some(signal) = self.shared.signal() {
-            return Err(signal);
-        }
-        self.failed()
+        self.told()
     }
 
     /// Whether the first SUMO's thread has to do it.
@@ -313,24 +381,13 @@ impl Open {
             if !answer.began && news.events.is_empty() && news.ending.is_none() {
                 continue;
             }
-            let events = json(py, &news.events)?;
+            let events = info::json(py, &news.events)?;
             let ending = news.ending.as_ref().map(|e| (e.end.name(), e.cause.as_str(), e.success));
             list.append((index, answer.began, events, ending))?;
         }
         Ok(list)
     }
 }
-
-/// A value as Python's dictionaries, lists and numbers; seldom needed, so the way over text is short enough.
-fn json<'py>(py: Python<'py>, value: &impl serde::Serialize) -> PyResult<Bound<'py, PyAny>> {
-    py.import("json")?.call_method1("loads", (crate::held::json(value)?,))
-}
-
-/// Numbers of [`Part::Vector`]: the surroundings, then the raw states.
-pub const VECTOR_SIZE: usize = ObservationMode::Vector.latent_size() + RAW_SIZE;
-
-/// Numbers of [`Part::Latent`]: the latent, then the raw states.
-pub const LATENT_AND_RAW_SIZE: usize = LATENT_SIZE + RAW_SIZE;
 
 /// Python's arrays, checked.
 fn arrays(
@@ -339,21 +396,13 @@ fn arrays(
     count: usize,
     owners: &mut Vec<Py<PyAny>>,
 ) -> PyResult<Arrays> {
-    let camera = &setup.options.camera;
     let mut parts = Vec::new();
     for part in &setup.observation {
-        let (name, row) = match part {
-            Part::Raw => ("raw", RAW_SIZE),
-            Part::Vector => ("vector", VECTOR_SIZE),
-            Part::Latent => ("latent", LATENT_AND_RAW_SIZE),
-            Part::Image => ("image", camera.width * camera.height * 3),
-            Part::Transformed => ("transformed", TRANSFORMED_SIZE * TRANSFORMED_SIZE * 3),
-        };
-        parts.push(match part {
-            Part::Raw | Part::Vector | Part::Latent => {
-                Array::Numbers(*part, rows(found, name, count, row, owners)?)
-            }
-            Part::Image | Part::Transformed => Array::Bytes(*part, rows(found, name, count, row, owners)?),
+        let row = part.shape(&setup.options.camera).iter().product();
+        parts.push(if part.is_bytes() {
+            Array::Bytes(*part, rows(found, part.name(), count, row, owners)?)
+        } else {
+            Array::Numbers(*part, rows(found, part.name(), count, row, owners)?)
         });
     }
     Ok(Arrays { parts, numbers: rows(found, "numbers", count, NUMBERS.len(), owners)? })

@@ -4,11 +4,13 @@ use crate::errors::Failure;
 use crate::setup::{Part, Setup, Tasks};
 use wad_cosim::agent::action::{self, Action};
 use wad_cosim::bridge::Ego;
+use wad_cosim::camera::Outputs;
 use wad_cosim::criteria::Event;
 use wad_cosim::env::{Ending, Env, EnvError, Fleet, Info};
-use wad_cosim::eyes::Eyes;
+use wad_cosim::eyes::{Eyes, EyesError};
 use wad_cosim::foxglove::{DriveLog, Moment};
 use wad_cosim::geometry::Pose;
+use wad_cosim::perception;
 use wad_cosim::record::RecordError;
 use wad_cosim::reward::RewardTerms;
 use wad_cosim::session::Act;
@@ -37,6 +39,15 @@ pub const NUMBERS: [&str; 19] = [
     RewardTerms::NAMES[5],
 ];
 
+/// The first of [`NUMBERS`] that is a fact: what a step leads to stands before.
+pub const FACTS: usize = 3;
+
+/// The first of [`NUMBERS`] that is a term of the reward.
+pub const TERMS: usize = 13;
+
+/// Those of [`NUMBERS`] that are whole: tick, vehicles, pedestrians.
+pub const WHOLE: [usize; 3] = [3, 8, 9];
+
 /// The numbers of a tick: flags as 0 and 1, SI units, the route done as a share, the ego's place in the net (m, rad), then the reward's terms.
 pub type Numbers = [f64; NUMBERS.len()];
 
@@ -60,17 +71,20 @@ pub struct Episodes {
 }
 
 impl Episodes {
-    /// An environment without an episode.
-    pub fn new(tasks: std::sync::Arc<Tasks>, setup: &Setup) -> Result<Self, Failure> {
+    /// An environment without an episode. `record`: the MCAP file that its drives go into.
+    pub fn new(
+        tasks: std::sync::Arc<Tasks>,
+        setup: &Setup,
+        record: Option<&std::path::Path>,
+    ) -> Result<Self, Failure> {
         let env = Env::new(tasks.assets.clone(), setup.options.clone(), setup.encoder()?)?;
-        let draws = setup.draws();
         let own = !setup.options.observation.encodes();
-        let painter = (draws && own)
-            .then(|| Eyes::camera(tasks.assets.town(), setup.options.camera).map_err(EnvError::Eyes))
+        let painter = (setup.draws() && own)
+            .then(|| painter(&tasks, setup, record.is_some()).map_err(EnvError::Eyes))
             .transpose()?;
         let network = tasks.assets.network();
-        let log = |path: &std::path::PathBuf| DriveLog::create(path, network, setup.options.camera);
-        let log = setup.record.as_ref().map(log).transpose().map_err(unwritten)?;
+        let log = |path: &std::path::Path| DriveLog::create(path, network, setup.options.camera);
+        let log = record.map(log).transpose().map_err(unwritten)?;
         Ok(Self { tasks, env, painter, parts: setup.observation.clone(), log })
     }
 
@@ -108,16 +122,14 @@ impl Episodes {
     fn note(&mut self, info: &Info) -> Result<(), Failure> {
         let seen = self.parts.contains(&Part::Image);
         let (Some(log), Some(ego)) = (&mut self.log, self.env.ego()) else { return Ok(()) };
-        let frame = match &mut self.painter {
-            Some(painter) => {
-                if !seen {
-                    painter.glance(&ego.state().pose);
-                }
-                painter.frame()
-            }
-            None => self.env.frame(),
-        };
-        let percept = self.env.eyes().percept();
+        if let Some(painter) = &mut self.painter
+            && (painter.perception().is_some() || !seen)
+        {
+            painter.spot(&ego.state().pose).map_err(EnvError::Eyes)?;
+        }
+        let painter = self.painter.as_ref();
+        let percept = self.env.eyes().percept().or_else(|| painter?.percept());
+        let frame = painter.map_or_else(|| self.env.frame(), Eyes::frame);
         log.add(&Moment {
             time: info.time,
             ego: &ego.as_actor(),
@@ -183,6 +195,16 @@ impl Episodes {
         self.env.close();
         self.log.map_or(Ok(()), |log| log.finish().map_err(unwritten))
     }
+}
+
+/// Eyes that draw for people. In a recording they find the road users too, where the environment itself does not look for them.
+fn painter(tasks: &Tasks, setup: &Setup, recorded: bool) -> Result<Eyes, EyesError> {
+    let (town, camera) = (tasks.assets.town(), setup.options.camera);
+    if !recorded || setup.options.observation.looks() {
+        return Eyes::camera(town, camera);
+    }
+    let detector = perception::detector("truth", perception::MIN_SCORE)?;
+    Ok(Eyes::new(town, camera, detector)?.with_outputs(Outputs::RGB))
 }
 
 fn unwritten(error: RecordError) -> Failure {

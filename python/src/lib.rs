@@ -11,6 +11,7 @@ mod episode;
 mod errors;
 mod evaluation;
 mod held;
+mod info;
 mod setup;
 mod worker;
 
@@ -23,9 +24,10 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     errors::add(module)?;
     module.add("VERSION", wad_cosim::program::version())?;
     module.add("NUMBERS", episode::NUMBERS.to_vec())?;
+    module.add("WHOLE", episode::WHOLE.map(|index| episode::NUMBERS[index]).to_vec())?;
     module.add("RAW_SIZE", wad_cosim::observation::RAW_SIZE)?;
     module.add("LATENT_SIZE", wad_cosim::observation::LATENT_SIZE)?;
-    module.add("VECTOR_SIZE", environments::VECTOR_SIZE)?;
+    module.add("VECTOR_SIZE", setup::VECTOR_SIZE)?;
     module.add("TRANSFORMED_SIZE", wad_cosim::perception::TRANSFORMED_SIZE)?;
     module.add_class::<environments::Environments>()?;
     module.add_class::<collection::Collection>()?;
@@ -34,6 +36,7 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<evaluation::Ledger>()?;
     module.add_class::<evaluation::Worker>()?;
     module.add_function(wrap_pyfunction!(setup::bench, module)?)?;
+    module.add_function(wrap_pyfunction!(info::info_of, module)?)?;
     module.add_function(wrap_pyfunction!(setup::names, module)?)?;
     module.add_function(wrap_pyfunction!(setup::suites, module)?)?;
     module.add_function(wrap_pyfunction!(curriculum::check_curriculum, module)?)?;

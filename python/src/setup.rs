@@ -10,15 +10,23 @@ use std::sync::{Arc, Mutex, PoisonError, Weak};
 use wad_cosim::agent::policy::find_encoder;
 use wad_cosim::assets::Assets;
 use wad_cosim::bridge::DEFAULT_TICK_MS;
-use wad_cosim::camera::Preset;
+use wad_cosim::camera::{CameraConfig, Preset};
 use wad_cosim::env::{EnvOptions, ObservationMode};
 use wad_cosim::eval::Suite;
 use wad_cosim::eval::routes::{RouteError, Routes};
 use wad_cosim::latent::Encoder;
+use wad_cosim::observation::{LATENT_SIZE, RAW_SIZE};
+use wad_cosim::perception::TRANSFORMED_SIZE;
 use wad_cosim::seeds;
 use wad_cosim::tasks::{Placement, TaskKind, TaskSpec};
 use wad_cosim::traci::process::SumoInstall;
 use wad_cosim::traffic::TrafficSpec;
+
+/// Numbers of [`Part::Vector`]: the surroundings, then the raw states.
+pub const VECTOR_SIZE: usize = ObservationMode::Vector.latent_size() + RAW_SIZE;
+
+/// Numbers of [`Part::Latent`]: the latent, then the raw states.
+pub const LATENT_AND_RAW_SIZE: usize = LATENT_SIZE + RAW_SIZE;
 
 /// A part of an observation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
@@ -37,6 +45,33 @@ pub enum Part {
 }
 
 impl Part {
+    /// Its name in Python.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Raw => "raw",
+            Self::Vector => "vector",
+            Self::Latent => "latent",
+            Self::Image => "image",
+            Self::Transformed => "transformed",
+        }
+    }
+
+    /// Whether it is made of bytes, not of 32-bit numbers.
+    pub fn is_bytes(self) -> bool {
+        matches!(self, Self::Image | Self::Transformed)
+    }
+
+    /// The shape of its array, with this camera.
+    pub fn shape(self, camera: &CameraConfig) -> Vec<usize> {
+        match self {
+            Self::Raw => vec![RAW_SIZE],
+            Self::Vector => vec![VECTOR_SIZE],
+            Self::Latent => vec![LATENT_AND_RAW_SIZE],
+            Self::Image => vec![camera.height, camera.width, 3],
+            Self::Transformed => vec![TRANSFORMED_SIZE, TRANSFORMED_SIZE, 3],
+        }
+    }
+
     /// Whether lanes are found and the transformed image is painted for it.
     fn encodes(self) -> bool {
         matches!(self, Self::Latent | Self::Transformed)
@@ -71,7 +106,7 @@ pub struct Setup {
     pub render: bool,
     /// SUMO's own window.
     pub gui: bool,
-    /// The MCAP file that the drives go into.
+    /// The MCAP file that the drives go into; of several environments each has its own, [`Setup::recording`].
     pub record: Option<PathBuf>,
     /// Egos in one SUMO.
     pub egos: usize,
@@ -107,6 +142,21 @@ impl Setup {
     /// Whether pictures are drawn beside what the environment itself sees.
     pub fn draws(&self) -> bool {
         self.render || self.record.is_some() || self.observation.contains(&Part::Image)
+    }
+
+    /// The file of the drives of environment `index` of `count`: `drive.mcap` of one, `drive-0.mcap` and so on of several.
+    pub fn recording(&self, index: usize, count: usize) -> Option<PathBuf> {
+        let path = self.record.as_ref()?;
+        if count == 1 {
+            return Some(path.clone());
+        }
+        let mut name = path.file_stem().unwrap_or_default().to_os_string();
+        name.push(format!("-{index}"));
+        if let Some(ending) = path.extension() {
+            name.push(".");
+            name.push(ending);
+        }
+        Some(path.with_file_name(name))
     }
 
     /// A new encoder; one without weights where no latent is asked for.
@@ -226,27 +276,26 @@ pub fn suites() -> Result<String, PyErr> {
     Ok(serde_json::to_string(&found).map_err(|e| Failure::Other(e.to_string()))?)
 }
 
-/// Seconds for `steps` steps of the expert's drive through the episode of `seed` without Python between them, and the steps driven: the measure
-/// for `python -m wad_cosim.bench`.
+/// The seconds of each of at most `steps` steps of the expert's drive through the episode of `seed`, without Python between
+/// them: the measure for `python -m wad_cosim.bench`.
 #[pyfunction]
-pub fn bench(py: Python<'_>, setup: &str, seed: u64, steps: usize) -> PyResult<(f64, usize)> {
+pub fn bench(py: Python<'_>, setup: &str, seed: u64, steps: usize) -> PyResult<Vec<f64>> {
     let setup = Setup::parse(setup)?;
     let measured = py.detach(|| {
-        let mut episodes = Episodes::new(Arc::new(Tasks::open(&setup)?), &setup)?;
+        let mut episodes = Episodes::new(Arc::new(Tasks::open(&setup)?), &setup, setup.record.as_deref())?;
         episodes.reset(seed, None)?;
-        let (mut seconds, mut driven) = (0.0, 0);
-        while driven < steps {
+        let mut seconds = Vec::with_capacity(steps);
+        while seconds.len() < steps {
             let action = episodes.expert()?;
             let begin = std::time::Instant::now();
             let (_, news) = episodes.step(action)?;
-            seconds += begin.elapsed().as_secs_f64();
-            driven += 1;
+            seconds.push(begin.elapsed().as_secs_f64());
             if news.ending.is_some() {
                 break;
             }
         }
         episodes.close()?;
-        Ok::<_, Failure>((seconds, driven))
+        Ok::<_, Failure>(seconds)
     });
     Ok(measured?)
 }

@@ -175,6 +175,11 @@ impl Shared {
         *lock(&self.running) += jobs;
     }
 
+    /// Whether no job runs.
+    pub fn is_idle(&self) -> bool {
+        *lock(&self.running) == 0
+    }
+
     /// Waits until no job runs; false: after `limit` some still do.
     pub fn wait(&self, limit: Duration) -> bool {
         let running = lock(&self.running);
@@ -289,7 +294,8 @@ impl Driver {
             egos.give_up_when(is_given_up);
             Seats::Many(Box::new(egos))
         } else {
-            let mut episodes = Episodes::new(Arc::clone(tasks), setup)?;
+            let record = setup.recording(first, shared.answers.len());
+            let mut episodes = Episodes::new(Arc::clone(tasks), setup, record.as_deref())?;
             episodes.give_up_when(is_given_up);
             Seats::One(Box::new(One { episodes, over: true }))
         };
@@ -309,8 +315,14 @@ impl Driver {
     /// Does a job, writes arrays and answers, and tells what is left to do: after an episode's end the long begin of
     /// the next.
     pub fn drive(&mut self, job: Job) -> Option<Job> {
+        let shared = Arc::clone(&self.shared);
+        self.drive_into(job, &shared.now)
+    }
+
+    /// The same with observations and numbers written to `now`.
+    pub fn drive_into(&mut self, job: Job, now: &Arrays) -> Option<Job> {
         let done = guarded(|| {
-            let place = Place { first: self.first, shared: &self.shared };
+            let place = Place { first: self.first, shared: &self.shared, now };
             if self.waits && !matches!(job, Job::Reset(..)) {
                 return Err(Failure::Other("no episode is running: call reset first".to_string()));
             }
@@ -342,6 +354,7 @@ impl Driver {
 struct Place<'a> {
     first: usize,
     shared: &'a Shared,
+    now: &'a Arrays,
 }
 
 impl Place<'_> {
@@ -372,7 +385,7 @@ impl One {
                         left = Some(Job::Next(seed));
                         last
                     }
-                    _ => &shared.now,
+                    _ => place.now,
                 };
                 arrays.write(index, |part, row| self.episodes.write(part, row), &numbers);
             }
@@ -380,7 +393,7 @@ impl One {
                 self.reset(place, seed, None)?;
                 place.answer(0).began = true;
                 if let Some(last) = &shared.last {
-                    last.copy_outcome(index, &shared.now);
+                    last.copy_outcome(index, place.now);
                 }
             }
             Job::Expert => place.answer(0).action = self.episodes.expert()?,
@@ -394,7 +407,7 @@ impl One {
     fn reset(&mut self, place: Place<'_>, seed: u64, route: Option<usize>) -> Result<(), Failure> {
         let numbers = self.episodes.reset(seed, route)?;
         self.over = false;
-        place.shared.now.write(place.first, |part, row| self.episodes.write(part, row), &numbers);
+        place.now.write(place.first, |part, row| self.episodes.write(part, row), &numbers);
         Ok(())
     }
 }
@@ -409,7 +422,7 @@ fn drive_all(egos: &mut Egos, place: Place<'_>, job: Job) -> Result<(), Failure>
     };
     for (ego, (numbers, news, began)) in told.into_iter().enumerate() {
         let write = |part, row: Row<'_>| egos.write(ego, part, row);
-        place.shared.now.write(place.first + ego, write, &numbers);
+        place.now.write(place.first + ego, write, &numbers);
         let mut answer = place.answer(ego);
         (answer.news, answer.began, answer.sumo) = (news, began, egos.sumo());
     }

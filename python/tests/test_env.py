@@ -1,5 +1,6 @@
 """One environment on a real SUMO."""
 
+import json
 import os
 import signal
 import subprocess
@@ -14,6 +15,7 @@ from gymnasium.utils.env_checker import check_env
 
 import wad_cosim
 from conftest import sumos, until
+from wad_cosim import observations
 
 GO = np.float32([0, 0.4, 0])
 
@@ -38,6 +40,20 @@ def test_every_id_passes_gymnasiums_check(id):
 )
 def test_every_form_passes_gymnasiums_check(make, action, observation):
     check_env(make(action=action, observation=observation, traffic=(5, 5)).unwrapped)
+
+
+def test_every_number_of_an_observation_has_a_name(make):
+    for observation, names in (("raw", observations.RAW_NAMES), ("vector", observations.VECTOR_NAMES)):
+        assert make(observation=observation).observation_space.shape == (len(names),) == (len(set(names)),)
+    # Names and numbers belong together: the ego drives ahead on a road with a speed limit of 13.89 m/s or less.
+    env = make(observation="vector", traffic="empty")
+    env.reset(seed=1)
+    for _ in range(10):
+        numbers, _, _, _, info = env.step(GO)
+    found = dict(zip(observations.VECTOR_NAMES, numbers))
+    assert found["speed"] == pytest.approx(info["speed"] / 15, rel=1e-5)
+    assert 0.05 < found["route_5_ahead"] < found["route_50_ahead"] <= 1.01
+    assert 0.2 < found["speed_limit"] <= 2 and found["user_0_there"] == found["user_11_brake_lights"] == 0
 
 
 def drive(env, seed):
@@ -252,18 +268,18 @@ def test_a_sumo_that_is_killed_or_hangs_costs_one_truncated_episode(make, fault)
     assert not os.path.exists(f"/proc/{sumo}")
 
 
-def test_a_killed_python_leaves_no_sumo(tmp_path):
+@pytest.mark.parametrize("made", ["wad_cosim.DrivingEnv(task='straight')", "wad_cosim.DrivingVectorEnv(4, task='straight')"])
+def test_a_killed_python_leaves_no_sumo(tmp_path, made):
     script = (
-        "import gymnasium, wad_cosim, time\n"
-        "env = gymnasium.make('wad_cosim/Straight-v0'); env.reset(seed=1)\n"
-        "print(env.unwrapped.sumo_pid, flush=True); time.sleep(600)"
+        f"import wad_cosim, time; env = {made}; env.reset(seed=1)\n"
+        "print(getattr(env, 'sumo_pids', None) or [env.sumo_pid], flush=True); time.sleep(600)"
     )
     child = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, cwd=tmp_path)
-    pid = int(child.stdout.readline())
-    assert os.path.exists(f"/proc/{pid}")
+    pids = json.loads(child.stdout.readline())
+    assert pids and all(os.path.exists(f"/proc/{pid}") for pid in pids)
     child.kill()
     child.wait()
-    assert until(lambda: not os.path.exists(f"/proc/{pid}"))
+    assert until(lambda: not any(os.path.exists(f"/proc/{pid}") for pid in pids))
 
 
 def test_a_dropped_environment_leaves_no_sumo():

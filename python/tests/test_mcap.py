@@ -82,8 +82,38 @@ def test_a_recording_that_cannot_be(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(wad_cosim.InputError, match="cannot write"):
         gymnasium.make("wad_cosim/Straight-v0", record=tmp_path / "file" / "drive.mcap")
-    with pytest.raises(wad_cosim.InputError, match="record one environment"):
-        wad_cosim.DrivingVectorEnv(2, task="straight", record=tmp_path / "drive.mcap")
+    with pytest.raises(wad_cosim.InputError, match="several egos in one SUMO have neither pictures"):
+        wad_cosim.DrivingVectorEnv(2, egos=2, task="straight", record=tmp_path / "drive.mcap")
+
+
+@pytest.mark.parametrize("observation", ["raw", "vector", "image", "transformed"])
+def test_boxes_are_recorded_whatever_the_agent_observes(tmp_path, observation):
+    path = tmp_path / "drive.mcap"
+    env = gymnasium.make("wad_cosim/Composite-v0", record=path, tick_limit=12, observation=observation, traffic="dense")
+    env.reset(seed=1)
+    for _ in range(12):
+        env.step(np.float32([0, 0.4, 0]))
+    env.close()
+    found = read(path)
+    check(found, 12)
+    boxes = [shown["points"] for _, shown in found["/camera/boxes"]]
+    assert sum(map(len, boxes)) > 0
+    assert all(0 <= corner["x"] <= 512 and 0 <= corner["y"] <= 512 for each in boxes for box in each for corner in box["points"])
+
+
+def test_several_environments_have_a_recording_each(tmp_path):
+    env = gymnasium.make_vec("wad_cosim/Straight-v0", num_envs=2, record=tmp_path / "drive.mcap", traffic="empty")
+    env.reset(seed=1)
+    for _ in range(5):
+        env.step(np.tile(np.float32([0, 0.4, 0]), (2, 1)))
+    env.close()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["drive-0.mcap", "drive-1.mcap"]
+    places = []
+    for path in sorted(tmp_path.iterdir()):
+        found = read(path)
+        check(found, 5)
+        places.append(found["/ego"][0][1]["pose"]["position"])
+    assert places[0] != places[1]
 
 
 def test_a_recording_of_the_program(tmp_path):

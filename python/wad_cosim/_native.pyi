@@ -22,10 +22,12 @@ __all__ = [
     "TRANSFORMED_SIZE",
     "VECTOR_SIZE",
     "VERSION",
+    "WHOLE",
     "Worker",
     "bench",
     "check_curriculum",
     "evaluate",
+    "info_of",
     "names",
     "note_episode",
     "report_of",
@@ -37,6 +39,7 @@ __all__ = [
 
 VERSION: str
 NUMBERS: list[str]
+WHOLE: list[str]
 RAW_SIZE: int
 VECTOR_SIZE: int
 LATENT_SIZE: int
@@ -67,6 +70,9 @@ class Environments:
     def step(
         self, actions: NDArray[np.float32], seeds: Sequence[int]
     ) -> list[tuple[int, bool, list[dict[str, Any]], tuple[str, str, bool] | None]]: ...
+    def step_one(
+        self, action: NDArray[np.float32]
+    ) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]: ...
     def expert(self) -> list[list[float]]: ...
     def picture(self, index: int) -> NDArray[np.uint8]: ...
     def sumos(self) -> list[int | None]: ...
@@ -135,7 +141,8 @@ def note_episode(
 def suites() -> str: ...
 def use_openvino(folder: str | os.PathLike[str]) -> None: ...
 def use_sumo(home: str | os.PathLike[str]) -> None: ...
-def bench(setup: str, seed: int, steps: int) -> tuple[float, int]: ...
+def bench(setup: str, seed: int, steps: int) -> list[float]: ...
+def info_of(numbers: NDArray[np.float64]) -> dict[str, Any]: ...
 def evaluate(
     wanted: str,
     act: Callable[[NDArray[np.float32] | None, int], Sequence[float] | None] | None,

@@ -42,8 +42,9 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
             on between episodes, and standing without a reason ends an episode after 4 s, not 90).
         tick_limit: Ticks until an episode is truncated. Default: the task's own.
         options: More of the simulator's options, as docs/python.md lists them.
-        record: A ``.mcap`` file for Foxglove and Rerun with picture, boxes (of ``latent`` and ``transformed``), map, traffic,
-            pose and reward of every tick; it is complete after ``close``. A picture a tick takes time.
+        record: A ``.mcap`` file for Foxglove and Rerun with picture, boxes (of the detector; with ``vector`` those of ``truth``),
+            map, traffic, pose and reward of every tick; it is complete after ``close``. A picture a tick takes time. Of several
+            environments each has its own, ``drive-0.mcap`` and so on.
         render_mode: ``rgb_array`` (the front camera's picture, drawn when asked for) or ``human`` (SUMO's own window).
 
     Raises:
@@ -82,7 +83,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         super().reset(seed=seed)
         chosen = int(self.np_random.integers(2**63)) if seed is None else int(seed) % 2**64
         self._native.reset([chosen], route_of(options))
-        return self._arrays.one(0), infos.of(self._arrays.numbers[0].tolist())
+        return self._arrays.one(0), infos.of(self._arrays.numbers[0])
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Drives one tick.
@@ -96,16 +97,11 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
             InputError: The action has another shape or type, or is not finite.
             Error: No episode is running, or the environment is closed.
         """
-        news = self._native.step(self._setup.controls([action], 1), [0])
-        numbers = self._arrays.numbers[0].tolist()
-        info = infos.of(numbers)
-        for _, _, events, ending in news:
-            infos.add_news(info, events, ending)
-        observation = self._arrays.one(0)
-        reward = numbers[infos.REWARD]
+        parts, reward, terminated, truncated, info = self._native.step_one(self._setup.controls([action], 1))
+        observation = parts if self._arrays.named else parts[self._arrays.parts[0]]
         if self._setup.reward is not None:
             reward = float(self._setup.reward(observation, action, info))
-        return observation, reward, numbers[infos.TERMINATED] != 0, numbers[infos.TRUNCATED] != 0, info
+        return observation, reward, terminated, truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override, unused-ignore]
         """The front camera's picture, (height, width, 3), with ``render_mode="rgb_array"``."""

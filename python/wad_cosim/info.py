@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from . import _native
 
 REWARD, TERMINATED, TRUNCATED = 0, 1, 2
-_WHOLE = {"tick", "vehicles", "pedestrians"}
 _TERMS = _native.NUMBERS.index("timeout")
 _NAMES = [(i, name) for i, name in enumerate(_native.NUMBERS[:_TERMS]) if i > TRUNCATED]
 _TERM_NAMES = list(enumerate(_native.NUMBERS[_TERMS:], _TERMS))
@@ -26,11 +25,9 @@ _TERM_NAMES = list(enumerate(_native.NUMBERS[_TERMS:], _TERMS))
 TERMS = tuple(name for _, name in _TERM_NAMES)
 
 
-def of(numbers: list[float]) -> dict[str, Any]:
+def of(numbers: NDArray[np.float64]) -> dict[str, Any]:
     """The ``info`` of an environment's row of numbers."""
-    info: dict[str, Any] = {name: int(numbers[i]) if name in _WHOLE else numbers[i] for i, name in _NAMES}
-    info["reward_terms"] = {name: numbers[i] for i, name in _TERM_NAMES}
-    return info
+    return _native.info_of(numbers)
 
 
 def add_news(info: dict[str, Any], events: list[dict[str, Any]], ending: tuple[str, str, bool] | None) -> None:
@@ -43,17 +40,17 @@ def add_news(info: dict[str, Any], events: list[dict[str, Any]], ending: tuple[s
 
 def of_all(numbers: NDArray[np.float64], chosen: NDArray[np.bool_]) -> dict[str, Any]:
     """The same for many environments, as Gymnasium's vector environments have it: an array by name, and under
-    ``_name`` the environments that have a value."""
-
-    def column(i: int, name: str) -> NDArray[Any]:
-        values = np.where(chosen, numbers[:, i], 0)
-        return values.astype(int) if name in _WHOLE else values
-
+    ``_name`` the environments that have a value, one array for all names."""
+    columns = numbers.T.copy()
+    has = chosen.copy()
+    if not has.all():
+        columns[:, ~has] = 0
     info: dict[str, Any] = {}
     for i, name in _NAMES:
-        info[name], info["_" + name] = column(i, name), chosen.copy()
+        info[name] = columns[i].astype(int) if name in _native.WHOLE else columns[i]
+        info["_" + name] = has
     terms: dict[str, Any] = {}
     for i, name in _TERM_NAMES:
-        terms[name], terms["_" + name] = column(i, name), chosen.copy()
-    info["reward_terms"], info["_reward_terms"] = terms, chosen.copy()
+        terms[name], terms["_" + name] = columns[i], has
+    info["reward_terms"], info["_reward_terms"] = terms, has
     return info

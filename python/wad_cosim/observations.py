@@ -74,6 +74,36 @@ RAW_NAMES = (
     "stop_light_nearness",
 )
 
+_USER_NAMES = (
+    "there",
+    "ahead",
+    "left",
+    "cos_heading",
+    "sin_heading",
+    "speed",
+    "length",
+    "width",
+    "motor_vehicle",
+    "two_wheeler",
+    "person",
+    "brake_lights",
+)
+
+#: Names of the vector by index.
+VECTOR_NAMES = (
+    *(f"route_{metres}_{side}" for metres in range(5, 55, 5) for side in ("ahead", "left")),
+    "speed_limit",
+    "speed_limit_ahead",
+    "signal_red",
+    "signal_yellow",
+    "signal_green",
+    "signal_nearness",
+    "give_way",
+    "give_way_nearness",
+    *(f"user_{user}_{what}" for user in range(12) for what in _USER_NAMES),
+    *RAW_NAMES,
+)
+
 #: The values of ``observation=``.
 FORMS = ("raw", "vector", "latent", "image", "transformed", "dict")
 

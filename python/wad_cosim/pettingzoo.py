@@ -124,7 +124,7 @@ class DrivingParallelEnv(ParallelEnv[str, Any, Any]):
         return {agent: self._arrays.one(i) for i, agent in enumerate(self.possible_agents)}
 
     def _info(self, index: int) -> dict[str, Any]:
-        return infos.of(self._arrays.numbers[index].tolist())
+        return infos.of(self._arrays.numbers[index])
 
     @property
     def sumo_pid(self) -> int | None:

@@ -53,8 +53,6 @@ class DrivingVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             raise InputError(f"num_envs={num_envs}: expected 1 or more")
         mode = autoreset_mode if isinstance(autoreset_mode, AutoresetMode) else AutoresetMode(autoreset_mode)
         setup = Setup(**kwargs)
-        if kwargs.get("record") is not None:
-            raise InputError("record: many environments would write one file; record one environment")
         self._setup = setup
         self._mode = mode
         self._copy = copy
@@ -126,7 +124,7 @@ class DrivingVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             if began:
                 self._seeds[i] = self._drawn(i)
                 if ending is not None and self._last is not None:
-                    details = {**infos.of(self._last.numbers[i].tolist()), **details}
+                    details = {**infos.of(self._last.numbers[i]), **details}
                     details = {"final_obs": self._last.one(i), "final_info": details}
             info = self._add_info(info, details, i)
         observations = self._arrays.all(self._copy)
@@ -144,7 +142,7 @@ class DrivingVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             if began and ending is None:
                 continue
             arrays = self._last if began and self._last is not None else self._arrays
-            own = infos.of(arrays.numbers[i].tolist())
+            own = infos.of(arrays.numbers[i])
             infos.add_news(own, events, ending)
             rewards[i] = self._setup.reward(arrays.one(i), actions[i], own)
 

@@ -283,6 +283,18 @@ impl Eyes {
         }
     }
 
+    /// The same, and finds the objects in it, for display: nothing is judged by them.
+    ///
+    /// # Errors
+    /// The detector fails.
+    pub fn spot(&mut self, pose: &Pose) -> Result<(), EyesError> {
+        self.glance(pose);
+        if let Some(Sight { camera, perception: Some(perception), .. }) = &mut self.sight {
+            perception.detect(camera.frame())?;
+        }
+        Ok(())
+    }
+
     /// The agent's observation of the last look.
     pub fn observation(&self) -> Observation {
         let raw = match self.mode {
