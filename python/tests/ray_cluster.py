@@ -1,5 +1,6 @@
 """A Ray cluster of a head and nodes on this machine, for tests that kill its parts."""
 
+import contextlib
 import os
 import pathlib
 import resource
@@ -98,3 +99,27 @@ def children(pid, name):
 
 def raylet(node):
     return node.all_processes["raylet"][0].process.pid
+
+
+def seconds(*pids):
+    """What these processes have used of the cores (s)."""
+    fields = [pathlib.Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split() for pid in pids]
+    return sum(int(field[11]) + int(field[12]) for field in fields) / os.sysconf("SC_CLK_TCK")
+
+
+def listeners(pids):
+    """Addresses on which these processes listen, as /proc/net has them."""
+    sockets = set()
+    for pid in pids:
+        # A process may end meanwhile.
+        with contextlib.suppress(OSError):
+            for file in os.listdir(f"/proc/{pid}/fd"):
+                with contextlib.suppress(OSError):
+                    sockets.add(os.readlink(f"/proc/{pid}/fd/{file}"))
+    found = set()
+    for table in ("tcp", "tcp6"):
+        for line in pathlib.Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
+            _, local, _, state, *rest = line.split()
+            if state == "0A" and f"socket:[{rest[5]}]" in sockets:
+                found.add(local.split(":")[0])
+    return found

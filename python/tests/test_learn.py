@@ -1,6 +1,7 @@
 """WAD-T and WAD-S in PyTorch: their updates are the Rust trainer's, and their files are its files."""
 
 import dataclasses
+import functools
 import json
 import os
 import pathlib
@@ -134,11 +135,13 @@ def test_segments_end_where_episodes_do():
     # The first ego's episode ends in tick 2; in tick 3 it waits, and in tick 4 it begins another.
     terminated[2, 0], valid[3:5, 0] = True, False
     places = np.arange(ticks * egos).reshape(ticks, egos)
-    found = list(training.segments(observations, actions, observations[:-1, :, 0], valid, terminated, places))
+    found = list(training.segments(observations, actions, observations[:-1, :, 0], valid, terminated, places, [np.array([70, 71]), np.array([80])]))
     assert [segment.places.tolist() for segment in found] == [[0, 2, 4], [10], [1, 3, 5, 7, 9, 11]]
     assert [segment.observations[:, 0].tolist() for segment in found] == [[0, 1, 2, 3], [5, 6], [*range(100, 107)]]
     assert [segment.rewards.tolist() for segment in found] == [[0, 1, 2], [5], [*range(100, 106)]]
     assert [segment.terminated for segment in found] == [True, False, False]
+    assert found[0].lead.tolist() == [70, 71, 0, 2, 4], "what its episode did in the turn before leads to its end too"
+    assert found[1].lead is found[2].lead is None
 
 
 def test_a_place_is_ten_metres_of_ground_in_one_direction():
@@ -162,15 +165,27 @@ def test_the_share_near_ends_is_drawn_from_all_that_was_driven_there():
         return batch.observation[:, 0].numpy()
 
     drawn = episodes(buffer, 0.5)
-    # Of the forty before an end seventeen are its own, the others of the episodes before, elsewhere.
     there = drawn[drawn % 10 == 0]
-    assert 0.2 < len(there) / len(drawn) < 0.35, "expected 0.5 * 17 / 39 + 0.5 * 0.1"
+    assert 0.5 < len(there) / len(drawn) < 0.6, "expected 0.5 + 0.5 * 0.1"
     assert 0.35 < (there % 20 == 0).mean() < 0.65, "half of what was driven there ended there"
     assert (episodes(buffer, 0) % 10 == 0).mean() < 0.15
     # The same from a checkpoint.
     other = replay.ReplayBuffer(1024, 1)
     other.load(buffer.state())
     assert (episodes(other, 0.5) == drawn).all()
+
+
+def test_what_leads_to_an_end_is_its_own_episode_though_other_egos_segments_lie_between():
+    buffer = replay.ReplayBuffer(4096, 1)
+    for turn in range(30):
+        for ego in range(4):
+            # Only the first ego's episodes end, in every third turn; they drive at places 1 to 3, the others elsewhere.
+            numbers, last = np.full((17, 1), ego, np.float32), ego == 0 and turn % 3 == 2
+            there = np.full(16, 1 + turn % 3 if ego == 0 else 10 + ego)
+            lead = np.repeat([1, 2, 3], 16)[-replay.NEAR :] if last else None
+            buffer.push(replay.Segment(numbers, np.zeros((16, 3), np.float32), np.zeros(16, np.float32), last, there, lead))
+    batch = buffer.sample(np.random.default_rng(1), 1000, 1, 0.9, 1.0)
+    assert (batch.observation == 0).all()
 
 
 def test_where_places_are_not_known_all_is_drawn_alike():
@@ -382,4 +397,19 @@ def test_a_collector_outlives_its_sumo_but_not_five_in_a_row():
         for turns in range(4, 20):
             drive(dies=True)
     assert turns == 9, "the fifth turn after a death in each"
+    collector.close()
+
+
+def test_a_sumo_that_hangs_costs_its_egos_episodes_only(monkeypatch):
+    quick = functools.partial(wad_cosim.DrivingVectorEnv, options={"tick_timeout": 1})
+    monkeypatch.setattr(training, "DrivingVectorEnv", quick)
+    settings = Settings(egos=2, segment=10, **SMALL)
+    collector, weights = training.Collector(0, settings), Learner(settings).published().weights
+    assert collector.drive(0, weights, False)[1]
+    (hung,) = sumos()
+    os.kill(hung, signal.SIGSTOP)
+    episodes, _ = collector.drive(1, weights, False)
+    assert not any(episode["end"] == "error" for episode in episodes), "it says nothing about driving"
+    episodes, found = collector.drive(2, weights, False)
+    assert found and hung not in sumos(), "another SUMO drives"
     collector.close()

@@ -9,7 +9,7 @@ import time
 
 import pytest
 from conftest import until
-from ray_cluster import children, cluster, finish, nodes, processes, raylet, start  # noqa: F401
+from ray_cluster import children, cluster, finish, listeners, nodes, processes, raylet, seconds, start  # noqa: F401
 
 import wad_cosim
 from wad_cosim import _native
@@ -53,12 +53,6 @@ def drive(start):
     options = [text for name, value in PART.items() for text in (f"--{name}", str(value))]
     command = ["eval", "tasks", "--agent", AGENT, "--keep", "all", *options]
     return lambda out, *more, limit=None: start(command, out, *more, limit=limit)
-
-
-def seconds(*pids):
-    """What these processes have used of the cores (s)."""
-    fields = [pathlib.Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split() for pid in pids]
-    return sum(int(field[11]) + int(field[12]) for field in fields) / os.sysconf("SC_CLK_TCK")
 
 
 def kill_worker(cluster, node):
@@ -176,9 +170,19 @@ def test_a_worker_that_hangs_before_its_first_episode_is_started_again(cluster, 
     assert_same(out, one_machine)
 
 
-def test_local_needs_no_cluster(drive, one_machine, tmp_path):
-    out = tmp_path / "out"
-    finish(drive(out, "--address", "local", "--workers", "1"))
+#: 127.0.0.1, ::1, and the first in IPv6's way.
+LOOPBACK = {"0100007F", "00000000000000000000000001000000", "0000000000000000FFFF00000100007F"}
+
+
+def test_local_needs_no_cluster_and_is_closed_to_others(drive, one_machine, tmp_path):
+    out, before = tmp_path / "out", set(processes(""))
+    driver = drive(out, "--address", "local", "--workers", "1")
+    assert until(lambda: lines(out) or driver.poll() is not None, 60)
+    ours = set(processes("")) - before - set(processes("sumo"))
+    assert {"raylet", "gcs_server"} <= {pathlib.Path(f"/proc/{pid}/exe").resolve().name for pid in ours}
+    assert listeners(ours) and listeners(ours) <= LOOPBACK
+    said = finish(driver)
+    assert f"{EPISODES}/{EPISODES} episodes, " in said and " an hour, 0 s left, 1 nodes, 0 restarts" in said
     assert_same(out, one_machine)
 
 

@@ -5,11 +5,12 @@ import os
 import pathlib
 import signal
 import subprocess
+import time
 
 import numpy as np
 import pytest
 from conftest import until
-from ray_cluster import children, cluster, finish, nodes, processes, raylet, start  # noqa: F401
+from ray_cluster import children, cluster, finish, nodes, processes, raylet, seconds, start  # noqa: F401
 
 import wad_cosim
 
@@ -110,6 +111,92 @@ def test_the_learners_node_and_the_driver_die(cluster, nodes, start, tmp_path):
     assert saved(out) > done
     last = saved(out) + 200
     assert_trained(out, finish(start(MORE, out, "--steps", str(last), "--resume")), last)
+
+
+def test_a_turn_that_is_lost_between_its_answer_and_the_learner_costs_that_turn_only(cluster, nodes, start, tmp_path):
+    """A turn of more than 100 kB stays on its collector's node until the learner fetches it."""
+    import ray
+    from ray.util.placement_group import placement_group_table
+
+    out = tmp_path / "out"
+    driver = start([*COMMAND, "--segment", "600"], out, "--steps", "50000")
+    wait_for(driver, lambda: step(out) > 0)
+    (learner,), (collector,) = processes("ray::Learner"), processes("ray::Collector")
+    os.kill(learner, signal.SIGSTOP)
+    try:
+        # It is at most a turn ahead of the learner, and rests then.
+        used = [-1.0, 0.0]
+
+        def rests():
+            time.sleep(1)
+            used[:] = used[1], seconds(collector)
+            return used[1] - used[0] < 0.2
+
+        wait_for(driver, rests)
+        (victim,) = (node for node in nodes if children(raylet(node), "ray::Collector"))
+        ray.init(cluster.address, log_to_driver=False)
+
+        def without_core():
+            return sum(group["state"] == "REMOVED" for group in placement_group_table().values())
+
+        before = without_core()
+        cluster.remove_node(victim, allow_graceful=False)
+        # Its collector finds no core, and is given up: nobody drives the turn again.
+        wait_for(driver, lambda: without_core() > before)
+    finally:
+        ray.shutdown()
+        os.kill(learner, signal.SIGCONT)
+    before = step(out)
+    cluster.add_node(num_cpus=1, node_ip_address="127.0.0.1")
+    wait_for(driver, lambda: step(out) > before)
+    assert processes("ray::Learner") == [learner], "the learner goes on"
+    driver.send_signal(signal.SIGINT)
+    said = finish(driver, 4)
+    assert "the learner died" not in said
+    last = saved(out) + 200
+    assert_trained(out, finish(start(MORE, out, "--steps", str(last), "--resume")), last)
+
+
+def test_a_sumo_that_hangs_is_ended_with_its_collector(nodes, start, tmp_path):
+    """For longer than a turn may take: without --task-timeout the SUMO would be given up after a minute."""
+    out = tmp_path / "out"
+    driver = start([*COMMAND, "--task-timeout", "15"], out, "--steps", str(STEPS))
+    wait_for(driver, lambda: step(out) >= 300)
+    (collector,) = processes("ray::Collector")
+    hung = children(collector, "sumo")
+    assert hung
+    for sumo in hung:
+        os.kill(sumo, signal.SIGSTOP)
+    wait_for(driver, lambda: processes("ray::Collector") not in ([], [collector]))
+    assert until(lambda: not set(hung) & set(processes("sumo"))), "the SUMO that hangs is left"
+    said = finish(driver)
+    assert "the learner died" not in said and " 1 restarts" in said
+    assert_trained(out, said)
+
+
+@pytest.mark.parametrize("file", ["train.jsonl", "checkpoint.pt"])
+def test_a_full_disk_at_the_driver_costs_the_steps_since_the_last_checkpoint(nodes, start, tmp_path, file):
+    out = tmp_path / "out"
+    if file == "train.jsonl":
+        # It is full before the first checkpoint, which would not fit either.
+        command = [*COMMAND, "--checkpoint-every", "1000000", "--steps", str(STEPS)]
+        said = finish(start(command, out, limit=6000), 1)
+    else:
+        first = start(COMMAND, out, "--steps", str(STEPS))
+        wait_for(first, lambda: saved(out))
+        first.send_signal(signal.SIGINT)
+        assert "--resume goes on" in finish(first, 4)
+        # There is room for some hundred transitions more.
+        limit = (out / file).stat().st_size + 20_000
+        said = finish(start(MORE, out, "--steps", str(2 * STEPS), "--resume", limit=limit), 1)
+    assert f"error: cannot write {out / file}" in said and "--resume goes on" in said
+    assert not list(out.glob("*.part")), "what could not be written takes room"
+    assert until(lambda: not processes("sumo")), "a SUMO is left"
+    before = saved(out)
+    assert (before > 0) == (file == "checkpoint.pt"), "the last checkpoint stays"
+    last = max(STEPS, before + 800)
+    assert_trained(out, finish(start(MORE, out, "--steps", str(last), "--resume")), last)
+    assert saved(out) > before
 
 
 def test_a_folder_of_train_agent_is_left_alone(tmp_path):

@@ -37,6 +37,9 @@ class Segment(NamedTuple):
     terminated: bool
     #: Where each transition began, (n,); None: not known.
     places: Places | None = None
+    #: Of one that terminated: where the last :data:`NEAR` transitions of its episode began, those of its earlier segments included. None:
+    #: those of this segment are all that is known.
+    lead: Places | None = None
 
 
 class Batch(NamedTuple):
@@ -69,8 +72,9 @@ class ReplayBuffer:
         self._kinds = np.zeros(capacity, np.uint8)
         self._places = np.full(capacity, UNKNOWN, np.int64)
         self._visits = Visits()
-        #: The entries that are terminations, oldest first.
-        self._terminations: collections.deque[int] = collections.deque()
+        #: The entries that are terminations, oldest first, each with the places that lead to it. They are kept here since other egos'
+        #: segments lie between those of an episode.
+        self._terminations: collections.deque[tuple[int, Places]] = collections.deque()
         self._written = 0
 
     def __len__(self) -> int:
@@ -90,19 +94,20 @@ class ReplayBuffer:
         if segment.terminated:
             self._kinds[at[n - 1]] = _TERMINATION
         self._index(at)
+        if segment.terminated:
+            lead = self._places[at[:n]] if segment.lead is None else segment.lead
+            self._terminations.append((int(at[n - 1]), np.array(lead[-NEAR:])))
         self._written += n + 1
 
     def _forget(self, overwritten: NDArray[np.intp]) -> None:
         for entry in overwritten.tolist():
-            if self._terminations and self._terminations[0] == entry:
+            if self._terminations and self._terminations[0][0] == entry:
                 self._terminations.popleft()
             self._visits.forget(int(self._places[entry]), entry)
 
     def _index(self, new: NDArray[np.intp]) -> None:
         for entry in new.tolist():
             self._visits.add(int(self._places[entry]), entry)
-            if self._kinds[entry] == _TERMINATION:
-                self._terminations.append(entry)
 
     def sample(self, rng: np.random.Generator, size: int, n_step: int, gamma: float, near_ends: float = 0.0) -> Batch:
         """Draws ``size`` transitions with rewards summed over ``n_step`` ticks, the share ``near_ends`` of them where episodes end, the
@@ -110,10 +115,8 @@ class ReplayBuffer:
         to draw by the outcome would have critics expect it more often than it comes."""
         first = self._draw(rng, size)
         for i in np.flatnonzero(rng.random(size) < near_ends) if self._terminations else ():
-            # Where that is before the episode's begin it is a neighbour's transition, which does no harm.
-            back = int(rng.integers(min(NEAR, len(self))))
-            ended = self._terminations[int(rng.integers(len(self._terminations)))]
-            visits = self._visits.at(int(self._places[(ended - back) % len(self)]))
+            _, lead = self._terminations[int(rng.integers(len(self._terminations)))]
+            visits = self._visits.at(int(lead[int(rng.integers(len(lead)))]))
             if visits:
                 first[i] = visits[int(rng.integers(len(visits)))]
         reward, discount, running = np.zeros(size), np.ones(size), np.ones(size, np.bool_)
@@ -145,7 +148,12 @@ class ReplayBuffer:
         n = len(self)
         parts: dict[str, NDArray[Any]] = {"observations": self._observations, "actions": self._actions}
         parts |= {"rewards": self._rewards, "kinds": self._kinds, "places": self._places}
-        return {"written": self._written, **{name: torch.from_numpy(part[:n]) for name, part in parts.items()}}
+        terminations = [(entry, torch.from_numpy(lead)) for entry, lead in self._terminations]
+        return {
+            "written": self._written,
+            "terminations": terminations,
+            **{name: torch.from_numpy(part[:n]) for name, part in parts.items()},
+        }
 
     def load(self, state: dict[str, Any]) -> None:
         """Takes the state of a buffer of the same capacity."""
@@ -158,3 +166,4 @@ class ReplayBuffer:
         self._written = state["written"]
         oldest = self._written if n == len(self._kinds) else 0
         self._index((oldest + np.arange(n)) % max(n, 1))
+        self._terminations.extend((entry, lead.numpy()) for entry, lead in state.get("terminations", ()))

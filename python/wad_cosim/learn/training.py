@@ -3,6 +3,7 @@ segments and publishes weights by version."""
 
 from __future__ import annotations
 
+import collections
 import io
 import os
 import time
@@ -25,7 +26,7 @@ from . import ALGORITHMS, exploration, new, places, prepare
 from .curriculum import Curriculum, Progress, Stage
 from .exploration import Noise
 from .networks import HIGH, LOW, RAW, latent_size
-from .replay import ReplayBuffer, Segment
+from .replay import NEAR, ReplayBuffer, Segment
 
 #: An actor's numbers by name.
 Weights = dict[str, NDArray[np.float32]]
@@ -204,10 +205,16 @@ class _Fleet:
         #: Of the running episodes, by ego.
         self.returns, self.discounted = np.zeros(settings.egos), np.zeros(settings.egos)
         self.lengths = np.zeros(settings.egos, int)
+        #: Where their last transitions began.
+        self.trails: list[collections.deque[int]] = [collections.deque(maxlen=NEAR) for _ in range(settings.egos)]
         self.terms = {name: np.zeros(settings.egos) for name in TERMS}
 
-    def note(self, driven: NDArray[np.bool_], rewards: NDArray[np.float64], gamma: float) -> None:
-        """Adds a tick of the egos that have ``driven`` one."""
+    def note(
+        self, driven: NDArray[np.bool_], rewards: NDArray[np.float64], began: NDArray[np.int64], gamma: float
+    ) -> None:
+        """Adds a tick of the egos that have ``driven`` one; ``began`` are the places where it began."""
+        for i in np.flatnonzero(driven):
+            self.trails[i].append(int(began[i]))
         rewards = np.where(driven, rewards, 0)
         self.returns += rewards
         self.discounted += gamma**self.lengths * rewards
@@ -237,6 +244,7 @@ class _Fleet:
 
     def forget(self, i: int) -> None:
         """Ego ``i``'s episode is over."""
+        self.trails[i].clear()
         for sums in (self.returns, self.discounted, self.lengths, *self.terms.values()):
             sums[i] = 0
 
@@ -290,7 +298,7 @@ class Collector:
 
     def _drive(self, fleet: _Fleet, learns: bool) -> tuple[list[dict[str, Any]], list[Segment]]:
         settings = self._settings
-        observations = [fleet.now]
+        observations, before = [fleet.now], [np.array(trail, np.int64) for trail in fleet.trails]
         ticks: list[tuple[NDArray[Any], ...]] = []
         episodes: list[dict[str, Any]] = []
         died = False
@@ -304,7 +312,7 @@ class Collector:
             driven = (info["tick"] > 0) & ~lost
             died |= bool(lost.any())
             fleet.noise.reset(info["tick"] == 0)
-            fleet.note(driven, reward, self._gamma)
+            fleet.note(driven, reward, began, self._gamma)
             for i in np.flatnonzero(over):
                 if lost[i]:
                     fleet.forget(int(i))
@@ -316,7 +324,7 @@ class Collector:
         if self._deaths >= _PATIENCE:
             raise Error(f"SUMO died in {_PATIENCE} segments in a row")
         actions, rewards, valid, ended, began = (np.stack(part) for part in zip(*ticks))
-        return episodes, list(segments(np.stack(observations), actions, rewards, valid, ended, began))
+        return episodes, list(segments(np.stack(observations), actions, rewards, valid, ended, began, before))
 
     def _act(self, fleet: _Fleet, learns: bool) -> NDArray[np.float32]:
         fleet.noise.advance()
@@ -340,18 +348,23 @@ def segments(
     valid: NDArray[np.bool_],
     terminated: NDArray[np.bool_],
     began: NDArray[np.int64],
+    before: Sequence[NDArray[np.int64]],
 ) -> Iterator[Segment]:
-    """The segments of T ticks of n egos: observations (T + 1, n, D), actions (T, n, 3), the rest (T, n); ``began`` are places. An ego's transitions
-    that are not valid, such as the tick that begins its next episode, part its segments."""
+    """The segments of T ticks of n egos: observations (T + 1, n, D), actions (T, n, 3), the rest (T, n); ``began`` are places, ``before`` those of
+    each ego's running episode before these ticks. An ego's transitions that are not valid, such as the tick that begins its next episode,
+    part its segments."""
     for ego in range(valid.shape[1]):
         borders = np.flatnonzero(np.diff(valid[:, ego], prepend=False, append=False))
         for begin, end in borders.reshape(-1, 2):
+            over = bool(terminated[end - 1, ego])
+            lead = began[begin:end, ego] if begin else np.concatenate([before[ego], began[:end, ego]])
             yield Segment(
                 observations[begin : end + 1, ego],
                 actions[begin:end, ego],
                 rewards[begin:end, ego].astype(np.float32),
-                bool(terminated[end - 1, ego]),
+                over,
                 began[begin:end, ego],
+                lead[-NEAR:] if over else None,
             )
 
 

@@ -14,6 +14,7 @@ import json
 import os
 import pathlib
 import time
+from collections.abc import Iterator
 from typing import Any
 
 from .. import learn
@@ -39,6 +40,10 @@ class Collector(training.Collector):
 
 class _LearnerLost(Exception):
     """The learner's process or node died."""
+
+
+class _TurnLost(Exception):
+    """What a collector drove in a turn was lost with its node."""
 
 
 class Folder:
@@ -90,17 +95,22 @@ class Folder:
             with contextlib.suppress(ValueError):
                 if json.loads(line)["global_step"] <= steps:
                     kept.append(line + "\n")
-        _write(log, "".join(kept).encode())
+        with _told(log):
+            _write(log, "".join(kept).encode())
 
     def log(self, lines: list[dict[str, Any]]) -> None:
         """Adds lines to the log."""
-        with open(self.path / "train.jsonl", "a") as file:
+        log = self.path / "train.jsonl"
+        with _told(log), open(log, "a") as file:
             file.writelines(json.dumps(line) + "\n" for line in lines)
 
     def save(self, checkpoint: bytes) -> None:
         """Keeps a checkpoint, and its actor as an agent's file."""
-        _write(self._checkpoint, checkpoint)
-        write_agent(checkpoint, self.settings, self.path / "last.safetensors")
+        agent = self.path / "last.safetensors"
+        with _told(self._checkpoint):
+            _write(self._checkpoint, checkpoint)
+        with _told(agent):
+            write_agent(checkpoint, self.settings, agent)
 
     def close(self) -> None:
         """Lets others write into it."""
@@ -117,11 +127,25 @@ def _settings(config: pathlib.Path) -> Settings:
 def _write(path: pathlib.Path, content: bytes) -> None:
     """Whole or not at all."""
     part = path.with_name(path.name + ".part")
-    with open(part, "wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(part, path)
+    try:
+        with open(part, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(part, path)
+    except OSError:
+        # On a full disk it would only take room.
+        part.unlink(missing_ok=True)
+        raise
+
+
+@contextlib.contextmanager
+def _told(path: pathlib.Path) -> Iterator[None]:
+    """That ``path`` cannot be written, as on a full disk, as this package's error: the training ends with it."""
+    try:
+        yield
+    except (OSError, InputError) as error:
+        raise Error(f"cannot write {path}: {error}; the last checkpoint stays, and --resume goes on from it") from None
 
 
 #: A learner that dies so often in a row before it has begun does not start. Once is not enough: Ray may put it on the node
@@ -274,7 +298,7 @@ class _Run:
             return
         try:
             process, episodes = self._ask(ref, died="a collector does not start")
-        except ray.exceptions.ObjectLostError:
+        except _TurnLost:
             self._drive(number)
             return
         self._bar.came_from(number, process)
@@ -289,8 +313,8 @@ class _Run:
         try:
             self._publish(self._ask(ref))
             self._note(episodes)
-        except ray.exceptions.ObjectLostError:
-            # The segments were on a node that died.
+        except _TurnLost:
+            # Its segments were still on the node that died, and its collector has found no other that would drive them again.
             pass
         self._untaken[number] -= 1
         if not any(number == other for other, _ in self._driving.values()):
@@ -306,11 +330,14 @@ class _Run:
         """The answer. An actor that is dead for good is the learner, or else it ``died``."""
         try:
             with cluster.failures():
+                while not ray.wait([ref], timeout=0.5)[0]:
+                    self._actors.look()
                 try:
-                    while not ray.wait([ref], timeout=0.5)[0]:
-                        self._actors.look()
                     return ray.get(ref)
-                except ray.exceptions.RayActorError as error:
+                except (ray.exceptions.RayActorError, ray.exceptions.ObjectLostError) as error:
+                    if isinstance(error, ray.exceptions.RayTaskError) or died and isinstance(error, ray.exceptions.ObjectLostError):
+                        # The actor lives, and says that of what it was given; or its answer was lost on the way.
+                        raise _TurnLost from None
                     if died:
                         raise Error(f"{died}: {error}") from None
                     raise _LearnerLost(str(error).splitlines()[0]) from None
