@@ -12,7 +12,7 @@
 //! | from | modules |
 //! |---|---|
 //! | `sumo-traci` | [`traci`]: the TraCI client, SUMO as a child process |
-//! | `sumo-network` | [`geometry`], [`network`], [`world`] (the traffic around an ego), [`seeds`] |
+//! | `sumo-network` | [`geometry`], [`network`], [`world`] (the traffic around an ego), [`signal_ahead`], [`seeds`] |
 //! | `wad-vehicle` | [`vehicle`]: the ego's physics |
 //! | `wad-camera` | [`camera`]: the town and its traffic as pictures with ground truth |
 //! | `wad-sim` | [`session`], [`bridge`], [`assets`], [`autopilot`], [`criteria`], [`end`], [`traffic`], [`tasks`], [`scenario`], [`destination`], [`replay`], [`telemetry`], [`sumo_config`], [`nets`], [`bundled`], [`program`], [`stats`], [`cores`], [`cpu_time`] |
@@ -32,7 +32,7 @@ pub mod interrupt;
 pub mod view;
 
 pub use bundle::register as register_bundled;
-pub use sumo_network::{geometry, network, seeds, world};
+pub use sumo_network::{geometry, network, seeds, signal_ahead, world};
 pub use sumo_traci as traci;
 pub use wad_camera as camera;
 pub use wad_learn::{agent, dataset, drive, driver, encoder_score, env, eval, folder_lock, reward, tour};

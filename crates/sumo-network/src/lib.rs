@@ -3,7 +3,7 @@
 pub mod geometry;
 pub mod network;
 pub mod seeds;
-mod signal_ahead;
+pub mod signal_ahead;
 pub mod world;
 
 #[cfg(doctest)]

@@ -2,7 +2,6 @@
 
 use crate::geometry::Pose;
 use crate::network::{LaneId, SignalIndex};
-pub use crate::signal_ahead::{NO_ROOM, SignalAhead};
 use std::sync::Arc;
 
 /// A road user's kind, by SUMO's vehicle class and shape.

@@ -10,7 +10,8 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use sumo_network::geometry::Vector;
 use sumo_network::network::{Network, Route};
-use sumo_network::world::{SignalAhead, WorldState};
+use sumo_network::signal_ahead::SignalAhead;
+use sumo_network::world::WorldState;
 use wad_vehicle::{Contact, EgoState, PartnerKind};
 
 /// Thresholds of the events.

@@ -10,7 +10,7 @@ use crate::shape::Shaper;
 use nalgebra::Point3;
 use sumo_network::geometry::{Point, Pose, Vector, direction};
 use sumo_network::network::{EdgeId, EdgeKind, Lane, LaneId, LinkDirection, Network, SignalIndex};
-use sumo_network::world::NO_ROOM;
+use sumo_network::signal_ahead::NO_ROOM;
 
 /// Lowest point of heads over a lane, and of heads on poles by it and beyond the junction (m).
 pub(super) const CLEARANCE: f64 = 5.2;

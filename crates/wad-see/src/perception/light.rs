@@ -3,7 +3,8 @@
 use super::{EgoFacts, SeenLight};
 use serde::{Deserialize, Serialize};
 use sumo_network::network::SignalIndex;
-use sumo_network::world::{SignalAhead, SignalState};
+use sumo_network::signal_ahead::SignalAhead;
+use sumo_network::world::SignalState;
 
 /// Within this of its stop line (m) the ego is at the intersection (spec.md "Events").
 pub const AT_INTERSECTION: f64 = 20.0;

@@ -28,7 +28,8 @@ use right_of_way::{ByLane, Motion};
 use serde::{Deserialize, Serialize};
 use speed::{Pedals, follow, stop_in, time_to_cover};
 use sumo_network::network::{LinkDirection, LinkId, Network, Route};
-use sumo_network::world::{SignalAhead, SignalState, WorldState};
+use sumo_network::signal_ahead::SignalAhead;
+use sumo_network::world::{SignalState, WorldState};
 use wad_vehicle::{Control, EgoState};
 
 /// What decided the speed.
