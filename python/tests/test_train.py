@@ -3,7 +3,6 @@
 import json
 import os
 import pathlib
-import re
 import signal
 import subprocess
 import time
@@ -56,6 +55,15 @@ def saved(out):
 def wait_for(driver, what):
     assert until(lambda: what() or driver.poll() is not None, 120)
     assert driver.poll() is None, finish(driver)
+
+
+def at_work(driver, out):
+    """The collector, once it has driven for a while, and its SUMOs."""
+    wait_for(driver, lambda: step(out) >= 300)
+    (collector,) = processes("ray::Collector")
+    sumos = children(collector, "sumo")
+    assert sumos
+    return collector, sumos
 
 
 def assert_trained(out, said, steps=STEPS):
@@ -162,17 +170,13 @@ def test_a_sumo_that_hangs_is_ended_with_its_collector(nodes, start, tmp_path):
     """For longer than a turn may take: without --task-timeout the SUMO would be given up after a minute."""
     out = tmp_path / "out"
     driver = start([*COMMAND, "--task-timeout", "40"], out, "--steps", str(STEPS))
-    wait_for(driver, lambda: step(out) >= 300)
-    (collector,) = processes("ray::Collector")
-    hung = children(collector, "sumo")
-    assert hung
+    collector, hung = at_work(driver, out)
     for sumo in hung:
         os.kill(sumo, signal.SIGSTOP)
     wait_for(driver, lambda: processes("ray::Collector") not in ([], [collector]))
     assert until(lambda: not set(hung) & set(processes("sumo"))), "the SUMO that hangs is left"
     said = finish(driver)
-    # On a machine with much other work the learner may take too long as well.
-    assert int(re.findall(r"(\d+) restarts", said)[-1]) >= 1
+    assert "the learner died" not in said and " 1 restarts" in said
     assert_trained(out, said)
 
 
@@ -225,10 +229,7 @@ def test_sumo_dies_and_collector_and_learner_hang_on_the_way_through_a_curriculu
     out, file = tmp_path / "out", tmp_path / "curriculum.json"
     file.write_text(json.dumps(CURRICULUM))
     driver = start([*COMMAND, "--curriculum", str(file), "--task-timeout", "15"], out, "--steps", str(STEPS))
-    wait_for(driver, lambda: step(out) >= 300)
-    (collector,) = processes("ray::Collector")
-    sumos = children(collector, "sumo")
-    assert sumos
+    collector, sumos = at_work(driver, out)
     for sumo in sumos:
         os.kill(sumo, signal.SIGKILL)
     before = step(out)
