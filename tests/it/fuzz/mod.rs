@@ -230,7 +230,8 @@ fn configurations() {
         let _ = (config.route_files(), config.town(), config.time("begin"), config.seed());
         config.net_file().is_ok()
     });
-    fuzz("sumocfg", 2000, USUAL, read);
+    // A list of names of few letters becomes paths of 24 bytes and their text.
+    fuzz("sumocfg", 2000, Memory { times: 100, base: 1 << 20 }, read);
 }
 
 #[test]
