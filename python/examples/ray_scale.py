@@ -4,6 +4,7 @@
     python ray_scale.py                                  # nodes of one core: 1, 2, 4
     python ray_scale.py --nodes 2 --delays 0 10 100      # ms before each event of Ray's processes, by Ray's own setting for tests
     python ray_scale.py --nodes 1 2 --train 20000        # steps, with one collector for each node
+    python ray_scale.py --learner                        # the learner alone: what a turn and an update cost it, and the bytes of both ways
 
 Prints tables for docs/cluster.md: medians over the turns; in a turn the plain evaluation and Ray follow each other.
 """
@@ -12,12 +13,14 @@ import argparse
 import json
 import os
 import pathlib
+import pickle
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
 import uuid
+from collections.abc import Callable
 
 # Before Ray is imported: on loopback, with a token; and with the priority of the plain evaluation.
 os.environ.update(
@@ -39,6 +42,7 @@ parser.add_argument("--episodes", type=int, default=48, help="of the suite's fir
 parser.add_argument("--delays", type=float, nargs="*", default=[], metavar="MS")
 parser.add_argument("--train", type=int, default=0, metavar="STEPS")
 parser.add_argument("--update-ratio", type=float, default=1.0, help="of the training: lower, and the learner is not the limit")
+parser.add_argument("--learner", action="store_true", help="without Ray")
 options = parser.parse_args()
 
 PART = {"condition": "training", "weather": "ClearNoon", "seed": 3, "episodes": options.episodes}
@@ -95,6 +99,38 @@ def trained(address: str, collectors: int, out: pathlib.Path) -> float:
     return statistics.median(line["charts/SPS"] for line in lines if "charts/SPS" in line)
 
 
+def learner(observation: str, turns: int = 300, updates: int = 300) -> tuple[float, ...]:
+    """Bytes of a turn of 128 steps and of the weights, ms to read a turn and put it into the buffer, to pack the weights, and for an update."""
+    import numpy as np
+    from wad_cosim.learn.replay import Segment
+    from wad_cosim.learn.training import RAW, Learner, Settings, latent_size
+
+    rng, size = np.random.default_rng(1), latent_size(observation) + RAW
+    ready = Settings("sac", observation=observation, learning_starts=128 * turns, update_ratio=updates / 128)
+
+    def turn() -> bytes:
+        def segment() -> Segment:
+            numbers = rng.standard_normal((ready.segment + 1, size), dtype=np.float32)
+            actions = rng.random((ready.segment, 3), dtype=np.float32)
+            return Segment(numbers, actions, np.zeros(ready.segment, np.float32), False, rng.integers(1, 10_000, ready.segment))
+
+        return pickle.dumps([segment() for _ in range(ready.egos)])
+
+    def spent(times: int, act: Callable[[], object]) -> float:
+        begin = time.perf_counter()
+        for _ in range(times):
+            act()
+        return 1000 * (time.perf_counter() - begin) / times
+
+    taught, sent = Learner(ready), [turn() for _ in range(turns)]
+    packed = len(pickle.dumps(taught.published().weights))
+    waiting = iter(sent)
+    take = spent(turns, lambda: taught.take(pickle.loads(next(waiting))))
+    pack = spent(100, lambda: pickle.dumps(taught.published().weights))
+    update = (spent(1, lambda: taught.take(pickle.loads(turn()))) - take) / updates
+    return len(sent[0]), packed, take, pack, update
+
+
 def row(*cells: object) -> None:
     print("|", *(f"{cell:.1f} |" if isinstance(cell, float) else f"{cell} |" for cell in cells), flush=True)
 
@@ -105,9 +141,14 @@ def median(pairs: list[tuple[float, float]]) -> tuple[float, float]:
 
 with tempfile.TemporaryDirectory() as folder:
     new = iter(pathlib.Path(folder) / str(number) for number in range(10_000))
-    what = f"WAD-S, {options.train} steps, {options.update_ratio:g} updates for a step" if options.train else f"{options.suite}, {options.agent}, {options.episodes} episodes"
+    what = "the learner alone" if options.learner else f"WAD-S, {options.train} steps, {options.update_ratio:g} updates for a step" if options.train else f"{options.suite}, {options.agent}, {options.episodes} episodes"
     print(f"{what}, {options.turns} turns; load {os.getloadavg()[0]:.1f}\n")
-    if options.delays:
+    if options.learner:
+        row("observation", "turn, bytes", "weights, bytes", "turn taken, ms", "weights packed, ms", "update, ms")
+        row(*["---:"] * 6)
+        for observation in ("raw", "vector", "latent"):
+            row(observation, *(f"{number:.2f}" if number < 1000 else number for number in learner(observation)))
+    elif options.delays:
         row("delay (ms)", "nodes", "episodes/h", "steps/s")
         row("---:", "---:", "---:", "---:")
         for count in options.nodes:

@@ -21,17 +21,17 @@ from . import _native
 from .setup import Setup
 from .vector import DrivingVectorEnv
 
-#: Drives of one episode, of which each step's fastest counts: other work on the machine slows some.
-_DRIVES = 5
+#: Turns, in each of which both drive the same episode: other work on the machine slows some.
+_TURNS = 11
 
 
-def _one(observation: str, seed: int, steps: int) -> tuple[float, float]:
-    """Seconds a step, without Python and as ``gymnasium.make`` makes the environment. Both drive the same episode, in turns."""
+def _one(observation: str, seed: int, steps: int) -> tuple[np.ndarray, np.ndarray]:
+    """Seconds a step in each turn, without Python and as ``gymnasium.make`` makes the environment."""
     id = "wad_cosim/Composite-v0"
     text = Setup(**gymnasium.spec(id).kwargs, observation=observation).text
-    without, within = [], []
-    for _ in range(_DRIVES):
-        without.append(_native.bench(text, seed, steps))
+    without, within = np.empty(_TURNS), np.empty(_TURNS)
+    for turn in range(_TURNS):
+        without[turn] = np.mean(_native.bench(text, seed, steps))
         env = gymnasium.make(id, observation=observation)
         expert = env.unwrapped.expert_action  # type: ignore[attr-defined]
         env.reset(seed=seed)
@@ -43,9 +43,9 @@ def _one(observation: str, seed: int, steps: int) -> tuple[float, float]:
             _, _, terminated, truncated, _ = env.step(action)
             seconds.append(time.perf_counter() - begin)
             over = terminated or truncated
-        within.append(seconds)
+        within[turn] = np.mean(seconds)
         env.close()  # type: ignore[no-untyped-call, unused-ignore]
-    return float(np.min(without, axis=0).mean()), float(np.min(within, axis=0).mean())
+    return without, within
 
 
 def _many(egos: int, sumos: int, steps: int) -> float:
@@ -126,11 +126,12 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--steps", type=int, default=300, help="of each measurement (default 300)")
     options = parser.parse_args(arguments)
     print("composite task, 70 vehicles and 100 pedestrians, driven by the expert:")
-    print("  observation   without Python      env.step    more")
+    print(f"  observation   without Python      env.step    more (medians of {_TURNS} turns, quartiles)")
     for observation in ("raw", "vector", "image"):
         without, within = _one(observation, 7, options.steps)
-        more = 100 * (within / without - 1)
-        print(f"  {observation:12} {1 / without:10.0f} /s {1 / within:12.0f} /s {more:6.1f} %")
+        low, more, high = 100 * (np.quantile(within / without, [0.25, 0.5, 0.75]) - 1)
+        rates = 1 / np.median(without), 1 / np.median(within)
+        print(f"  {observation:12} {rates[0]:10.0f} /s {rates[1]:12.0f} /s {more:6.1f} % ({low:.1f} to {high:.1f})", flush=True)
     print("egos that share a SUMO, empty town, observation vector, constant action:")
     for egos, sumos in ((16, 1), (25, 2), (50, 1)):
         print(f"  {egos:3} egos in {sumos} SUMO: {_many(egos, sumos, options.steps):8.0f} agent-steps/s")

@@ -2,12 +2,16 @@
 
 use super::agents::default_encoder;
 use super::{Exit, print};
+use anyhow::Context;
+use clap::ValueHint;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 use wad_cosim::assets::Assets;
 use wad_cosim::bench::peak_memory_mb;
 use wad_cosim::bridge::Fetch;
 use wad_cosim::cores::workers;
 use wad_cosim::env::{EnvOptions, Fleet, ObservationMode, Stages};
+use wad_cosim::eval::report::{Chart, Line};
 use wad_cosim::latent::{Encoder, PooledEncoder};
 use wad_cosim::observation::{LEAD_NEARNESS, LIGHT_NEARNESS, RAW_SIZE};
 use wad_cosim::session::Act;
@@ -20,9 +24,11 @@ Examples:
   wad-cosim bench fleet
   wad-cosim bench fleet --egos 50 --observation camera --seconds 20
   wad-cosim bench fleet --egos 1,8 --fetch around --json
+  wad-cosim bench fleet city.net.xml --egos 50 --traffic 100,0 --traffic 1000,0 --plot population.svg
 
 Milliseconds are per tick of the whole fleet. Egos follow their routes by their raw states, and begin anew
-elsewhere when their episode ends; `rest` holds those returns, reward and criteria.";
+elsewhere when their episode ends; `rest` holds those returns, reward and criteria. `vehicles` and
+`pedestrians` are those of the background at the end: a net may have no room for all that were asked for.";
 
 /// Measure many egos in one SUMO: time of a tick by stage, agent-steps per second, memory.
 #[derive(clap::Args, Debug)]
@@ -34,9 +40,9 @@ pub struct Args {
     /// Numbers of egos, separated by commas.
     #[arg(long, value_delimiter = ',', default_value = "1,4,16,50", value_parser = clap::value_parser!(u32).range(1..=1000))]
     egos: Vec<u32>,
-    /// VEHICLES,PEDESTRIANS in the background.
+    /// VEHICLES,PEDESTRIANS in the background; may be given several times.
     #[arg(long, value_name = "V,P", default_value = "70,100")]
-    traffic: TrafficSpec,
+    traffic: Vec<TrafficSpec>,
     /// What each ego observes.
     #[arg(long, value_enum, default_value_t = Observe::Vector)]
     observation: Observe,
@@ -46,6 +52,9 @@ pub struct Args {
     /// Seconds to measure, for each number of egos.
     #[arg(long, default_value_t = 10.0)]
     seconds: f64,
+    /// Draw the tick by stage over the vehicles or, where they are the same, over the egos, as SVG.
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
+    plot: Option<PathBuf>,
     /// Seed of everything random.
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -75,6 +84,8 @@ enum FetchChoice {
 #[derive(serde::Serialize)]
 struct Row {
     egos: u32,
+    vehicles: usize,
+    pedestrians: usize,
     observation: &'static str,
     ticks: u64,
     tick_ms: f64,
@@ -98,8 +109,10 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
     let assets = Assets::load(&args.config).map_err(|e| Exit::Input.because(e))?;
     let say = |line: &str| super::row(line, args.json);
     say(&format!(
-        "{:>5} {:>9} {:>14} {:>9} {:>11} {:>10} {:>13} {:>11} {:>8} {:>9} {:>9}",
+        "{:>5} {:>8} {:>11} {:>9} {:>14} {:>9} {:>11} {:>10} {:>13} {:>11} {:>8} {:>9} {:>9}",
         "egos",
+        "vehicles",
+        "pedestrians",
         "tick ms",
         "agent-steps/s",
         "sumo ms",
@@ -112,11 +125,15 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
         "memory MB"
     ))?;
     let mut rows = Vec::new();
-    for &egos in &args.egos {
-        let row = measure(args, &assets, egos)?;
+    for (&traffic, &egos) in
+        args.traffic.iter().flat_map(|traffic| args.egos.iter().map(move |n| (traffic, n)))
+    {
+        let row = measure(args, &assets, traffic, egos)?;
         say(&format!(
-            "{:>5} {:>9.3} {:>14.0} {:>9.3} {:>11.3} {:>10.3} {:>13.3} {:>11.3} {:>8.3} {:>9} {:>9.0}",
+            "{:>5} {:>8} {:>11} {:>9.3} {:>14.0} {:>9.3} {:>11.3} {:>10.3} {:>13.3} {:>11.3} {:>8.3} {:>9} {:>9.0}",
             row.egos,
+            row.vehicles,
+            row.pedestrians,
             row.tick_ms,
             row.agent_steps_per_s,
             row.sumo_ms,
@@ -131,15 +148,52 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
         rows.push(row);
     }
     if args.json {
-        print(&format!(
-            "{}\n",
-            serde_json::json!({ "town": args.config, "traffic": args.traffic, "rows": rows })
-        ))?;
+        print(&format!("{}\n", serde_json::json!({ "town": args.config, "rows": rows })))?;
+    }
+    if let Some(path) = &args.plot {
+        draw(&rows, path)?;
     }
     Ok(Exit::Done)
 }
 
-fn measure(args: &Args, assets: &std::sync::Arc<Assets>, egos: u32) -> anyhow::Result<Row> {
+/// The tick and its stages over what changes from row to row.
+fn draw(rows: &[Row], path: &Path) -> anyhow::Result<()> {
+    let by_vehicles =
+        rows.windows(2).any(|pair| pair[0].vehicles.abs_diff(pair[1].vehicles) > pair[0].vehicles / 10);
+    let place = |row: &Row| if by_vehicles { row.vehicles as f64 } else { f64::from(row.egos) };
+    let line = |name: &str, value: &dyn Fn(&Row) -> f64| Line {
+        name: name.to_string(),
+        points: rows.iter().map(|row| (place(row), value(row))).collect(),
+        band: Vec::new(),
+    };
+    let looks = |row: &Row| row.camera_ms + row.perception_ms + row.encoder_ms;
+    let mut lines = vec![
+        line("whole tick", &|row| row.tick_ms),
+        line("SUMO", &|row| row.sumo_ms),
+        line("physics", &|row| row.physics_ms),
+        line("rest", &|row| row.rest_ms),
+    ];
+    if rows.iter().any(|row| looks(row) > 0.1) {
+        lines.push(line("camera, perception, encoder", &looks));
+    }
+    let egos = rows.first().map_or(0, |row| row.egos);
+    let (title, x) = if by_vehicles {
+        (format!("A tick of {egos} egos in one SUMO"), "vehicles in the background")
+    } else {
+        ("A tick of many egos in one SUMO".to_string(), "egos")
+    };
+    let chart = Chart { title, x: x.to_string(), y: "ms per tick".to_string(), lines };
+    std::fs::write(path, chart.svg())
+        .map_err(|e| Exit::Input.because(e))
+        .with_context(|| format!("cannot write {}", path.display()))
+}
+
+fn measure(
+    args: &Args,
+    assets: &std::sync::Arc<Assets>,
+    traffic: TrafficSpec,
+    egos: u32,
+) -> anyhow::Result<Row> {
     let (observation, detector) = match args.observation {
         Observe::Vector => (ObservationMode::Vector, "outlines"),
         Observe::Camera => (ObservationMode::LatentAndRaw, "truth"),
@@ -157,10 +211,11 @@ fn measure(args: &Args, assets: &std::sync::Arc<Assets>, egos: u32) -> anyhow::R
     let encoders: Result<Vec<_>, _> = (0..egos).map(|_| encoder()).collect();
     let mut fleet =
         Fleet::new(std::sync::Arc::clone(assets), options, encoders.map_err(|e| Exit::Input.because(e))?)?;
-    let task = TaskSpec { traffic: Some(args.traffic), ..TaskSpec::new(TaskKind::Composite) };
+    let task = TaskSpec { traffic: Some(traffic), ..TaskSpec::new(TaskKind::Composite) };
     fleet.reset(&[task], args.seed).map_err(Exit::of_env)?;
     let mut acts = vec![Act::Stay; fleet.egos()];
     let (mut ticks, mut episodes, mut ego_collisions) = (0, 0, 0);
+    let mut background = (0, 0);
     let mut since: Option<(Instant, Stages)> = None;
     loop {
         let size = fleet.observation_size();
@@ -168,6 +223,7 @@ fn measure(args: &Args, assets: &std::sync::Arc<Assets>, egos: u32) -> anyhow::R
             *act = Act::Control(follow(&row[size - RAW_SIZE..]));
         }
         let step = fleet.step(&acts)?;
+        background = step.infos.last().map_or(background, |info| info.traffic);
         if let Some((clock, _)) = &since {
             episodes += step.began.iter().filter(|began| **began).count() as u64;
             ego_collisions += step.ego_collisions();
@@ -192,6 +248,8 @@ fn measure(args: &Args, assets: &std::sync::Arc<Assets>, egos: u32) -> anyhow::R
     let tick_ms = per_tick(seconds);
     let row = Row {
         egos,
+        vehicles: background.0,
+        pedestrians: background.1,
         observation: if args.observation == Observe::Vector { "vector" } else { "camera" },
         ticks,
         tick_ms,

@@ -39,6 +39,9 @@ pub struct Segment {
     pub shown: Vec<Option<Action>>,
     /// Where each transition began; missing: not known.
     pub places: Vec<Place>,
+    /// Where the transitions of the same episode just before the segment began, oldest first, [`NEAR`] at most: other egos'
+    /// segments lie between those of an episode.
+    pub lead: Vec<Place>,
 }
 
 /// Transitions per segment at most.
@@ -53,6 +56,12 @@ impl Segment {
     /// Whether it has no transitions.
     pub fn is_empty(&self) -> bool {
         self.actions.is_empty()
+    }
+
+    /// The places of the last [`NEAR`] transitions up to its end, those before the segment included.
+    pub fn way(&self) -> Vec<Place> {
+        let all = self.lead.len() + self.places.len();
+        self.lead.iter().chain(&self.places).skip(all.saturating_sub(NEAR)).copied().collect()
     }
 }
 
@@ -144,8 +153,8 @@ pub struct ReplayBuffer {
     capacity: usize,
     /// Entries ever written.
     pub(crate) written: u64,
-    /// The entries that are terminations, oldest first.
-    terminations: VecDeque<usize>,
+    /// The entries that are terminations, oldest first, each with the places that lead to it.
+    terminations: VecDeque<(usize, Vec<Place>)>,
 }
 
 /// Smallest buffer (transitions).
@@ -227,7 +236,7 @@ impl ReplayBuffer {
             let observation = &segment.observations[i];
             self.latents[at * latent..][..latent].convert_from_f32_slice(&observation[..latent]);
             self.raw[at * raw..][..raw].copy_from_slice(&observation[latent..latent + raw]);
-            if self.terminations.front() == Some(&at) {
+            if self.terminations.front().is_some_and(|(end, _)| *end == at) {
                 self.terminations.pop_front();
             }
             self.visits.forget(self.places[at], at);
@@ -249,7 +258,7 @@ impl ReplayBuffer {
                     self.flags[at] |= if segment.terminated { flag::TERMINATED } else { 0 };
                     self.flags[at] |= if segment.truncated { flag::TRUNCATED } else { 0 };
                     if segment.terminated {
-                        self.terminations.push_back(at);
+                        self.terminations.push_back((at, segment.way()));
                     }
                 }
             }
@@ -257,16 +266,23 @@ impl ReplayBuffer {
         }
     }
 
-    /// Finds the terminations and places among entries that were written from outside.
-    pub(crate) fn index(&mut self) {
+    /// The places that lead to each termination, oldest first.
+    pub(crate) fn leads(&self) -> Vec<Vec<Place>> {
+        self.terminations.iter().map(|(_, lead)| lead.clone()).collect()
+    }
+
+    /// Finds the terminations and places among entries that were written from outside; what leads to the terminations is
+    /// given, oldest first.
+    pub(crate) fn index(&mut self, leads: Vec<Vec<Place>>) {
         let oldest = (self.written % self.capacity as u64) as usize;
         let oldest = if self.len() == self.capacity { oldest } else { 0 };
         self.terminations.clear();
         self.visits.clear();
+        let mut leads = leads.into_iter();
         for at in (0..self.len()).map(|i| (oldest + i) % self.capacity) {
             self.visits.add(self.places[at], at);
             if self.flags[at] & flag::TERMINATED != 0 {
-                self.terminations.push_back(at);
+                self.terminations.push_back((at, leads.next().unwrap_or_default()));
             }
         }
     }
@@ -311,10 +327,10 @@ impl ReplayBuffer {
     fn draw(&self, rng: &mut impl Rng, near_ends: f64) -> usize {
         let ends = &self.terminations;
         if near_ends > 0.0 && !ends.is_empty() && rng.random_bool(near_ends) {
-            // Where that is before the episode's begin it is a neighbour's transition, which does no harm.
-            let back = rng.random_range(0..NEAR.min(self.len()));
-            let before = (ends[rng.random_range(0..ends.len())] + self.len() - back) % self.len();
-            if let Some(visits) = self.visits.at(self.places[before]) {
+            let (_, lead) = &ends[rng.random_range(0..ends.len())];
+            // Missing where places are not known.
+            let place = lead.get(rng.random_range(0..lead.len().max(1))).copied().unwrap_or(Place::UNKNOWN);
+            if let Some(visits) = self.visits.at(place) {
                 return visits[rng.random_range(0..visits.len())] as usize;
             }
         }
@@ -406,7 +422,7 @@ mod tests {
             terminated,
             truncated: !terminated,
             shown: (0..n).map(|k| (from == 0).then(|| [value(k) / 2000.0, 0.0, 0.0])).collect(),
-            places: Vec::new(),
+            ..Segment::default()
         }
     }
 
@@ -494,15 +510,36 @@ mod tests {
         let share = |at: &dyn Fn(usize) -> bool| {
             episodes.iter().filter(|e| at(**e)).count() as f64 / episodes.len() as f64
         };
-        // Of the forty before an end seventeen are its own, the others of the episodes before, elsewhere.
+        // What lies before an end in the ring is other episodes', which drove elsewhere.
         let there = share(&|e| e.is_multiple_of(10));
-        assert!((0.2..0.35).contains(&there), "expected 0.5 * 17 / 39 + 0.5 * 0.1, found {there}");
+        assert!((0.5..0.6).contains(&there), "expected 0.5 + 0.5 * 0.1, found {there}");
         let ended = share(&|e| e.is_multiple_of(20)) / there;
         assert!((0.35..0.65).contains(&ended), "expected half of them to have ended there, found {ended}");
         // The same after a resume.
         let before = rows(&buffer, sampling);
-        buffer.index();
+        buffer.index(buffer.leads());
         assert_eq!(before, rows(&buffer, sampling));
+    }
+
+    #[test]
+    fn what_leads_to_an_end_is_its_own_episodes_also_where_others_lie_between() {
+        let mut buffer = ReplayBuffer::new(DIMS, 1024).unwrap();
+        let at = |place: u32, part: Segment| Segment { places: vec![Place(place); part.len()], ..part };
+        // An episode in two segments, with another ego's between.
+        let first = at(7, Segment { truncated: false, ..segment(1, 50, false) });
+        let lead = first.way();
+        assert_eq!(lead.len(), NEAR, "no more are kept");
+        buffer.push(&first);
+        buffer.push(&at(8, segment(101, 60, false)));
+        let last = Segment { lead, ..at(9, segment(201, 10, true)) };
+        assert_eq!(last.way(), [vec![Place(7); 30], vec![Place(9); 10]].concat());
+        buffer.push(&last);
+        let near = rows(&buffer, Sampling { near_ends: 1.0, ..PLAIN });
+        let share = |range: std::ops::Range<f32>| {
+            near.iter().filter(|row| range.contains(&row[0])).count() as f64 / near.len() as f64
+        };
+        assert_eq!(share(101.0..162.0), 0.0, "the other ego ended nothing");
+        assert!((0.65..0.85).contains(&share(1.0..51.0)), "expected 30 of 40");
     }
 
     #[test]

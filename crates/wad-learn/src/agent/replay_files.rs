@@ -23,6 +23,9 @@ pub struct ReplayManifest {
     pub capacity: usize,
     /// The files, one per chunk.
     pub chunks: Vec<ChunkFile>,
+    /// The places that lead to each termination, oldest first; none in checkpoints of older versions.
+    #[serde(default)]
+    pub leads: Vec<Vec<u32>>,
 }
 
 /// One chunk's file.
@@ -43,8 +46,13 @@ impl ReplayBuffer {
     /// A file cannot be written.
     pub fn save(&self, folder: &Path, before: &ReplayManifest) -> Result<ReplayManifest> {
         std::fs::create_dir_all(folder)?;
-        let mut manifest =
-            ReplayManifest { written: self.written, capacity: self.capacity(), chunks: Vec::new() };
+        let numbers = |lead: Vec<Place>| lead.into_iter().map(|place| place.0).collect();
+        let mut manifest = ReplayManifest {
+            written: self.written,
+            capacity: self.capacity(),
+            chunks: Vec::new(),
+            leads: self.leads().into_iter().map(numbers).collect(),
+        };
         for chunk in 0..self.len().div_ceil(CHUNK) {
             let file = format!("chunk-{chunk}-{}.bin", self.touched(chunk));
             if let Some(known) = before.chunks.get(chunk).filter(|known| known.file == file) {
@@ -92,7 +100,8 @@ impl ReplayBuffer {
             }
             self.take_chunk(chunk, &data)?;
         }
-        self.index();
+        let places = |lead: &Vec<u32>| lead.iter().copied().map(Place).collect();
+        self.index(manifest.leads.iter().map(places).collect());
         Ok(())
     }
 
@@ -219,6 +228,7 @@ mod tests {
             truncated: from % 2 == 1,
             shown: (0..n).map(|k| from.is_multiple_of(3).then(|| [value(k), 0.1, 0.2])).collect(),
             places: (0..n).map(|k| Place((from + k) as u32 / 9)).collect(),
+            lead: vec![Place(from as u32)],
         });
     }
 
@@ -228,6 +238,7 @@ mod tests {
         assert_eq!((&one.raw, &one.actions, &one.rewards), (&two.raw, &two.actions, &two.rewards));
         assert_eq!(one.shown, two.shown);
         assert_eq!((&one.flags, &one.places), (&two.flags, &two.places));
+        assert_eq!(one.leads(), two.leads());
     }
 
     #[test]

@@ -315,7 +315,9 @@ impl Collector<'_> {
         let over = result.terminated || result.truncated;
         if over || segment.len() == SEGMENT {
             let last = segment.observations.last().cloned().unwrap_or_default();
-            let whole = std::mem::replace(segment, Ongoing::segment(last));
+            let next =
+                Segment { lead: if over { Vec::new() } else { segment.way() }, ..Ongoing::segment(last) };
+            let whole = std::mem::replace(segment, next);
             self.send(whole, purpose)?;
         }
         Ok(over.then(|| ongoing.report(result)))
