@@ -201,8 +201,9 @@ fn wrong_input_is_refused_with_exit_code_2_and_a_reason() {
         "empty.net.xml",
         r#"<net version="1.20"><location netOffset="0,0" convBoundary="0,0,9,9" origBoundary="0,0,9,9" projParameter="!"/></net>"#,
     );
-    let cases: [(&[&str], &str); 9] = [
+    let cases: [(&[&str], &str); 10] = [
         (&["atlantis"], "atlantis"),
+        (&["town5", "--egos", "200", "--traffic", "empty"], "has room for"),
         (&[&not_xml], "not a SUMO configuration"),
         (&[&no_net], "gone.net.xml"),
         (&[&empty], "no drivable lane"),
@@ -219,6 +220,8 @@ fn wrong_input_is_refused_with_exit_code_2_and_a_reason() {
         let text = stderr(&output);
         assert_eq!(output.status.code(), Some(2), "{args:?}: {text}");
         assert!(text.contains(reason), "{args:?} should say {reason:?}: {text}");
+        let out = dir.path().join(format!("out{i}"));
+        assert!(!out.exists(), "{args:?} leaves a folder that refuses the next run");
     }
 }
 

@@ -6,7 +6,7 @@ use crate::autopilot::Reason;
 use crate::criteria::Event;
 use serde::{Deserialize, Serialize};
 use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::{BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use sumo_network::network::RoadOption;
 use sumo_network::world::SignalState;
@@ -136,6 +136,9 @@ pub struct RunFolder {
     telemetry: BufWriter<File>,
     line: Vec<u8>,
     unflushed: usize,
+    holds_something: bool,
+    /// Whether the folder was there before.
+    found: bool,
 }
 
 /// Lines between flushes: what a SIGKILL can lose at most.
@@ -157,15 +160,24 @@ impl RunFolder {
             let path = path.to_path_buf();
             move |source| WriteError { path, source }
         };
+        let found = path.is_dir();
         std::fs::create_dir_all(path).map_err(fail(path))?;
+        // Of two that begin at once only one makes it.
+        let file = File::create_new(&telemetry_path).map_err(|source| match source.kind() {
+            ErrorKind::AlreadyExists => {
+                FolderError::Taken { path: path.to_path_buf(), found: "telemetry.jsonl" }
+            }
+            _ => fail(&telemetry_path)(source).into(),
+        })?;
         write_json(&path.join("config.json"), config)?;
-        let file = File::create(&telemetry_path).map_err(fail(&telemetry_path))?;
         Ok(Self {
             path: path.to_path_buf(),
             telemetry: BufWriter::with_capacity(1 << 16, file),
             telemetry_path,
             line: Vec::new(),
             unflushed: 0,
+            holds_something: false,
+            found,
         })
     }
 
@@ -181,6 +193,7 @@ impl RunFolder {
         serde_json::to_writer(&mut self.line, record).map_err(|e| fail(e.into()))?;
         self.line.push(b'\n');
         self.telemetry.write_all(&self.line).map_err(fail)?;
+        self.holds_something = true;
         self.unflushed += 1;
         if self.unflushed >= FLUSH_EVERY {
             self.flush()?;
@@ -197,7 +210,22 @@ impl RunFolder {
     /// Writes `summary.json`, whole or not at all.
     pub fn finish(&mut self, summary: &impl Serialize) -> Result<(), WriteError> {
         self.flush()?;
+        self.holds_something = true;
         write_json(&self.path.join("summary.json"), summary)
+    }
+}
+
+impl Drop for RunFolder {
+    /// A run that ended before its first tick leaves nothing that stands in the way of the next.
+    fn drop(&mut self) {
+        if !self.holds_something {
+            let _ = std::fs::remove_file(&self.telemetry_path);
+            let _ = std::fs::remove_file(self.path.join("config.json"));
+            if !self.found {
+                // Stays where it holds anything else.
+                let _ = std::fs::remove_dir(&self.path);
+            }
+        }
     }
 }
 
