@@ -2,6 +2,17 @@
 
 use serde_json::Value;
 use std::process::{Command, Output, Stdio};
+use std::sync::Arc;
+use wad_cosim::bundled;
+use wad_cosim::camera::{CameraConfig, Preset};
+use wad_cosim::drive::{Drive, DriveOptions};
+use wad_cosim::eyes::Eyes;
+use wad_cosim::geometry::Vector;
+use wad_cosim::latent::PooledEncoder;
+use wad_cosim::observation::ObservationMode;
+use wad_cosim::perception::{EgoFacts, LightAhead};
+use wad_cosim::traffic::{Counts, TrafficSpec};
+use wad_cosim::world::WorldState;
 
 fn wad(args: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_wad-cosim"));
@@ -91,4 +102,98 @@ fn the_bundled_eyes_see_the_same_on_other_processors_and_without_openvino() {
         }
         assert_eq!(errors.contains("found no OpenVINO in /nowhere"), value == "/nowhere", "{errors}");
     }
+}
+
+/// `world` with two more vehicles: one behind the ego, one `place` (m) from it.
+fn with_more(world: &WorldState, drive: &Drive, place: Vector) -> WorldState {
+    let mut more = world.clone();
+    let pose = drive.ego().state().pose;
+    let Some(model) = world.vehicles.first() else { return more };
+    for (id, place) in [("behind", Vector::new(-12.0, 0.0)), ("aside", place)] {
+        let mut one = model.clone();
+        let at = pose.to_world(place);
+        (one.id, one.key) = (Arc::from(id), u64::MAX - id.len() as u64);
+        (one.pose.position.x, one.pose.position.y, one.pose.position.z) = (at.x, at.y, pose.position.z);
+        more.vehicles.push(one);
+    }
+    more.vehicles.sort_by(|a, b| a.id.cmp(&b.id));
+    more
+}
+
+#[tokio::test]
+async fn an_agent_with_the_camera_alone_gets_no_number_from_what_the_camera_does_not_show() {
+    let out = tempfile::tempdir().expect("a folder");
+    let config = bundled::resolve("town5").expect("a bundled town");
+    let traffic = TrafficSpec::Counts(Counts::new(70, 100));
+    let mut drive =
+        Drive::start(DriveOptions::passing(config, 3, traffic, out.path())).await.expect("a drive");
+    let eyes = |mode: ObservationMode, detector: &str| {
+        let encoder = Box::new(PooledEncoder);
+        let made = Eyes::of_agent(drive.assets(), mode, detector, CameraConfig::default(), encoder);
+        made.map(|mut eyes| {
+            eyes.reset(Preset::ClearNoon, 3);
+            eyes
+        })
+    };
+    let (camera, both) = (ObservationMode::Camera, ObservationMode::LatentAndRaw);
+    let error = eyes(camera, "truth").err().expect("it is told of lights").to_string();
+    assert!(error.contains("expected a detector that sees lane and light"), "{error}");
+    let (mut one, mut two) = (eyes(camera, "eyes").expect("eyes"), eyes(camera, "eyes").expect("eyes"));
+    let (mut told, mut misled) = (eyes(both, "truth").expect("truth"), eyes(both, "truth").expect("truth"));
+    let mut probe = Eyes::camera(drive.assets().town(), CameraConfig::default()).expect("a camera");
+    let (mut hidden, mut differs) = (0, 0);
+    for tick in 0..400 {
+        drive.tick().await.expect("a tick");
+        if tick < 60 || tick % 4 != 0 {
+            continue;
+        }
+        let (world, pose, step) =
+            (drive.ego().world(), drive.ego().state().pose, 4.0 * drive.bridge().tick());
+        // Where the simulator says red the camera shows green, and the other way round.
+        let turned = |state: &Arc<str>| -> Arc<str> {
+            state
+                .chars()
+                .map(|c| if matches!(c, 'r' | 'y' | 'u') { 'G' } else { 'r' })
+                .collect::<String>()
+                .into()
+        };
+        let signals: Vec<Option<Arc<str>>> =
+            world.traffic_lights.iter().map(|state| state.as_ref().map(turned)).collect();
+        let facts = EgoFacts::of(drive.bridge().network(), drive.ego(), step);
+        let false_facts = EgoFacts { signals: &signals, ..facts };
+
+        one.follow(world);
+        one.look(&facts).expect("a look");
+        let frame = &one.frame().expect("a frame").rgb;
+        // 20 to 56 m ahead and as far aside that half the picture's breadth lies between: in it, where no house stands before it.
+        let ahead = 20.0 + 12.0 * f64::from(tick / 4 % 4);
+        let side = if tick / 16 % 2 == 0 { 0.8 } else { -0.8 };
+        let more = with_more(world, &drive, Vector::new(ahead, side * ahead));
+        probe.follow(&more);
+        probe.glance(&pose);
+        let unseen = probe.frame().expect("a frame").rgb == *frame;
+        hidden += usize::from(unseen && more.vehicles.len() > world.vehicles.len());
+        two.follow(if unseen { &more } else { world });
+        two.look(&false_facts).expect("a look");
+        let bits =
+            |eyes: &Eyes| eyes.observation().concat().into_iter().map(f32::to_bits).collect::<Vec<_>>();
+        assert!(bits(&one) == bits(&two), "tick {tick}: {:?}, {:?}", one.raw(), two.raw());
+
+        // The same lie reaches an agent that is told.
+        if LightAhead::find(&facts).is_some_and(|light| light.distance < 30.0) {
+            for (eyes, facts) in [(&mut told, &facts), (&mut misled, &false_facts)] {
+                eyes.follow(world);
+                eyes.look(facts).expect("a look");
+            }
+            differs += usize::from(bits(&told) != bits(&misled));
+        }
+        if hidden >= 12 && differs >= 3 {
+            break;
+        }
+    }
+    assert!(
+        hidden >= 12 && differs >= 3,
+        "{hidden} vehicles behind walls, {differs} lies that reached the told"
+    );
+    drive.finish(false).await.expect("a summary");
 }

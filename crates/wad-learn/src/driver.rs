@@ -326,7 +326,7 @@ impl Pilot {
         };
         // People who watch want to see the whole chain, also where the agent leaves a part of it out.
         let mode = match agent.observes() {
-            ObservationMode::Vector => ObservationMode::Vector,
+            mode @ (ObservationMode::Vector | ObservationMode::Camera) => mode,
             _ => ObservationMode::default(),
         };
         let eyes = Eyes::of_agent(assets, mode, detector, camera, encoder)?;

@@ -145,7 +145,7 @@ impl Eyes {
     /// The eyes of an agent in the town of `assets`: the parts that `mode` needs, with the detector of that name.
     ///
     /// # Errors
-    /// No such detector, or as [`Eyes::new`].
+    /// No such detector, one that does not see what `mode` needs, or as [`Eyes::new`].
     pub fn of_agent(
         assets: &Assets,
         mode: ObservationMode,
@@ -153,6 +153,11 @@ impl Eyes {
         camera: CameraConfig,
         encoder: Box<dyn Encoder>,
     ) -> Result<Self, EyesError> {
+        if mode == ObservationMode::Camera && !perception::sees_the_road(detector) {
+            let why = "the agent has nothing but the camera, the route and its own motion (--inputs camera): expected a \
+                       detector that sees lane and light, eyes or eyes:FILE";
+            return Err(PerceptionError::Detector { name: detector.to_string(), why: why.to_string() }.into());
+        }
         let eyes = if mode.looks() {
             let detector = perception::detector(detector, perception::MIN_SCORE)?;
             Self::new(assets.town(), camera, detector)?

@@ -189,6 +189,9 @@ pub enum ObservationMode {
     /// The latent and the six raw states, as in the paper.
     #[default]
     LatentAndRaw,
+    /// The same from the route, the ego's own motion and the camera alone: the light too is what the camera shows, so it takes a
+    /// detector that sees it ([`crate::perception::sees_the_road`]).
+    Camera,
     /// The raw states alone (ablation); without lane detection and encoding.
     RawOnly,
     /// The latent alone (ablation).
@@ -214,7 +217,7 @@ impl ObservationMode {
 
     /// Whether images are encoded.
     pub fn encodes(self) -> bool {
-        matches!(self, Self::LatentAndRaw | Self::LatentOnly)
+        matches!(self, Self::LatentAndRaw | Self::Camera | Self::LatentOnly)
     }
 }
 

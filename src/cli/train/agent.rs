@@ -67,7 +67,7 @@ pub struct Args {
     /// [default: --init's, or `default`].
     #[arg(long, value_name = "NAME")]
     encoder: Option<String>,
-    /// The detector [default: truth; with --inputs raw: outlines, which draws nothing].
+    /// The detector [default: truth; with --inputs raw: outlines, which draws nothing; with --inputs camera: eyes].
     #[arg(long, value_name = "NAME")]
     detector: Option<String>,
     /// Updates per environment step.
@@ -193,6 +193,8 @@ enum Critic {
 pub enum InputChoice {
     /// Latent and raw states.
     Both,
+    /// The same from the camera, the route and the ego's own motion alone; the detector is `eyes`.
+    Camera,
     /// The latent alone.
     Latent,
     /// The raw states alone; by default nothing is drawn.
@@ -206,11 +208,16 @@ impl InputChoice {
     pub fn choose(self, config: &mut TrainConfig) {
         config.set_inputs(match self {
             Self::Both => Inputs::Both,
+            Self::Camera => Inputs::Camera,
             Self::Latent => Inputs::Latent,
             Self::Raw => Inputs::Raw,
             Self::Vector => Inputs::Vector,
         });
-        let detector = if matches!(self, Self::Raw | Self::Vector) { "outlines" } else { "truth" };
+        let detector = match self {
+            Self::Raw | Self::Vector => "outlines",
+            Self::Camera => "eyes",
+            Self::Both | Self::Latent => "truth",
+        };
         config.env.detector = detector.to_string();
     }
 }

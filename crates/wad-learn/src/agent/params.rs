@@ -48,6 +48,8 @@ pub enum Inputs {
     /// Latent and raw vector.
     #[default]
     Both,
+    /// Latent and raw vector from the camera, the route and the ego's own motion alone ([`ObservationMode::Camera`]).
+    Camera,
     /// The latent only.
     Latent,
     /// The raw vector only.
@@ -61,7 +63,7 @@ impl Inputs {
     /// The sizes of networks with these inputs.
     pub fn dims(self) -> Dims {
         match self {
-            Self::Both => Dims::DRIVING,
+            Self::Both | Self::Camera => Dims::DRIVING,
             Self::Latent => Dims { raw: 0, ..Dims::DRIVING },
             Self::Raw => Dims { latent: 0, ..Dims::DRIVING },
             Self::Vector => Dims { latent: SURROUNDINGS_SIZE as i64, ..Dims::DRIVING },
@@ -72,6 +74,7 @@ impl Inputs {
     pub fn observation(self) -> ObservationMode {
         match self {
             Self::Both => ObservationMode::LatentAndRaw,
+            Self::Camera => ObservationMode::Camera,
             Self::Latent => ObservationMode::LatentOnly,
             Self::Raw => ObservationMode::RawOnly,
             Self::Vector => ObservationMode::Vector,

@@ -35,6 +35,11 @@ pub fn detector(name: &str, min_score: f32) -> Result<Box<dyn Detector>, Percept
     }
 }
 
+/// Whether the detector called `name` sees lane and light, which others are told.
+pub fn sees_the_road(name: &str) -> bool {
+    name.split(':').next() == Some("eyes")
+}
+
 /// The file of the bundled network that `kind` is alone.
 fn bundled(kind: &str) -> &'static str {
     if kind == "eyes" { "eyes" } else { "light" }
