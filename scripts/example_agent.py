@@ -16,7 +16,7 @@ def decide(state):
     steer = 1.1 * state["heading_error"] - 0.25 * state["lateral"] / (1.0 + 0.15 * speed)
     # Slow down for bends.
     bend = abs(state["heading_error_far"])
-    wanted = min(state["speed_limit"], 9.0, 9.0 / (1.0 + 4.0 * bend))
+    wanted = min(state["speed_limit"], 9.0, 9.0 / (1.0 + 1.6 * bend))
     # Keep a distance, and stop before the line.
     if state["lead"] is not None:
         wanted = min(wanted, max(0.0, 0.6 * (state["lead"]["gap"] - 5.0)))

@@ -17,6 +17,7 @@ use wad_cosim::view::{Crowd, Listener, ViewAddress};
 
 /// Measure ticks with no viewer, one viewer and many, in turns, so that other load affects all alike.
 #[derive(clap::Args, Debug)]
+#[command(after_help = "Example:\n  wad-cosim bench view --viewers 5 --json")]
 pub struct Args {
     /// A .sumocfg, a .net.xml(.gz) or a bundled town.
     #[arg(default_value = "town5")]

@@ -94,6 +94,7 @@ pub struct CollectArgs {
 }
 
 #[derive(clap::Args, Debug)]
+#[command(after_help = "Example:\n  wad-cosim dataset info data/town3")]
 pub struct InfoArgs {
     /// The dataset's folder.
     #[arg(value_hint = ValueHint::DirPath)]

@@ -212,9 +212,49 @@ mod tests {
         assert_eq!((seconds("0"), seconds("60.5")), (Ok(0.0), Ok(60.5)));
         let run =
             |option: &str, value: &str| Cli::try_parse_from(["wad-cosim", "run", "town5", option, value]);
+        let eval = |value| Cli::try_parse_from(["wad-cosim", "eval", "nocrash", "--agent-timeout", value]);
+        assert!(eval("1e300").is_err() && eval("5").is_ok());
         for option in ["--tick-timeout", "--time"] {
             assert!(run(option, "nan").is_err() && run(option, "1e300").is_err() && run(option, "5").is_ok());
         }
+    }
+
+    #[test]
+    fn every_command_with_json_has_its_section_in_the_page_of_json() {
+        fn collect(command: &clap::Command, name: &str, found: &mut Vec<String>) {
+            for below in command.get_subcommands() {
+                collect(below, format!("{name} {}", below.get_name()).trim(), found);
+            }
+            if command.get_arguments().any(|argument| argument.get_long() == Some("json")) {
+                found.push(name.to_string());
+            }
+        }
+        let page = include_str!("../../docs/json.md");
+        let mut commands = Vec::new();
+        collect(&Cli::command(), "", &mut commands);
+        assert!(commands.len() > 15, "{commands:?}");
+        // The suites print what `eval` does.
+        let suites: Vec<String> =
+            wad_cosim::eval::names().iter().map(|name| format!("eval {name}")).collect();
+        // The section of `bench fleet` comes with its new keys.
+        commands.retain(|command| !suites.contains(command) && command != "bench fleet");
+        for command in commands {
+            assert!(page.contains(&format!("`{command}`")), "docs/json.md lacks `{command}`");
+        }
+    }
+
+    #[test]
+    fn every_command_shows_an_example_in_its_help() {
+        fn look(command: &clap::Command, name: &str) {
+            let mut leaf = true;
+            for below in command.get_subcommands().filter(|below| below.get_name() != "help") {
+                leaf = false;
+                look(below, &format!("{name} {}", below.get_name()));
+            }
+            let after = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+            assert!(!leaf || after.contains("Example"), "{name}: no example");
+        }
+        look(&Cli::command(), "wad-cosim");
     }
 
     #[test]

@@ -39,6 +39,7 @@ enum What {
 }
 
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  wad-cosim net info my.net.xml")]
 struct Info {
     /// A .net.xml(.gz), a .sumocfg, a scenario or a bundled town.
     config: String,
@@ -48,6 +49,9 @@ struct Info {
 }
 
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  wad-cosim net import helsinki.osm --out helsinki\n  wad-cosim net build my.netccfg --out my"
+)]
 struct Make {
     /// The source file: plain XML, .netccfg, OpenDRIVE, OpenStreetMap or a SUMO net.
     #[arg(value_hint = ValueHint::FilePath)]
@@ -61,6 +65,9 @@ struct Make {
 }
 
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  wad-cosim net enrich Town04.net.xml --out new.net.xml\n  wad-cosim net enrich my.net.xml --crossings --out new.net.xml"
+)]
 struct Enrich {
     /// A .net.xml(.gz), a .sumocfg or a bundled town.
     config: String,

@@ -44,6 +44,7 @@ enum What {
 }
 
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  wad-cosim scenario new my_jam --template accident --town town5")]
 struct New {
     /// Its name, or the path of its folder. A plain name goes into scenarios/ if that folder is here.
     name: PathBuf,
@@ -59,6 +60,9 @@ struct New {
 }
 
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  wad-cosim scenario edit my_jam\n  wad-cosim scenario edit my_jam -- --window-size 1000,800"
+)]
 struct Edit {
     /// A scenario's folder or name.
     name: String,
@@ -68,6 +72,7 @@ struct Edit {
 }
 
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  wad-cosim scenario check my_jam")]
 struct Check {
     /// Scenarios' folders or names [default: all shipped ones].
     names: Vec<String>,
@@ -77,6 +82,7 @@ struct Check {
 }
 
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  wad-cosim scenario list --json")]
 struct List {
     /// Print one JSON object as the last line of stdout.
     #[arg(long)]

@@ -179,8 +179,9 @@ fn home_of(program: &Path) -> Option<PathBuf> {
     // A child of a script would outlive us.
     let first = String::from_utf8_lossy(head.split(|&b| b == b'\n').next()?).into_owned();
     let interpreter = first.trim_start_matches("#!").trim();
-    let output =
-        Command::new(interpreter).args(["-c", "import sumo; print(sumo.SUMO_HOME)"]).output().ok()?;
+    let mut python = Command::new(interpreter);
+    python.args(["-c", "import sumo; print(sumo.SUMO_HOME)"]);
+    let output = keeper::output_within(python, ANSWER).ok()?;
     let home = PathBuf::from(String::from_utf8_lossy(&output.stdout).trim());
     home.join("bin/sumo").is_file().then_some(home)
 }

@@ -9,6 +9,7 @@ use serde::Serialize;
 use std::fmt::Write;
 
 #[derive(clap::Args)]
+#[command(after_help = "Example:\n  wad-cosim doctor --json")]
 pub struct Args {
     /// Print one JSON object instead of the table.
     #[arg(long)]

@@ -8,6 +8,7 @@ use wad_cosim::eval::{self, EpisodeRecord, Manifest, Results, Store, StoreError,
 
 /// Options of `eval merge`.
 #[derive(clap::Args, Debug)]
+#[command(after_help = "Example:\n  wad-cosim eval merge runs/a runs/b --out runs/all")]
 pub struct Args {
     /// Folders of one evaluation, each driven with its own --shard.
     #[arg(required = true, value_hint = ValueHint::DirPath)]

@@ -13,6 +13,7 @@ use wad_cosim::tasks::TaskKind;
 
 /// Options of `eval routes`.
 #[derive(clap::Args, Debug)]
+#[command(after_help = "Example:\n  wad-cosim eval routes my.net.xml --set navigation --jobs 2")]
 pub struct Args {
     /// A .sumocfg, a .net.xml(.gz), a folder with one .sumocfg, or a bundled town.
     #[arg(value_hint = ValueHint::FilePath)]

@@ -83,7 +83,7 @@ pub struct Args {
     #[arg(long, value_name = "WHICH", default_value = "failures")]
     keep: Keep,
     /// Time limit for each answer of an external agent.
-    #[arg(long, value_name = "SECONDS", default_value_t = 10.0)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = crate::cli::seconds)]
     agent_timeout: f64,
     /// Print one JSON object as the last line of stdout; everything else goes to stderr.
     #[arg(long)]

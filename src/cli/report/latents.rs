@@ -12,6 +12,7 @@ use wad_cosim::perception::{TRANSFORMED_SIZE, TransformedImage};
 
 /// Draw transformed images above their reconstructions (the paper's figure 5).
 #[derive(clap::Args, Debug)]
+#[command(after_help = "Example:\n  wad-cosim report latents --data data/town5 --out latents.png")]
 pub struct Args {
     /// A .safetensors file, a folder of `train encoder`, or a bundled encoder.
     #[arg(long, value_name = "NAME", default_value = "default")]

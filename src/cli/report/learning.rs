@@ -9,6 +9,7 @@ use wad_cosim::train::agent::Curve;
 
 /// Draw learning curves of trainings. Those that differ in their seed alone become one line with a band.
 #[derive(clap::Args, Debug)]
+#[command(after_help = "Example:\n  wad-cosim report learning runs/t1 runs/t2 --out pictures")]
 pub struct Args {
     /// Folders that `train agent` wrote.
     #[arg(value_name = "RUN", required = true, value_hint = ValueHint::DirPath)]

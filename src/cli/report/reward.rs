@@ -10,6 +10,7 @@ use wad_cosim::reward::{self, Facts, Light, RewardParams};
 
 /// Plot the reward's six terms as SVG.
 #[derive(clap::Args, Debug)]
+#[command(after_help = "Example:\n  wad-cosim report reward --out reward")]
 pub struct Args {
     /// Folder for the pictures.
     #[arg(long, value_name = "DIR", default_value = "docs/img", value_hint = ValueHint::DirPath)]

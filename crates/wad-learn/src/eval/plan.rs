@@ -220,44 +220,49 @@ impl Selection {
         let agents = if self.agents.is_empty() { vec![DriverSpec::Autopilot] } else { self.agents.clone() };
         let seeds = if self.seeds.is_empty() { vec![0] } else { self.seeds.clone() };
         let episodes = self.episodes.unwrap_or(suite.episodes);
-        if episodes > MOST_EPISODES {
-            return Err(SuiteError::TooMany { found: episodes });
-        }
-        let (mut plan, mut seen) = (Vec::new(), HashSet::new());
+        let places = self.places(suite)?;
+        let mut rows = Vec::new();
         for agent in &agents {
-            for Place { town, weathers } in self.places(suite)? {
+            for Place { town, weathers } in &places {
                 for &task in &tasks {
                     let traffic: Vec<Option<TrafficSpec>> = match self.traffic.as_slice() {
                         [] => vec![task.traffic],
                         given => given.iter().copied().map(Some).collect(),
                     };
-                    let rows: Vec<&[Preset]> =
-                        if suite.weathers_in_turn { vec![&weathers] } else { weathers.chunks(1).collect() };
-                    for (row, traffic) in rows.iter().flat_map(|row| traffic.iter().map(move |t| (row, *t))) {
-                        for (&seed, episode) in seeds.iter().flat_map(|s| (0..episodes).map(move |e| (s, e)))
-                        {
-                            let weather = row[episode as usize % row.len()];
-                            let case = Case {
-                                suite: suite.name.clone(),
-                                condition: condition_of(suite, &town, weather),
-                                agent: agent.clone(),
-                                town: town.clone(),
-                                task: task.name.clone(),
-                                spec: TaskSpec {
-                                    traffic,
-                                    tick_limit: task.tick_limit,
-                                    endless: task.endless,
-                                    ..TaskSpec::new(task.kind).in_weather(weather)
-                                },
-                                seed,
-                                episode,
-                            };
-                            // Repeated values count once.
-                            if seen.insert(case.name()) {
-                                plan.push((case, task));
-                            }
-                        }
+                    let turn = if suite.weathers_in_turn { weathers.len().max(1) } else { 1 };
+                    for days in weathers.chunks(turn) {
+                        rows.extend(traffic.iter().map(|&traffic| (agent, town, task, days, traffic)));
                     }
+                }
+            }
+        }
+        // Before memory is reserved for them.
+        let found = episodes.saturating_mul((rows.len() * seeds.len()) as u64);
+        if found > MOST_EPISODES {
+            return Err(SuiteError::TooMany { found });
+        }
+        let (mut plan, mut seen) = (Vec::new(), HashSet::new());
+        for (agent, town, task, days, traffic) in rows {
+            for (&seed, episode) in seeds.iter().flat_map(|s| (0..episodes).map(move |e| (s, e))) {
+                let weather = days[episode as usize % days.len()];
+                let case = Case {
+                    suite: suite.name.clone(),
+                    condition: condition_of(suite, town, weather),
+                    agent: agent.clone(),
+                    town: town.clone(),
+                    task: task.name.clone(),
+                    spec: TaskSpec {
+                        traffic,
+                        tick_limit: task.tick_limit,
+                        endless: task.endless,
+                        ..TaskSpec::new(task.kind).in_weather(weather)
+                    },
+                    seed,
+                    episode,
+                };
+                // Repeated values count once.
+                if seen.insert(case.name()) {
+                    plan.push((case, task));
                 }
             }
         }
@@ -406,6 +411,10 @@ mod tests {
         let many = Selection { episodes: Some(u64::MAX), ..Selection::default() };
         let error = many.cases(&Suite::find("nocrash").unwrap()).unwrap_err().to_string();
         assert!(error.contains(&u64::MAX.to_string()) && error.contains("at most 1000000"), "{error}");
+        // A million of each of its thirty rows filled the memory.
+        let many = Selection { episodes: Some(1_000_000), ..Selection::default() };
+        let error = many.cases(&Suite::find("nocrash").unwrap()).unwrap_err().to_string();
+        assert!(error.contains("30000000 episodes"), "{error}");
     }
 
     #[test]

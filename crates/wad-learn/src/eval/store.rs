@@ -338,7 +338,7 @@ impl Store {
         free(path)?;
         let mut copies = Vec::new();
         for (run, recording) in episodes.iter().filter_map(|(run, e)| Some((run, e.recording.as_ref()?))) {
-            copies.push((recording, plain_files(&recording.within(run))?));
+            copies.push((recording, plain_files(run, recording)?));
         }
         let failed = |what, path: &Path| {
             let path = path.to_path_buf();
@@ -387,9 +387,14 @@ fn free(path: &Path) -> Result<(), StoreError> {
     }
 }
 
-/// The files of a recording's folder; folders and links in it are refused.
-fn plain_files(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
-    let refused = |why: String| StoreError::Recording { path: folder.to_path_buf(), why };
+/// The files of a recording's folder below `run`; links that lead elsewhere, and folders in it, are refused.
+fn plain_files(run: &Path, recording: &RecordingFolder) -> Result<Vec<PathBuf>, StoreError> {
+    let folder = &recording.within(run);
+    let refused = |why: String| StoreError::Recording { path: folder.clone(), why };
+    let real = |path: &Path| path.canonicalize().map_err(|e| refused(e.to_string()));
+    if !real(folder)?.starts_with(real(run)?) {
+        return Err(refused(format!("it is a link that leads out of {}", run.display())));
+    }
     let entries = std::fs::read_dir(folder).map_err(|e| refused(e.to_string()))?;
     let mut files = Vec::new();
     for entry in entries {
@@ -553,6 +558,14 @@ mod tests {
         assert!(merge().unwrap_err().to_string().contains("expected files, found link"));
         assert!(!out.exists(), "nothing is written");
         std::fs::remove_file(kept.join("link")).unwrap();
+        // Nor is the folder itself a link to somebody's files.
+        let elsewhere = folder.path().join("elsewhere");
+        std::fs::rename(&kept, &elsewhere).unwrap();
+        std::os::unix::fs::symlink(&elsewhere, &kept).unwrap();
+        assert!(merge().unwrap_err().to_string().contains("a link that leads out of"));
+        assert!(!out.exists(), "nothing is written");
+        std::fs::remove_file(&kept).unwrap();
+        std::fs::rename(&elsewhere, &kept).unwrap();
         merge().unwrap();
         let merged = Results::open(&out).unwrap();
         assert_eq!(merged.episodes, std::slice::from_ref(&episode));

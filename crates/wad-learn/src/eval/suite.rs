@@ -88,7 +88,7 @@ pub struct SuiteTask {
     pub endless: bool,
 }
 
-/// Most episodes of one task; more are taken for a typing error.
+/// Most episodes of a plan; more are taken for a typing error.
 pub(super) const MOST_EPISODES: u64 = 1_000_000;
 
 /// Episodes of a scenario: start, traffic and the detector's faults differ by their seeds.
@@ -139,7 +139,7 @@ pub enum SuiteError {
     },
     /// Too many episodes.
     #[error(
-        "{found} episodes: expected at most {MOST_EPISODES} of a task; see `episodes` in the suite, or --episodes"
+        "{found} episodes: expected at most {MOST_EPISODES} in all; see `episodes` in the suite, or --episodes"
     )]
     TooMany {
         /// Their number.

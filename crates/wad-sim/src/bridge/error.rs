@@ -27,7 +27,7 @@ pub enum BridgeError {
     #[error(transparent)]
     Ego(#[from] ParamsError),
     /// The step length is out of range.
-    #[error("the step length must be 1 to 1000 ms, found {found} ms; give another with --tick-ms")]
+    #[error("the step length must be 1 to 1000 ms, found {found:?} ms; give another with --tick-ms")]
     Tick {
         /// The asked step length (ms).
         found: f64,

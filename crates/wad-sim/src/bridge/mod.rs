@@ -28,6 +28,7 @@ use background::population_of;
 use observe::ActorCatalog;
 use serde::{Deserialize, Serialize};
 use signals::SignalWatch;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -91,6 +92,8 @@ impl BridgeOptions {
 
 /// The paper's six ticks a second, in SUMO's whole milliseconds.
 pub const DEFAULT_TICK_MS: f64 = 167.0;
+/// Lengths that a tick may have (ms).
+pub const TICK_MS: RangeInclusive<f64> = 1.0..=1000.0;
 
 /// The vehicle type of a scenario's ego: the real ego replaces that vehicle.
 pub const EGO_TYPE: &str = "ego";
@@ -187,7 +190,7 @@ impl Bridge {
             }
             None => {
                 let tick_ms = wanted.unwrap_or(DEFAULT_TICK_MS).round();
-                if !(1.0..=1000.0).contains(&tick_ms) {
+                if !TICK_MS.contains(&tick_ms) {
                     return Err(BridgeError::Tick { found: tick_ms });
                 }
                 let effective = config.write_effective(&schema, &overrides(options, &config, tick_ms));

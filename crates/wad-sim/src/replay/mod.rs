@@ -21,6 +21,7 @@ mod recorder;
 pub use format::{Body, Header};
 pub use recorder::{Moment, Recorder, digest};
 
+use crate::bridge::TICK_MS;
 use crate::criteria::Event;
 use flate2::read::GzDecoder;
 use format::{FORMAT, Line, Memory};
@@ -145,6 +146,14 @@ impl Recording {
         let header: Header = serde_json::from_str(&first).map_err(|e| broken(format!("its header: {e}")))?;
         if header.format != FORMAT {
             return Err(broken(format!("expected the format `{FORMAT}`, found `{}`", header.format)));
+        }
+        // Films and players wait for so long between two ticks.
+        if !TICK_MS.contains(&header.tick_ms) {
+            let (low, high) = (TICK_MS.start(), TICK_MS.end());
+            return Err(broken(format!(
+                "expected ticks of {low} to {high} ms, found {:?} ms",
+                header.tick_ms
+            )));
         }
         let mut memory = Memory::new(header.lights.len());
         let mut frames: Vec<Frame> = Vec::new();
@@ -334,7 +343,7 @@ mod tests {
     }
 
     #[test]
-    fn a_recording_that_would_fill_the_memory_or_has_no_ticks_is_refused() {
+    fn a_recording_that_would_fill_the_memory_or_has_no_ticks_or_odd_ones_is_refused() {
         use std::io::Write;
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join(FILE);
@@ -355,6 +364,11 @@ mod tests {
         let lit = lines.iter().find(|line| line.contains("\"lights\":[[1")).unwrap();
         let far = lit.replace("\"lights\":[[1", "\"lights\":[[4000000000");
         assert!(open(&[lines[0], lines[1], &far]).unwrap_err().contains("light 4000000000 of 2"));
+        // `replay` panicked, and a film never ended.
+        for ms in ["-1.0", "0.0", "1e-300", "1e300"] {
+            let odd = lines[0].replace("\"tick_ms\":167.0", &format!("\"tick_ms\":{ms}"));
+            assert!(open(&[&odd, lines[1]]).unwrap_err().contains("ticks of 1 to 1000 ms"), "{ms}");
+        }
     }
 
     #[test]
