@@ -236,8 +236,7 @@ mod tests {
         // The suites print what `eval` does.
         let suites: Vec<String> =
             wad_cosim::eval::names().iter().map(|name| format!("eval {name}")).collect();
-        // The section of `bench fleet` comes with its new keys.
-        commands.retain(|command| !suites.contains(command) && command != "bench fleet");
+        commands.retain(|command| !suites.contains(command));
         for command in commands {
             assert!(page.contains(&format!("`{command}`")), "docs/json.md lacks `{command}`");
         }

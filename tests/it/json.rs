@@ -98,6 +98,7 @@ fn the_page_of_json_says_what_is_printed() {
         "bench camera",
         &["--frames", "1", "--weather", "ClearNoon", "--sizes", "64x64", "--town-times", "1"],
     );
+    check("bench fleet", &["--egos", "2", "--traffic", "2,2", "--seconds", "0.1"]);
     check("bench tick", &["--ticks", "1", "--warm-up", "1"]);
     check("bench view", &["--repeat", "2", "--ticks", "2", "--viewers", "2"]);
     check("doctor", &[]);
