@@ -77,6 +77,8 @@ def start(cluster):
     for driver in drivers:
         driver.kill()
         driver.communicate()
+    # Also where the test failed: the next one counts its own.
+    until(lambda: not processes("ray::Learner") + processes("ray::Collector"), 60)
 
 
 def finish(driver, code=0):

@@ -53,7 +53,7 @@ def saved(out):
 
 
 def wait_for(driver, what):
-    assert until(lambda: what() or driver.poll() is not None, 120)
+    assert until(lambda: what() or driver.poll() is not None, 300)
     assert driver.poll() is None, finish(driver)
 
 
