@@ -2,7 +2,6 @@
 
 use super::agents::default_encoder;
 use super::{Exit, print};
-use anyhow::Context;
 use clap::ValueHint;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -52,7 +51,7 @@ pub struct Args {
     /// Seconds to measure, for each number of egos.
     #[arg(long, default_value_t = 10.0)]
     seconds: f64,
-    /// Draw the tick by stage over the vehicles or, where they are the same, over the egos, as SVG.
+    /// Draw the tick by stage over the vehicles where --traffic is given several times, else over the egos, as SVG.
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     plot: Option<PathBuf>,
     /// Seed of everything random.
@@ -151,15 +150,13 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
         print(&format!("{}\n", serde_json::json!({ "town": args.config, "rows": rows })))?;
     }
     if let Some(path) = &args.plot {
-        draw(&rows, path)?;
+        draw(&rows, args.traffic.len() > 1, path)?;
     }
     Ok(Exit::Done)
 }
 
-/// The tick and its stages over what changes from row to row.
-fn draw(rows: &[Row], path: &Path) -> anyhow::Result<()> {
-    let by_vehicles =
-        rows.windows(2).any(|pair| pair[0].vehicles.abs_diff(pair[1].vehicles) > pair[0].vehicles / 10);
+/// The tick and its stages over the vehicles, or over the egos.
+fn draw(rows: &[Row], by_vehicles: bool, path: &Path) -> anyhow::Result<()> {
     let place = |row: &Row| if by_vehicles { row.vehicles as f64 } else { f64::from(row.egos) };
     let line = |name: &str, value: &dyn Fn(&Row) -> f64| Line {
         name: name.to_string(),
@@ -183,9 +180,7 @@ fn draw(rows: &[Row], path: &Path) -> anyhow::Result<()> {
         ("A tick of many egos in one SUMO".to_string(), "egos")
     };
     let chart = Chart { title, x: x.to_string(), y: "ms per tick".to_string(), lines };
-    std::fs::write(path, chart.svg())
-        .map_err(|e| Exit::Input.because(e))
-        .with_context(|| format!("cannot write {}", path.display()))
+    super::save(path, &chart.svg())
 }
 
 fn measure(

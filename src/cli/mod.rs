@@ -189,6 +189,13 @@ pub fn row(line: &str, json: bool) -> anyhow::Result<()> {
     print(&format!("{line}\n"))
 }
 
+/// Writes `text` to a file that the user asked for; where it cannot be written that is bad input.
+pub fn save(path: &std::path::Path, text: &str) -> anyhow::Result<()> {
+    std::fs::write(path, text)
+        .map_err(|e| Exit::Input.because(e))
+        .with_context(|| format!("cannot write {}", path.display()))
+}
+
 /// Write `text` to stdout. A closed pipe (`| head`) is not an error.
 pub fn print(text: &str) -> anyhow::Result<()> {
     let mut out = std::io::stdout().lock();

@@ -56,9 +56,7 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
 }
 
 fn write(path: &Path, text: &str) -> anyhow::Result<()> {
-    std::fs::write(path, text)
-        .map_err(|e| Exit::Input.because(e))
-        .with_context(|| format!("cannot write {}", path.display()))?;
+    crate::cli::save(path, text)?;
     print(&format!("{}\n", path.display()))
 }
 

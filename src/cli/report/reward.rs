@@ -28,9 +28,7 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
         .with_context(|| format!("cannot make the folder {}", folder.display()))?;
     for (name, chart) in charts(&RewardParams::default()) {
         let path = folder.join(format!("reward-{name}.svg"));
-        std::fs::write(&path, chart.svg())
-            .map_err(|e| Exit::Input.because(e))
-            .with_context(|| format!("cannot write {}", path.display()))?;
+        crate::cli::save(&path, &chart.svg())?;
         print(&format!("{}\n", path.display()))?;
     }
     Ok(Exit::Done)
