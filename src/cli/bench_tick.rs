@@ -4,10 +4,11 @@ use super::{Exit, answer, run};
 use anyhow::Context;
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressDrawTarget};
+use serde_json::{Map, Value, json};
 use wad_cosim::agent::policy::find_encoder;
 use wad_cosim::bench_tick::{TickBench, TickBenchError, TickBenchOptions, TickReport};
 use wad_cosim::bundled;
-use wad_cosim::camera::{CameraConfig, Outputs, Preset};
+use wad_cosim::camera::{CameraConfig, Instructions, Outputs, Preset};
 use wad_cosim::drive::DriveOptions;
 use wad_cosim::eyes::EyesError;
 use wad_cosim::latent::Encoder;
@@ -18,7 +19,8 @@ const EXAMPLES: &str = "\
 Examples:
   wad-cosim bench tick
   wad-cosim bench tick town3 --traffic 100,250 --weather HardRainNoon --json
-  wad-cosim bench tick my.sumocfg --traffic as-is --outputs all";
+  wad-cosim bench tick my.sumocfg --traffic as-is --outputs all
+  wad-cosim bench tick --detector eyes --cpu-features          (as on processors that have less)";
 
 /// Measure a tick of the whole loop: autopilot, physics, SUMO, decoding, camera, perception.
 #[derive(clap::Args, Debug)]
@@ -56,9 +58,18 @@ pub struct Args {
     /// Seed of the traffic.
     #[arg(long, default_value_t = 0)]
     seed: u64,
+    /// Measure once with each of these instruction sets: plain, avx2, avx512 [default without a list: all that this
+    /// processor has]
+    #[arg(long, value_name = "SETS", value_delimiter = ',', num_args = 0..=1, require_equals = true,
+          default_missing_value = "avx512,avx2,plain", value_parser = instruction_set)]
+    cpu_features: Vec<Instructions>,
     /// Print one JSON object as the last line of stdout; everything else goes to stderr.
     #[arg(long)]
     json: bool,
+}
+
+fn instruction_set(name: &str) -> Result<Instructions, String> {
+    Instructions::named(name)
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -71,6 +82,9 @@ enum Made {
 
 /// Runs the command.
 pub async fn run(args: Args) -> anyhow::Result<Exit> {
+    if !args.cpu_features.is_empty() {
+        return each_set(&args).await;
+    }
     let config = bundled::resolve(&args.config).map_err(|e| Exit::Input.because(e))?;
     let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
     let detector = (!args.no_perception)
@@ -114,6 +128,79 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
         None => super::note(format_args!("interrupted before the first measured tick")),
     }
     Ok(if interrupted { Exit::Interrupted } else { Exit::Done })
+}
+
+/// What the libraries call an instruction set: oneDNN (in OpenVINO), ATen and MKL (in libtorch).
+fn library_names(set: Instructions) -> [(&'static str, &'static str); 3] {
+    let [onednn, aten, mkl] = match set {
+        Instructions::Plain => ["SSE41", "default", "SSE4_2"],
+        Instructions::Avx2 => ["AVX2", "avx2", "AVX2"],
+        Instructions::Avx512 => ["ALL", "avx512", "AVX512"],
+    };
+    [("ONEDNN_MAX_CPU_ISA", onednn), ("ATEN_CPU_CAPABILITY", aten), ("MKL_ENABLE_INSTRUCTIONS", mkl)]
+}
+
+/// The same measurement in a process for each instruction set, since libraries choose theirs when they are loaded.
+async fn each_set(args: &Args) -> anyhow::Result<Exit> {
+    let mut interrupt = super::interrupt()?;
+    let program = std::env::current_exe().context("cannot find this program")?;
+    let given = std::env::args_os().skip(1);
+    let mut given: Vec<_> =
+        given.filter(|arg| !arg.to_string_lossy().starts_with("--cpu-features")).collect();
+    if !args.json {
+        given.push("--json".into());
+    }
+    let mut rows = Vec::new();
+    for &set in &args.cpu_features {
+        if set > Instructions::of_processor() {
+            super::note(format_args!("{}: this processor does not have it", set.name()));
+            continue;
+        }
+        tracing::info!("{}", set.name());
+        let child = tokio::process::Command::new(&program)
+            .args(&given)
+            .env(Instructions::VARIABLE, set.name())
+            .envs(library_names(set))
+            .stdin(std::process::Stdio::null())
+            .kill_on_drop(true)
+            .output();
+        let output = tokio::select! {
+            biased;
+            () = interrupt.wait() => return Ok(Exit::Interrupted),
+            output = child => output.context("cannot start this program again")?,
+        };
+        let report = output.stdout.split(|byte| *byte == b'\n').rfind(|line| !line.is_empty());
+        let report = report.and_then(|line| serde_json::from_slice::<Map<String, Value>>(line).ok());
+        let Some(mut row) = report.filter(|_| output.status.success()) else {
+            let error = anyhow::anyhow!("{}: {}", set.name(), String::from_utf8_lossy(&output.stderr).trim());
+            return Err(if output.status.code() == Some(2) { Exit::Input.because(error) } else { error });
+        };
+        row.insert("cpu_features".to_owned(), json!(set.name()));
+        rows.push(row);
+    }
+    answer(&table(&rows), args.json, &json!({ "rows": rows }))?;
+    Ok(Exit::Done)
+}
+
+/// Stages down, instruction sets across (ms).
+fn table(rows: &[Map<String, Value>]) -> String {
+    let mut text = format!("{:>9}", "ms");
+    for row in rows {
+        text += &format!(" {:>9}", row["cpu_features"].as_str().unwrap_or_default());
+    }
+    let stages = rows.first().and_then(|row| row["stages"].as_object()).into_iter().flat_map(Map::keys);
+    let mut line = |name: &str, of: &dyn Fn(&Map<String, Value>) -> Option<f64>| {
+        text += &format!("\n{name:>9}");
+        for row in rows {
+            text += &of(row).map_or_else(|| format!(" {:>9}", "-"), |ms| format!(" {ms:>9.3}"));
+        }
+    };
+    for stage in stages {
+        line(stage, &|row| row["stages"].get(stage)?.as_f64());
+    }
+    line("total", &|row| row["total_ms"].as_f64());
+    line("cpu", &|row| row.get("cpu_ms")?.as_f64());
+    text + "\n"
 }
 
 fn encoder(name: &str) -> anyhow::Result<Option<Box<dyn Encoder>>> {

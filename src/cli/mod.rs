@@ -93,6 +93,10 @@ pub fn main() -> ExitCode {
     wad_cosim::register_bundled();
     let cli = Cli::parse();
     start_log(cli.verbose, cli.quiet);
+    if let Err(wrong) = wad_cosim::camera::Instructions::allowed() {
+        note(format_args!("wad-cosim: {wrong}"));
+        return Exit::Input.into();
+    }
     let result = match cli.command {
         Command::Run(args) => run::run(*args),
         Command::Snapshot(args) => snapshot::run(*args),

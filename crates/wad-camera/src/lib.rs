@@ -51,6 +51,7 @@ pub use cpu::CpuRenderer;
 pub use error::CameraError;
 pub use frame::{Frame, ObjectTruth, Outputs};
 pub use picture::Picture;
+pub use simd::{Instructions, instructions};
 pub use stages::Stages;
 pub use town::Town;
 pub use view::View;

@@ -3,7 +3,6 @@
 //! The compiler fuses no multiply and add by itself; where the lanes do so, single numbers do too, so
 //! that every instruction set gives the same bits.
 
-#[cfg(target_arch = "x86_64")]
 use std::sync::atomic::{AtomicU8, Ordering};
 
 /// Defines a function whose body is compiled for AVX-512 (on vectors of 256 bits: its masks and its many
@@ -42,42 +41,87 @@ macro_rules! multiversion {
 }
 pub(super) use multiversion;
 
-/// The instruction sets that functions are compiled for.
-#[cfg(target_arch = "x86_64")]
+/// The instruction sets that functions are compiled for, each with all before it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Instructions {
+    /// What every processor has.
     Plain,
-    /// AVX2, FMA, BMI1, BMI2.
+    /// AVX2, FMA, F16C, BMI1, BMI2.
     Avx2,
     /// AVX2's, and AVX-512 F, VL, BW, DQ.
     Avx512,
 }
 
-/// The best that the processor has.
-#[cfg(target_arch = "x86_64")]
+impl Instructions {
+    /// The environment variable that limits them, to measure and to test what other processors do: a name.
+    pub const VARIABLE: &str = "WAD_COSIM_CPU";
+
+    /// All, the plainest first.
+    pub const ALL: [Self; 3] = [Self::Plain, Self::Avx2, Self::Avx512];
+
+    /// `plain`, `avx2` or `avx512`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Plain => "plain",
+            Self::Avx2 => "avx2",
+            Self::Avx512 => "avx512",
+        }
+    }
+
+    /// The best that the processor has.
+    pub fn of_processor() -> Self {
+        #[cfg(target_arch = "x86_64")]
+        {
+            use std::is_x86_feature_detected as has;
+            let avx2 = has!("avx2") && has!("fma") && has!("f16c") && has!("bmi1") && has!("bmi2");
+            let avx512 = has!("avx512f") && has!("avx512vl") && has!("avx512bw") && has!("avx512dq");
+            match (avx2, avx512) {
+                (false, _) => Self::Plain,
+                (true, false) => Self::Avx2,
+                (true, true) => Self::Avx512,
+            }
+        }
+        #[cfg(not(target_arch = "x86_64"))]
+        Self::Plain
+    }
+
+    /// By its name.
+    ///
+    /// # Errors
+    /// There is none of this name.
+    pub fn named(name: &str) -> Result<Self, String> {
+        Self::ALL.into_iter().find(|set| name == set.name()).ok_or_else(|| {
+            format!("expected one of {}, found `{name}`", Self::ALL.map(Self::name).join(", "))
+        })
+    }
+
+    /// The most that the environment allows.
+    ///
+    /// # Errors
+    /// The variable has another value than a name.
+    pub fn allowed() -> Result<Self, String> {
+        let Some(name) = std::env::var_os(Self::VARIABLE) else { return Ok(Self::Avx512) };
+        Self::named(&name.to_string_lossy()).map_err(|wrong| format!("{}: {wrong}", Self::VARIABLE))
+    }
+}
+
+/// The best that the processor has and [`Instructions::VARIABLE`] allows, where it has a valid value.
 #[inline]
 pub fn instructions() -> Instructions {
     static BEST: AtomicU8 = AtomicU8::new(0);
     match BEST.load(Ordering::Relaxed) {
-        0 => detect(&BEST),
+        0 => choose(&BEST),
         1 => Instructions::Plain,
         2 => Instructions::Avx2,
         _ => Instructions::Avx512,
     }
 }
 
-#[cfg(target_arch = "x86_64")]
 #[cold]
-fn detect(best: &AtomicU8) -> Instructions {
-    use std::is_x86_feature_detected as has;
-    let avx2 = has!("avx2") && has!("fma") && has!("bmi1") && has!("bmi2");
-    let avx512 = has!("avx512f") && has!("avx512vl") && has!("avx512bw") && has!("avx512dq");
-    let (number, found) = match (avx2, avx512) {
-        (false, _) => (1, Instructions::Plain),
-        (true, false) => (2, Instructions::Avx2),
-        (true, true) => (3, Instructions::Avx512),
-    };
-    best.store(number, Ordering::Relaxed);
+fn choose(best: &AtomicU8) -> Instructions {
+    let allowed = Instructions::allowed().unwrap_or(Instructions::Avx512);
+    let found = Instructions::of_processor().min(allowed);
+    best.store(1 + found as u8, Ordering::Relaxed);
     found
 }
 

@@ -12,6 +12,7 @@ use crate::perception::{TRANSFORMED_SIZE, TransformedImage};
 use crate::weights::{Weights, WeightsError};
 use half::f16;
 use safetensors::Dtype;
+use wad_camera::{Instructions, instructions};
 
 /// Outputs that are computed together, and pixels.
 const WIDE: usize = 64;
@@ -92,7 +93,7 @@ impl Layer {
     }
 
     /// The picture after this convolution, pixel by pixel.
-    fn convolve(&self, level: Level, picture: &[f32], gathered: &mut Vec<f32>, out: &mut Vec<f32>) {
+    fn convolve(&self, level: Instructions, picture: &[f32], gathered: &mut Vec<f32>, out: &mut Vec<f32>) {
         let half = self.side / 2;
         out.resize(half * half * self.outputs, 0.0);
         let step = (GATHERED / half).clamp(1, half);
@@ -105,7 +106,7 @@ impl Layer {
     }
 
     /// Pixels by pixels: `inputs` times weights.
-    fn product(&self, level: Level, inputs: &[f32], relu: bool, out: &mut [f32]) {
+    fn product(&self, level: Instructions, inputs: &[f32], relu: bool, out: &mut [f32]) {
         let pixels = out.len() / self.outputs;
         let count = inputs.len() / pixels.max(1);
         let block = block(self.outputs);
@@ -114,7 +115,7 @@ impl Layer {
             match level {
                 // SAFETY: the level is one that the processor has.
                 #[cfg(target_arch = "x86_64")]
-                Level::Avx512 => unsafe {
+                Instructions::Avx512 => unsafe {
                     match (block, pixels.is_multiple_of(PIXELS)) {
                         (WIDE, true) => job.run_avx512::<{ WIDE / 16 }, PIXELS>(out),
                         (WIDE, false) => job.run_avx512::<{ WIDE / 16 }, 1>(out),
@@ -124,7 +125,7 @@ impl Layer {
                 },
                 // SAFETY: the level is one that the processor has.
                 #[cfg(target_arch = "x86_64")]
-                Level::Avx2 => unsafe {
+                Instructions::Avx2 => unsafe {
                     for part in (0..block).step_by(NARROW) {
                         match pixels.is_multiple_of(2) {
                             true => job.run_avx2::<2>(part, out),
@@ -132,38 +133,9 @@ impl Layer {
                         }
                     }
                 },
-                Level::Plain => job.run(out),
+                _ => job.run(out),
             }
         }
-    }
-}
-
-/// What the processor can do.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Level {
-    #[cfg(target_arch = "x86_64")]
-    Avx512,
-    #[cfg(target_arch = "x86_64")]
-    Avx2,
-    Plain,
-}
-
-impl Level {
-    /// The levels that this processor has, best first.
-    fn all() -> Vec<Self> {
-        let mut levels = Vec::new();
-        #[cfg(target_arch = "x86_64")]
-        {
-            if std::is_x86_feature_detected!("avx512f") {
-                levels.push(Self::Avx512);
-            }
-            let has_avx2 = std::is_x86_feature_detected!("avx2") && std::is_x86_feature_detected!("fma");
-            if has_avx2 && std::is_x86_feature_detected!("f16c") {
-                levels.push(Self::Avx2);
-            }
-        }
-        levels.push(Self::Plain);
-        levels
     }
 }
 
@@ -312,7 +284,7 @@ fn multiply_add(a: f32, b: f32, c: f32) -> f32 {
 pub struct Packed {
     convolutions: Vec<Layer>,
     last: Layer,
-    level: Level,
+    level: Instructions,
 }
 
 /// Room that encoding needs; keep it between images.
@@ -374,7 +346,7 @@ impl Packed {
             _ => f16::ZERO,
         };
         let last = Layer::new((side, channels), [mean.len(), places * channels], weight, factor, bias);
-        Ok(Some(Self { convolutions, last, level: Level::all()[0] }))
+        Ok(Some(Self { convolutions, last, level: instructions() }))
     }
 
     /// The latent of an image.
@@ -434,8 +406,8 @@ mod tests {
         let mut packed = Packed::new(&weights, &architecture).unwrap().unwrap();
         let mut scratch = Scratch::default();
         for image in pictures().take(3) {
-            let latents: Vec<(Level, Vec<f32>)> = Level::all()
-                .into_iter()
+            let levels = Instructions::ALL.into_iter().rev().filter(|level| *level <= instructions());
+            let latents: Vec<(Instructions, Vec<f32>)> = levels
                 .map(|level| {
                     let mut latent = Vec::new();
                     packed.level = level;
@@ -447,7 +419,7 @@ mod tests {
             assert!(best.len() == LATENT_SIZE && best.iter().any(|v| v.abs() > 0.3), "{best:?}");
             for (level, latent) in others {
                 let apart = latent.iter().zip(best).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
-                let most = if *level == Level::Plain { 1e-4 } else { 0.0 };
+                let most = if *level == Instructions::Plain { 1e-4 } else { 0.0 };
                 assert!(apart <= most, "{level:?}: {apart}");
             }
         }
