@@ -76,6 +76,17 @@ fn training_learns_and_its_encoder_is_read_back() {
 }
 
 #[test]
+fn a_dataset_of_one_shard_is_validated_on_itself() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let picture = |_: usize| Picture { red: false, object: [30, 60, 20, 14] };
+    write(&path("data"), "town3", &[16], Preset::ClearNoon, picture);
+    let trained = go(&options(&path("data"), &path("out"), 2), false).unwrap();
+    assert_eq!((trained.images, trained.validation_images, trained.steps), (16, 16, 4));
+    assert!(trained.best.loss > 0.0, "{:?}", trained.best);
+}
+
+#[test]
 fn an_infinite_loss_stops_and_keeps_the_last_checkpoint() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
@@ -182,18 +193,6 @@ fn bfloat16_learns_as_well_and_the_labels_are_learnt() {
     assert!(types.iter().all(|dtype| *dtype == Dtype::F16), "{types:?}");
     assert!(weights.tensors.iter().all(|(name, _)| !name.contains("labels")));
     wad_see::latent::TchEncoder::find(&path("out").to_string_lossy()).unwrap();
-}
-
-#[test]
-fn a_dataset_of_one_shard_trains_without_validation() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = |name: &str| folder.path().join(name);
-    write(&path("data"), "town3", &[8], Preset::ClearNoon, |n| Picture {
-        red: false,
-        object: [30 + n, 60, 20, 14],
-    });
-    let trained = go(&options(&path("data"), &path("out"), 1), false).unwrap();
-    assert_eq!((trained.images, trained.validation_images, trained.steps), (8, 0, 1));
 }
 
 #[test]
