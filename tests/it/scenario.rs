@@ -359,6 +359,14 @@ fn every_mistake_is_named_with_file_element_and_fix() {
             "event.acident",
             &["add.xml:", "poi `", "unknown type `event.acident`", "did you mean event.accident?"],
         ),
+        // Both at once.
+        (
+            "accident_ahead",
+            "add.xml",
+            "event.accident\" lane=\"A3SW2_0\" pos=\"",
+            "event.acident\" lane=\"A3SW2_0\" pos=\"9999",
+            &["did you mean event.accident?", "pos is `9999", "metres from 0 to the lane's"],
+        ),
         (
             "accident_ahead",
             "add.xml",

@@ -81,7 +81,11 @@ pub fn read(
         let (own, other) = if point { (POINTS, POLYGONS) } else { (POLYGONS, POINTS) };
         let kind = element.get("type").unwrap_or_default();
         if !own.contains(&kind) {
-            stranger(element, kind, own, other, problems);
+            if stranger(element, kind, own, other, problems) && point {
+                // Its place too, as of the type that is meant: every mistake is told at once.
+                let meant = near(kind, own.iter().copied()).first().copied().unwrap_or(kind);
+                place(&mut Reader { element, problems }, meant, network);
+            }
             continue;
         }
         if things.iter().any(|thing| thing.id == element.id()) {
@@ -98,8 +102,14 @@ pub fn read(
     things
 }
 
-/// An unknown type: it may be a misspelt one, and it may carry our parameters.
-fn stranger(element: &Element, kind: &str, own: &[&str], other: &[&str], problems: &mut Vec<Problem>) {
+/// An unknown type: it may be a misspelt one, which is answered, and it may carry our parameters.
+fn stranger(
+    element: &Element,
+    kind: &str,
+    own: &[&str],
+    other: &[&str],
+    problems: &mut Vec<Problem>,
+) -> bool {
     let a = if element.tag == "poi" { "a point" } else { "a polygon" };
     if other.contains(&kind) {
         let fix =
@@ -109,10 +119,12 @@ fn stranger(element: &Element, kind: &str, own: &[&str], other: &[&str], problem
         || kind.len() > 3 && !near(kind, own.iter().copied()).is_empty()
     {
         problems.push(element.problem(format!("unknown type `{kind}`"), meant(kind, own)));
+        return true;
     } else if element.params.iter().any(|p| p.key.starts_with(PREFIX)) {
         let what = format!("it has wad.* parameters, but its type `{kind}` is unknown");
         problems.push(element.problem(what, meant(kind, own)));
     }
+    false
 }
 
 /// The element's own shape, read as SUMO does.
