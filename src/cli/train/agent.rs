@@ -92,6 +92,10 @@ pub struct Args {
     /// inputs is kept.
     #[arg(long, value_name = "NAME|FILE", conflicts_with = "resume")]
     init: Option<String>,
+    /// Updates in which the critics learn and the actor waits [default: 5000 with --init and no demonstrations, else
+    /// 0].
+    #[arg(long, value_name = "N")]
+    critics_first: Option<u64>,
     /// Adam's initial learning rate for --clone; it falls linearly to a tenth.
     #[arg(long, value_name = "X", default_value_t = 1e-3)]
     clone_rate: f64,
@@ -296,6 +300,8 @@ fn config(args: &Args) -> anyhow::Result<TrainConfig> {
         floor: args.bc_floor,
         filter: args.bc_filter,
     };
+    let alone = args.init.is_some() && args.demonstrations == 0 && args.recorded.is_empty();
+    let critics_first = args.critics_first.unwrap_or(if alone { 5000 } else { 0 });
     let algorithm = match algo {
         Algo::Td3 => Algorithm::Td3(Td3Params {
             gamma: args.gamma,
@@ -305,6 +311,7 @@ fn config(args: &Args) -> anyhow::Result<TrainConfig> {
                 Critic::Linear => CriticEnd::Linear,
                 Critic::Sigmoid => CriticEnd::Sigmoid { low: args.critic_range.0, high: args.critic_range.1 },
             },
+            critics_first,
             imitation,
             ..Td3Params::default()
         }),
@@ -313,6 +320,7 @@ fn config(args: &Args) -> anyhow::Result<TrainConfig> {
             learning_rate: args.learning_rate,
             alpha: args.alpha.unwrap_or(SacParams::default().alpha),
             autotune: args.alpha.is_none(),
+            critics_first,
             imitation,
             ..SacParams::default()
         }),

@@ -201,6 +201,8 @@ pub struct Td3Params {
     pub critic_hidden: Vec<i64>,
     /// The critics' last layer.
     pub critic_end: CriticEnd,
+    /// Updates in which only the critics learn: those of a trained actor are new, and would spoil it.
+    pub critics_first: u64,
     /// Imitation, beyond the paper.
     pub imitation: Imitation,
 }
@@ -218,6 +220,7 @@ impl Default for Td3Params {
             saturation: 0.01,
             critic_hidden: vec![256, 128],
             critic_end: CriticEnd::Sigmoid { low: -60.0, high: 100.0 },
+            critics_first: 0,
             imitation: Imitation::default(),
         }
     }
@@ -255,6 +258,8 @@ pub struct SacParams {
     pub autotune: bool,
     /// Target entropy (nats), over actions in -1..1; None: minus the number of actions.
     pub target_entropy: Option<f64>,
+    /// Updates in which only the critics learn: those of a trained actor are new, and would spoil it.
+    pub critics_first: u64,
     /// Imitation, beyond the paper.
     pub imitation: Imitation,
 }
@@ -268,6 +273,7 @@ impl Default for SacParams {
             alpha: 0.1,
             autotune: true,
             target_entropy: None,
+            critics_first: 0,
             imitation: Imitation::default(),
         }
     }

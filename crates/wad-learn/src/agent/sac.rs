@@ -112,8 +112,11 @@ impl Sac {
         let policy_gradient = self.policy.params.gradient(&policy_loss);
         self.critics_adam.step(self.critics.params.flat_mut(), &q_gradient);
         self.value_adam.step(self.value.params.flat_mut(), &v_gradient);
-        self.policy_adam.step(self.policy.params.flat_mut(), &policy_gradient);
-        if self.params.autotune {
+        let actor_learns = self.updates > self.params.critics_first;
+        if actor_learns {
+            self.policy_adam.step(self.policy.params.flat_mut(), &policy_gradient);
+        }
+        if actor_learns && self.params.autotune {
             // d/d(log alpha) of -log alpha (log pi + target entropy), as in Stable-Baselines and cleanrl
             let gradient = no_grad(|| (mean(&log_prob.detach()) + self.target_entropy).neg().view([1]) * 1.0);
             self.alpha_adam.step(&mut self.log_alpha, &gradient);

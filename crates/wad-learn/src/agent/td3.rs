@@ -68,10 +68,12 @@ impl Td3 {
         self.critics_adam.step(self.critics.params.flat_mut(), &gradient);
         let mut actor_loss = None;
         if self.updates.is_multiple_of(self.params.policy_frequency) {
-            let loss = self.actor_loss(batch);
-            let gradient = self.actor.params.gradient(&loss);
-            self.actor_adam.step(self.actor.params.flat_mut(), &gradient);
-            actor_loss = Some(loss);
+            if self.updates > self.params.critics_first {
+                let loss = self.actor_loss(batch);
+                let gradient = self.actor.params.gradient(&loss);
+                self.actor_adam.step(self.actor.params.flat_mut(), &gradient);
+                actor_loss = Some(loss);
+            }
             self.actor_target.params.follow(&self.actor.params, self.params.tau);
             self.critics_target.params.follow(&self.critics.params, self.params.tau);
         }

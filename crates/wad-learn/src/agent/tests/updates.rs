@@ -279,3 +279,28 @@ fn sac_updates_as_computed_by_hand() {
         assert!((target[i] - (0.995 * v[i] + 0.005 * now[i])).abs() < 1e-6);
     }
 }
+
+#[test]
+fn an_actor_waits_while_new_critics_learn() {
+    let batch = Data::new().batch();
+    let rng = || seeds::rng(3, "networks");
+    let params = Td3Params { critics_first: 4, ..Td3Params::default() };
+    let mut td3 = Td3::new(params, DIMS, &mut rng(), Device::Cpu);
+    let mut sac =
+        Sac::new(SacParams { critics_first: 4, ..SacParams::default() }, DIMS, &mut rng(), Device::Cpu);
+    let (actor, policy) = (double(&td3.actor.params), double(&sac.policy.params));
+    let (theirs, hers) = (double(&td3.critics.params), double(&sac.critics.params));
+    let alpha = tensor(&sac.log_alpha);
+    for _ in 0..4 {
+        td3.update(&batch, None);
+        sac.update(&batch, None);
+    }
+    assert_eq!((double(&td3.actor.params), double(&sac.policy.params)), (actor.clone(), policy.clone()));
+    assert_eq!(tensor(&sac.log_alpha), alpha);
+    assert!(double(&td3.critics.params) != theirs && double(&sac.critics.params) != hers);
+    for _ in 0..2 {
+        td3.update(&batch, None);
+        sac.update(&batch, None);
+    }
+    assert!(double(&td3.actor.params) != actor && double(&sac.policy.params) != policy);
+}
