@@ -8,6 +8,7 @@ use std::time::Duration;
 use wad_cosim::bridge::BridgeError;
 use wad_cosim::camera::Preset;
 use wad_cosim::camera::model::ObjectClass;
+use wad_cosim::camera::variety::Varied;
 use wad_cosim::dataset::{
     CollectOptions, Collected, Dataset, DatasetError, NoiseParams, Progress, RecordedRun, Role,
     TRAINING_WEATHERS, collect,
@@ -15,6 +16,9 @@ use wad_cosim::dataset::{
 use wad_cosim::drive::DriveError;
 use wad_cosim::folder_lock::LockError;
 use wad_cosim::perception::coco::{CLASSES, class_name};
+
+/// Clap takes this for one value.
+pub type VariedList = Vec<Varied>;
 
 /// Collect training data while the autopilot drives.
 #[derive(clap::Args, Debug)]
@@ -36,6 +40,7 @@ Examples:
   wad-cosim dataset collect --town town3 --frames 150000 --out data/town3 --jobs 2   (the paper's 100k + 50k)
   wad-cosim dataset collect --town town5 --frames 2000 --out data/town5              (for measuring only)
   wad-cosim dataset collect --frames 20000 --camera --out data/detector              (pictures for a detector)
+  wad-cosim dataset collect --frames 20000 --camera --vary all --out data/varied     (other streets in each shard)
   wad-cosim dataset collect --from runs/mine --from runs/yours --out data/runs       (frames of recorded runs)
 
 Run the same command again to continue an interrupted collection. Frames of town5 are test data: `train` refuses them.";
@@ -79,6 +84,10 @@ pub struct CollectArgs {
     /// For training eyes: real programs show little yellow, and who stands at a line always sees red.
     #[arg(long)]
     random_signals: bool,
+    /// Draw these anew for each shard: houses (façades, colours, kinds of trees), paint (worn or missing), parked (cars
+    /// along the streets), trees (none to over the road), sun (from every side), night (every third shard), or all.
+    #[arg(long, value_name = "WHAT,...", value_parser = Varied::list)]
+    vary: Option<VariedList>,
     /// Mean seconds between disturbances of the autopilot's controls; 0: none.
     #[arg(long, value_name = "SECONDS", default_value_t = NoiseParams::default().pause, value_parser = super::seconds)]
     noise_pause: f64,
@@ -158,6 +167,7 @@ fn run_collect(args: &CollectArgs) -> anyhow::Result<Exit> {
     options.noise.pause = args.noise_pause;
     options.showing.clone_from(&args.showing);
     options.random_signals = args.random_signals;
+    options.vary = args.vary.clone().unwrap_or_default();
     options.jobs = args.jobs.max(1);
     options.per_segment = args.per_shard.unwrap_or(options.per_segment).max(1);
     options.time_limit = minutes(args.max_minutes)?;

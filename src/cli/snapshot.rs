@@ -1,10 +1,13 @@
 //! `wad-cosim snapshot`: saves a picture of a town.
 
+use super::dataset::VariedList;
 use super::{Exit, print, run};
 use anyhow::Context;
 use clap::{ValueEnum, ValueHint};
 use std::path::{Path, PathBuf};
+use wad_cosim::assets::LOOK;
 use wad_cosim::bundled;
+use wad_cosim::camera::variety::{self, Varied};
 use wad_cosim::camera::{Camera, CameraConfig, MAX_PIXELS, Outputs, Picture, Preset, Town, Weather};
 use wad_cosim::drive::{Drive, DriveOptions};
 use wad_cosim::eyes::Eyes;
@@ -50,6 +53,13 @@ pub struct Args {
     /// Seed of everything random.
     #[arg(long, default_value_t = 0, value_name = "N")]
     seed: u64,
+    /// Draw these from --vary-seed, as `dataset collect --vary` does for each shard: houses, paint, parked, trees, sun,
+    /// night, or all.
+    #[arg(long, value_name = "WHAT,...", value_parser = Varied::list, conflicts_with = "sheet")]
+    vary: Option<VariedList>,
+    /// The seed of --vary.
+    #[arg(long, default_value_t = 0, value_name = "N", requires = "vary")]
+    vary_seed: u64,
     /// First route, from one edge (or lane) to another.
     #[arg(long, value_name = "FROM,TO", allow_hyphen_values = true)]
     route: Option<String>,
@@ -207,16 +217,18 @@ async fn take(args: Args, mut camera: Camera, stage: Option<StageParts>) -> anyh
         ..DriveOptions::passing(config, args.seed, args.traffic, scratch.path())
     };
     let mut drive = Drive::start(options).await.map_err(run::with_exit)?;
-    let mut town = drive.assets().town();
+    let vary = args.vary.as_deref().unwrap_or_default();
+    let mut town = drive.assets().town_with(variety::look(vary, LOOK, args.vary_seed));
+    let weather = variety::weather(vary, args.weather, args.vary_seed);
     let stage = match stage {
         Some(StageParts { stage, detector, decoder }) => {
-            drive.set_weather(args.weather);
-            let mut eyes = Eyes::new(drive.assets().town(), *camera.config(), detector)
-                .map_err(|e| Exit::Input.because(e))?;
+            let mut eyes =
+                Eyes::new(town.share(), *camera.config(), detector).map_err(|e| Exit::Input.because(e))?;
             if let Some(decoder) = decoder {
                 eyes = eyes.with_decoder(decoder);
             }
             drive.watch_with(eyes);
+            drive.set_weather(weather.clone());
             Some(stage)
         }
         None => None,
@@ -236,7 +248,7 @@ async fn take(args: Args, mut camera: Camera, stage: Option<StageParts>) -> anyh
             Some(stage) => stage_picture(drive.look().map_err(run::with_exit)?, stage)?,
             None => {
                 follow(&mut town, &drive, args.view);
-                picture(&args, &mut camera, &town, &drive.ego().state().pose)
+                picture(&args, &mut camera, &town, &weather, &drive.ego().state().pose)
             }
         };
         let out = numbered(&args, number);
@@ -273,14 +285,14 @@ fn stage_picture(eyes: &Eyes, stage: Stage) -> anyhow::Result<Picture> {
     })
 }
 
-fn picture(args: &Args, camera: &mut Camera, town: &Town, pose: &Pose) -> Picture {
-    let mut shoot = |preset: Preset, outputs: Outputs| {
-        camera.render(town.scene(), town.actors(), pose, &Weather::from(preset), outputs).clone()
+fn picture(args: &Args, camera: &mut Camera, town: &Town, weather: &Weather, pose: &Pose) -> Picture {
+    let mut shoot = |weather: &Weather, outputs: Outputs| {
+        camera.render(town.scene(), town.actors(), pose, weather, outputs).clone()
     };
     if args.sheet {
-        return sheet(|preset| Picture::rgb(&shoot(preset, Outputs::RGB)));
+        return sheet(|preset| Picture::rgb(&shoot(&Weather::from(preset), Outputs::RGB)));
     }
-    let frame = shoot(args.weather, Outputs::ALL);
+    let frame = shoot(weather, Outputs::ALL);
     match args.overlay {
         None => Picture::rgb(&frame),
         Some(Overlay::Depth) => Picture::depth(&frame),

@@ -52,7 +52,8 @@ fn signals_without_room_between_are_drawn_both_and_the_one_that_stops_is_told() 
     let lane = |edge: &str| lane(&network, edge);
     assert!((network.lane(lane("pq")).length - 1.4).abs() < 0.2, "{}", network.lane(lane("pq")).length);
 
-    let town = wad_cosim::camera::Town::new(&network, &Shapes::default(), 1);
+    let town =
+        wad_cosim::camera::Town::new(&network, &Shapes::default(), wad_cosim::camera::scene::Look::of(1));
     let shown = |id: &str, beyond: f64| {
         let light = network.traffic_light_by_id(id).unwrap();
         let (from, to) = if id == "p" { ("ap", "pq") } else { ("pq", "qb") };

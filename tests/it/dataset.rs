@@ -86,6 +86,35 @@ fn random_signals_change_the_lamps_and_nothing_else() {
     assert!(output.status.code() == Some(2) && error.contains("signals are random"), "{error}");
 }
 
+/// What varies is drawn for each shard, changes pictures and no drive, and does not depend on the jobs.
+#[test]
+fn streets_vary_from_shard_to_shard_and_the_drives_stay() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let args = ["--town", "town3", "--frames", "16", "--per-shard", "8", "--every", "1", "--seed", "3"];
+    collect(&path("usual"), &args);
+    collect(&path("one"), &[&args[..], &["--vary", "all"]].concat());
+    collect(&path("two"), &[&args[..], &["--vary", "all", "--jobs", "2"]].concat());
+    assert!(shards(&path("one")) == shards(&path("two")), "shards differ");
+    for shard in 0..2 {
+        let frames = |name: &str| {
+            let mut reader = Dataset::open(&path(name), false).unwrap().reader(shard).unwrap();
+            std::iter::from_fn(move || reader.next_frame().unwrap()).collect::<Vec<_>>()
+        };
+        for (usual, varied) in frames("usual").iter().zip(frames("one")) {
+            let (here, there) = (&usual.record, &varied.record);
+            assert_eq!((here.time, here.ego, here.control), (there.time, there.ego, there.control));
+            assert!(usual.transformed != varied.transformed, "the same picture at {}", here.time);
+        }
+    }
+    let output = wad(&[&["dataset", "collect"], &args[..]].concat(), &path("one"));
+    let error = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.code() == Some(2) && error.contains("what varies"), "{error}");
+    let output = wad(&["dataset", "collect", "--vary", "sun,moon"], &path("none"));
+    let error = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.code() == Some(2) && error.contains("found `moon`"), "{error}");
+}
+
 /// A recorded run is driven again, looked at in each weather, and it is the run that was recorded.
 #[test]
 fn a_recorded_run_becomes_data() {

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use sumo_network::network::{Network, Shapes, VehicleClass};
 use sumo_network::world::{Actor, ActorKind, ActorType, VehicleSignals, WorldState};
+use wad_camera::scene::Look;
 use wad_camera::{Camera, CameraConfig, Outputs, Picture, Preset, Town};
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -18,7 +19,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     // Houses and parks, where a town.poly.xml lies beside the net.
     let polygons = polygons(net);
     let shapes = if polygons.is_file() { Shapes::load(&polygons, &network)? } else { Shapes::default() };
-    let mut town = Town::new(&network, &shapes, 1);
+    let mut town = Town::new(&network, &shapes, Look::of(1));
 
     // The middle of the longest lane, and a car 15 m ahead.
     let lanes = network.require_drivable(VehicleClass::Passenger)?;

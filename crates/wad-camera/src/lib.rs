@@ -39,6 +39,7 @@ mod sky;
 mod stages;
 mod surface;
 mod town;
+pub mod variety;
 mod view;
 mod walls;
 mod weather;

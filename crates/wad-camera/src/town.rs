@@ -2,7 +2,7 @@
 
 use super::actors::{Animation, Cast};
 use super::model::{ActorFrame, Instance, Scene};
-use super::scene;
+use super::scene::{self, Look};
 use std::sync::Arc;
 use sumo_network::network::{Network, Shapes};
 use sumo_network::world::{Actor, WorldState};
@@ -16,9 +16,9 @@ pub struct Town {
 }
 
 impl Town {
-    /// The town of a network and its polygons; equal `seed`, equal town.
-    pub fn new(network: &Network, shapes: &Shapes, seed: u64) -> Self {
-        Self::on(Arc::new(scene::build(network, shapes, seed)))
+    /// The town of a network and its polygons; equal `look`, equal town.
+    pub fn new(network: &Network, shapes: &Shapes, look: Look) -> Self {
+        Self::on(Arc::new(scene::build(network, shapes, look)))
     }
 
     /// The same town without road users, which then have their own motion. The scene is shared.

@@ -247,6 +247,33 @@ impl From<Preset> for Weather {
     }
 }
 
+impl Weather {
+    /// The sun at `azimuth` (radians, anticlockwise from the east), and `higher` times as high.
+    pub fn turn_sun(&mut self, azimuth: f32, higher: f32) {
+        let altitude = (self.sun[2].clamp(-1.0, 1.0).asin() * higher).clamp(0.1, 1.4);
+        self.sun = [altitude.cos() * azimuth.cos(), altitude.cos() * azimuth.sin(), altitude.sin()];
+    }
+
+    /// The same clouds, rain and wetness at night: the moon in the sun's place, the sky dim, all lamps lit.
+    pub fn be_night(&mut self) {
+        // What a camera that exposes for lamps shows.
+        for (light, share) in [
+            (&mut self.sun_light, 0.05),
+            (&mut self.sky_light, 0.16),
+            (&mut self.ground_light, 0.16),
+            (&mut self.zenith, 0.05),
+            (&mut self.horizon, 0.08),
+            (&mut self.cloud_light, 0.06),
+            (&mut self.cloud_shade, 0.06),
+        ] {
+            *light = [light[0] * share * 0.8, light[1] * share * 0.9, light[2] * share * 1.2];
+        }
+        self.shadows *= 0.5;
+        self.lamps = true;
+        self.lamp_gain = 2.2;
+    }
+}
+
 impl Default for Weather {
     fn default() -> Self {
         Preset::default().into()

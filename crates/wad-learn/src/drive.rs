@@ -17,7 +17,7 @@ use std::time::Instant;
 use summary::Totals;
 use sumo_network::network::{LanePosition, Network};
 use sumo_network::seeds;
-use wad_camera::Preset;
+use wad_camera::{Preset, Weather};
 use wad_see::eyes::{Eyes, EyesError, Look};
 use wad_see::perception::EgoFacts;
 use wad_sim::assets::Assets;
@@ -68,7 +68,7 @@ pub struct Drive {
     folder: RunFolder,
     options: DriveOptions,
     scenario: Option<Arc<Scenario>>,
-    weather: Preset,
+    weather: Weather,
     /// Wall time of the drivers, including camera and perception (s).
     piloting: f64,
     began: Instant,
@@ -181,7 +181,7 @@ impl Drive {
             folder,
             options,
             scenario,
-            weather,
+            weather: weather.into(),
             piloting: 0.0,
             began: Instant::now(),
             limit,
@@ -225,7 +225,7 @@ impl Drive {
             return false;
         }
         self.followed = index;
-        self.spare.reset(self.weather, self.cars[index].seed);
+        self.spare.reset(self.weather.clone(), self.cars[index].seed);
         let blind = !self.cars[index].pilot.driver.looks();
         self.cars[index].looked &= !blind;
         true
@@ -296,7 +296,7 @@ impl Drive {
     /// Sets camera and perception for the live view while a blind driver drives (autopilot, manual, constant,
     /// random).
     pub fn watch_with(&mut self, mut eyes: Eyes) {
-        eyes.reset(self.weather, self.car().seed);
+        eyes.reset(self.weather.clone(), self.car().seed);
         self.spare = eyes;
     }
 
@@ -440,11 +440,11 @@ impl Drive {
     async fn start_elsewhere(&mut self, index: usize) -> Result<(), DriveError> {
         let car = &mut self.cars[index];
         car.itinerary.start_elsewhere(&mut self.session, index).await?;
-        car.pilot.reset(self.weather, car.seed);
+        car.pilot.reset(self.weather.clone(), car.seed);
         car.looked = false;
         car.totals.respawns += 1;
         if index == self.followed {
-            self.spare.reset(self.weather, car.seed);
+            self.spare.reset(self.weather.clone(), car.seed);
         }
         Ok(())
     }
@@ -489,7 +489,7 @@ impl Drive {
     pub fn hand_over(&mut self, mut pilot: Pilot, guest: Option<String>) -> Pilot {
         let car = &mut self.cars[self.followed];
         car.guest = guest;
-        pilot.reset(self.weather, car.seed);
+        pilot.reset(self.weather.clone(), car.seed);
         car.looked = false;
         std::mem::replace(&mut car.pilot, pilot)
     }
@@ -500,18 +500,19 @@ impl Drive {
     }
 
     /// Changes the cameras' weather from the next tick on.
-    pub fn set_weather(&mut self, weather: Preset) {
-        self.weather = weather;
+    pub fn set_weather(&mut self, weather: impl Into<Weather>) {
+        let weather = weather.into();
         for car in &mut self.cars {
-            car.pilot.eyes.set_weather(weather);
+            car.pilot.eyes.set_weather(weather.clone());
             car.looked = false;
         }
-        self.spare.set_weather(weather);
+        self.spare.set_weather(weather.clone());
+        self.weather = weather;
     }
 
     /// The cameras' weather.
     pub fn weather(&self) -> Preset {
-        self.weather
+        self.weather.preset
     }
 }
 

@@ -8,7 +8,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 use std::str::FromStr;
 use sumo_network::seeds;
-use wad_camera::{CameraConfig, Preset};
+use wad_camera::{CameraConfig, Preset, Weather};
 use wad_see::eyes::{Eyes, EyesError};
 use wad_see::latent::Encoder;
 use wad_see::observation::ObservationMode;
@@ -334,11 +334,13 @@ impl Pilot {
     }
 
     /// Begins a drive in a weather: clears its memory. `seed` is the run's.
-    pub fn reset(&mut self, weather: Preset, seed: u64) {
+    pub fn reset(&mut self, weather: impl Into<Weather>, seed: u64) {
+        let weather = weather.into();
+        let preset = weather.preset;
         self.eyes.reset(weather, seed);
         self.driver.reset(seed);
         if self.driver.looks() {
-            self.record.weather = Some(weather);
+            self.record.weather = Some(preset);
         }
     }
 }

@@ -4,6 +4,7 @@ use crate::drive::{Drive, DriveError, DriveOptions};
 use sumo_network::geometry::Pose;
 use sumo_network::world::WorldState;
 use wad_camera::Town;
+use wad_camera::scene::Look;
 use wad_see::perception::EgoFacts;
 
 /// The autopilot drives, and stops at each new view.
@@ -26,7 +27,7 @@ impl Tour {
     /// As [`Drive::start`].
     pub async fn start(options: DriveOptions, scene_seed: u64) -> Result<Self, DriveError> {
         let drive = Drive::start(options).await?;
-        let town = drive.assets().town_with(scene_seed);
+        let town = drive.assets().town_with(Look::of(scene_seed));
         let mut tour = Self { drive, town, last: None };
         let until = tour.drive.bridge().time() + WARM_UP;
         while tour.drive.bridge().time() < until {

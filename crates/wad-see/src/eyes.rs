@@ -192,7 +192,7 @@ impl Eyes {
 
     /// Begins an episode in a weather: forgets everything. `seed` is the run's or the episode's; the
     /// detector's faults derive from it.
-    pub fn reset(&mut self, weather: Preset, seed: u64) {
+    pub fn reset(&mut self, weather: impl Into<Weather>, seed: u64) {
         self.stop_light.reset();
         if let Some(surroundings) = &mut self.surroundings {
             surroundings.reset();
@@ -207,10 +207,11 @@ impl Eyes {
     }
 
     /// Another weather from the next look on.
-    pub fn set_weather(&mut self, preset: Preset) {
-        self.weather = preset;
+    pub fn set_weather(&mut self, weather: impl Into<Weather>) {
+        let weather = weather.into();
+        self.weather = weather.preset;
         if let Some(sight) = &mut self.sight {
-            sight.weather = Weather::from(preset);
+            sight.weather = weather;
         }
     }
 

@@ -417,7 +417,7 @@ mod tests {
     fn a_film_has_a_place_that_can_hold_it() {
         let folder = tempfile::tempdir().unwrap();
         let net = Network::load(&wad_sim::bundled::resolve("town3.net.xml").unwrap()).unwrap();
-        let town = Town::new(&net, &Shapes::default(), 0);
+        let town = Town::new(&net, &Shapes::default(), wad_camera::scene::Look::of(0));
         let at = |name: &str| {
             Recorder::create(&folder.path().join(name), town.share(), RecordView::Front, 6.0, Codec::Auto, 0)
         };

@@ -9,6 +9,7 @@ use std::sync::{Arc, OnceLock};
 use sumo_network::network::{Network, NetworkError, Shapes};
 use sumo_traci::process::{InstallError, SumoInstall};
 use wad_camera::Town;
+use wad_camera::scene::Look;
 use wad_vehicle::StaticBody;
 
 /// A town: its configuration, network, fixed bodies, look, and the places for the tasks.
@@ -29,7 +30,7 @@ pub struct Assets {
 }
 
 /// Every town looks the same in every run, picture and data set: weights are trained on that look.
-const LOOK: u64 = 0;
+pub const LOOK: Look = Look::of(0);
 
 /// Why there is no such town.
 #[derive(Debug, thiserror::Error)]
@@ -182,7 +183,7 @@ impl Assets {
 
     /// The town with another look (colours, façades, trees) than the one that agents know: variety for a detector's
     /// training.
-    pub fn town_with(&self, look: u64) -> Town {
+    pub fn town_with(&self, look: Look) -> Town {
         Town::new(&self.network, &self.shapes, look)
     }
 }

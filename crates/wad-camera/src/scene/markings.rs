@@ -217,7 +217,8 @@ fn edge(network: &Network, id: EdgeId, seed: u64, tiles: &mut Tiles) {
     let trim = if stops(&driven) { STOP_LINE.1 } else { 0.0 };
     for &lane_id in &driven {
         let lane = network.lane(lane_id);
-        let line = stations(&lane.shape, 16.0);
+        // Worn paint is gone piece by piece.
+        let line = stations(&lane.shape, if tiles.is_worn() { 3.0 } else { 16.0 });
         if line.len() < 2 || lane.shape.length() < 2.0 {
             continue;
         }

@@ -8,6 +8,7 @@ mod bridges;
 mod buildings;
 mod furniture;
 mod ground;
+mod look;
 mod markings;
 mod materials;
 mod polygon;
@@ -19,6 +20,7 @@ mod tests;
 mod tiles;
 mod trees;
 
+pub use look::Look;
 pub use markings::painted_sides;
 
 use super::actors::Cast;
@@ -34,8 +36,8 @@ use trees::Plants;
 /// Fewer building polygons than this per road kilometre, and buildings are grown beside the roads too.
 const SPARSE: f64 = 2.0;
 
-/// The scene of a network, and the road users' models in its library. Equal seeds give equal scenes.
-pub fn build(network: &Network, shapes: &Shapes, seed: u64) -> (Scene, Cast) {
+/// The scene of a network, and the road users' models in its library. Equal looks give equal scenes.
+pub fn build(network: &Network, shapes: &Shapes, look: Look) -> (Scene, Cast) {
     let mut scene = Scene::default();
     let library = &mut scene.library;
     let materials = Materials::new(library);
@@ -47,7 +49,8 @@ pub fn build(network: &Network, shapes: &Shapes, seed: u64) -> (Scene, Cast) {
     let mut ground = Ground::of_ways(network);
     roads::mark(network, &mut ground);
     bridges::clear(network, &terrain, &mut ground);
-    let mut tiles = Tiles::default();
+    let seed = look.seed;
+    let mut tiles = Tiles::new(look);
     roads::build(network, &ground, &terrain, &materials, &mut tiles);
     bridges::build(network, &terrain, &materials, &mut tiles);
     markings::build(network, seed, &mut tiles);
@@ -65,6 +68,7 @@ pub fn build(network: &Network, shapes: &Shapes, seed: u64) -> (Scene, Cast) {
         plants: &plants,
         cast: &cast,
         dice: Dice::new(seed, "town"),
+        look,
         statics: 0,
     };
     areas::lay(&mut site, &shapes.polygons);
@@ -95,6 +99,7 @@ pub fn build(network: &Network, shapes: &Shapes, seed: u64) -> (Scene, Cast) {
         plants: &plants,
         cast: &cast,
         dice,
+        look,
         statics,
     };
     areas::benches(&mut site, &shapes.points);

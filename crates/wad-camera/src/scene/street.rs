@@ -3,6 +3,7 @@
 use super::bridges;
 use super::furniture::{BENCH, Furniture, LAMP_HEIGHT, LAMP_REACH};
 use super::ground::{Ground, Terrain, uses};
+use super::look::Look;
 use super::markings::opposite;
 use super::materials::Materials;
 use super::roads::{Station, Surface, stations, surface};
@@ -52,6 +53,7 @@ pub(super) struct Site<'a> {
     pub plants: &'a Plants,
     pub cast: &'a Cast,
     pub dice: Dice,
+    pub look: Look,
     pub statics: u32,
 }
 
@@ -271,7 +273,12 @@ fn furnish(site: &mut Site<'_>, side: &Side<'_>, fast: bool, lanes: usize, key: 
     let length = side.lane.shape.length();
     // Streets differ: leafy, hedged, with cars parked, bare.
     let character = seeds::derive(key, "street");
-    let (leafy, hedged, parked) = (character % 10 < 6, character >> 8 & 3 == 0, character >> 12 & 3 != 0);
+    let Look { parked, trees, .. } = site.look;
+    let leafy = ((character % 10) as f32) < 6.0 * trees;
+    let hedged = character >> 8 & 3 == 0;
+    let parked = ((character >> 12 & 3) as f32) >= 4.0 - 3.0 * parked;
+    // Crowns of large trees reach over the road.
+    let grown = f64::from(trees.max(1.0)).sqrt();
     if fast && !side.sidewalk {
         rail(site, side, &GUARD);
     }
@@ -291,12 +298,12 @@ fn furnish(site: &mut Site<'_>, side: &Side<'_>, fast: bool, lanes: usize, key: 
     while s < length - 3.0 {
         let (at, heading) = side.place(s, if fast { site.dice.between(3.0, 9.0) } else { 1.25 });
         let what = site.dice.unit();
-        if fast && what < 0.7 {
+        if fast && what < f64::from(0.7 * trees.min(1.0)) {
             let model = if site.dice.chance(0.35) { site.plants.conifer } else { kind };
             let size = site.dice.between(0.8, 1.3);
             site.tree(model, at, size);
         } else if leafy && what < 0.72 {
-            let size = site.dice.between(0.85, 1.1);
+            let size = site.dice.between(0.85, 1.1) * grown;
             site.tree(kind, at, size);
         } else if what > 0.97 && side.sidewalk {
             let (at, heading) = side.place(s, 0.75);
@@ -318,7 +325,7 @@ fn furnish(site: &mut Site<'_>, side: &Side<'_>, fast: bool, lanes: usize, key: 
         }
         s += if leafy { site.dice.between(7.0, 13.0) } else { site.dice.between(10.0, 22.0) };
         // Behind the first row, away from streets with houses, more trees.
-        if site.dice.chance(0.3) {
+        if site.dice.chance(f64::from(0.3 * trees)) {
             let out = site.dice.between(6.0, 16.0);
             let (at, _) = side.place(s, out);
             if site.ground.disc_free(at, 1.6, uses::BUILDING) {
@@ -379,7 +386,10 @@ fn parked_cars(site: &mut Site<'_>, side: &Side<'_>) {
         let inward = direction(to_road);
         let free = site.ground.convex_free(&corners.map(|c| c - inward * 0.1), TAKEN & !uses::WAY)
             && site.ground.disc_free(at, 0.8, uses::WAY);
-        if free && site.dice.chance(0.62) && site.park(Pose { heading, ..pose }) {
+        if free
+            && site.dice.chance((0.62 * f64::from(site.look.parked)).min(0.95))
+            && site.park(Pose { heading, ..pose })
+        {
             // The bay reaches to the border.
             for t in [[0, 1, 2], [0, 2, 3]] {
                 let z = site.terrain.at(at) - 0.012;

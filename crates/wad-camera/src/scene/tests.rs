@@ -1,5 +1,6 @@
 use super::*;
-use crate::model::{Chunk, STATIC_IDS, SemanticTag};
+use crate::model::{Chunk, Instance, ObjectClass, Paint, STATIC_IDS, SemanticTag};
+use crate::shape::V3;
 use crate::tests::towns;
 use nalgebra::Point3;
 use std::collections::BTreeSet;
@@ -111,7 +112,7 @@ fn standing_points(scene: &Scene, low: f32, high: f32) -> Vec<(Point3<f64>, &str
 fn nothing_stands_on_a_lane_or_crossing_of_any_bundled_town() {
     for name in towns::names() {
         let (network, shapes) = town(&name);
-        let (scene, _) = build(&network, &shapes, 1);
+        let (scene, _) = build(&network, &shapes, Look::of(1));
         let points = standing_points(&scene, 0.2, 2.0);
         assert!(points.len() > 100_000, "{name}: only {} points stand", points.len());
         let worst = points
@@ -134,7 +135,7 @@ fn houses_on_a_slope_do_not_float() {
     let (network, shapes) = town("town7");
     let terrain = ground::Terrain::of(&network);
     assert!(!terrain.flat);
-    let (scene, _) = build(&network, &shapes, 1);
+    let (scene, _) = build(&network, &shapes, Look::of(1));
     let mut lowest = std::collections::BTreeMap::new();
     for chunk in &scene.chunks {
         let mesh = &chunk.levels[0].1;
@@ -166,7 +167,7 @@ fn houses_on_a_slope_do_not_float() {
 fn bridges_have_rails_over_the_water_and_nowhere_else() {
     let (network, shapes) = town("town7");
     let river = shapes.polygons.iter().find(|p| p.kind == "water").unwrap();
-    let (scene, _) = build(&network, &shapes, 1);
+    let (scene, _) = build(&network, &shapes, Look::of(1));
     let mut posts = [0, 0];
     for (p, _) in standing_points(&scene, 1.0, 1.25).iter().filter(|(_, what)| *what == "guard rail") {
         let near = (0..8).any(|k| {
@@ -179,7 +180,7 @@ fn bridges_have_rails_over_the_water_and_nowhere_else() {
     }
     assert!(posts.iter().all(|&n| n > 100), "{posts:?}");
     let (network, shapes) = town("town3");
-    let (scene, _) = build(&network, &shapes, 1);
+    let (scene, _) = build(&network, &shapes, Look::of(1));
     let rails = standing_points(&scene, 1.0, 1.25).iter().filter(|(_, what)| *what == "guard rail").count();
     assert_eq!(rails, 0, "no road of town3 crosses its river");
 }
@@ -195,7 +196,7 @@ const OVERPASS: &str = r#"<net><junction id="a" type="dead_end" x="0" y="-300"/>
 #[test]
 fn a_road_above_another_is_a_bridge_with_rails_and_piers() {
     let network = Network::from_xml(Path::new("over.net.xml"), OVERPASS).unwrap();
-    let (scene, _) = build(&network, &Shapes::default(), 1);
+    let (scene, _) = build(&network, &Shapes::default(), Look::of(1));
     // Over the road below there are rails on both sides, a metre above the deck.
     let rails = standing_points(&scene, f32::MIN, f32::MAX);
     for side in [-1.0, 1.0] {
@@ -228,16 +229,46 @@ fn a_road_above_another_is_a_bridge_with_rails_and_piers() {
 #[test]
 fn equal_seeds_give_equal_towns() {
     let (network, shapes) = town("town5");
-    let one = hash(&build(&network, &shapes, 7).0);
-    assert_eq!(one, hash(&build(&network, &shapes, 7).0));
-    assert_ne!(one, hash(&build(&network, &shapes, 8).0));
+    let one = hash(&build(&network, &shapes, Look::of(7)).0);
+    assert_eq!(one, hash(&build(&network, &shapes, Look::of(7)).0));
+    assert_ne!(one, hash(&build(&network, &shapes, Look::of(8)).0));
+}
+
+#[test]
+fn looks_have_less_paint_other_trees_and_no_parked_cars() {
+    let (network, shapes) = town("town3");
+    let usual = Look::of(0);
+    let all = |look: Look| build(&network, &shapes, look).0;
+    let paint = |scene: &Scene| -> f32 {
+        let area = |p: &Paint| {
+            let [a, b, c, _] = p.corners;
+            let length = |a: V3, b: V3| ((a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2)).sqrt();
+            length(a, b) * length(b, c) * p.strength
+        };
+        scene.chunks.iter().flat_map(|chunk| &chunk.paint).map(area).sum()
+    };
+    let parked = |scene: &Scene| {
+        let car = |i: &&Instance| i.object.as_ref().is_some_and(|o| o.class == ObjectClass::Car);
+        scene.chunks.iter().flat_map(|chunk| &chunk.instances).filter(car).count()
+    };
+    let placed = |scene: &Scene| scene.chunks.iter().map(|chunk| chunk.instances.len()).sum::<usize>();
+    let known = all(usual);
+    let worn = all(Look { paint: 0.3, ..usual });
+    assert!((0.1..0.5).contains(&(paint(&worn) / paint(&known))), "{} {}", paint(&worn), paint(&known));
+    assert_eq!((parked(&worn), placed(&worn)), (parked(&known), placed(&known)));
+    assert_eq!(paint(&all(Look { paint: 0.0, ..usual })), 0.0);
+    // Those of car parks stay.
+    let (none, many) = (all(Look { parked: 0.0, ..usual }), all(Look { parked: 1.5, ..usual }));
+    assert!(parked(&none) < parked(&known) && parked(&known) < parked(&many));
+    let (bare, leafy) = (all(Look { trees: 0.0, ..usual }), all(Look { trees: 2.0, ..usual }));
+    assert!(placed(&bare) < placed(&known) && placed(&known) < placed(&leafy));
 }
 
 #[test]
 fn levels_get_smaller_and_bounds_hold_what_is_in_them() {
     for name in towns::names() {
         let (network, shapes) = town(&name);
-        let (scene, _) = build(&network, &shapes, 1);
+        let (scene, _) = build(&network, &shapes, Look::of(1));
         let baked: Vec<usize> =
             (0..3).map(|l| scene.chunks.iter().map(|c| c.levels[l].1.triangles.len()).sum()).collect();
         println!("{name}: {baked:?} triangles");
@@ -261,7 +292,7 @@ fn all_within(chunk: &Chunk) -> bool {
 fn every_traffic_light_has_heads_that_face_its_traffic() {
     for name in towns::names() {
         let (network, shapes) = town(&name);
-        let (scene, _) = build(&network, &shapes, 1);
+        let (scene, _) = build(&network, &shapes, Look::of(1));
         let heads: Vec<_> =
             scene.chunks.iter().flat_map(|c| &c.instances).filter(|i| i.signal.is_some()).collect();
         let mut seen = BTreeSet::new();
@@ -288,7 +319,7 @@ fn every_traffic_light_has_heads_that_face_its_traffic() {
 fn who_waits_at_the_line_sees_a_head_ahead() {
     for name in towns::names() {
         let (network, shapes) = town(&name);
-        let (scene, _) = build(&network, &shapes, 1);
+        let (scene, _) = build(&network, &shapes, Look::of(1));
         let heads: Vec<_> =
             scene.chunks.iter().flat_map(|c| &c.instances).filter(|i| i.signal.is_some()).collect();
         for link in network.links.iter().filter(|l| l.signal.is_some()) {
@@ -311,7 +342,7 @@ fn who_waits_at_the_line_sees_a_head_ahead() {
 #[test]
 fn static_objects_have_unique_ids_and_lie_in_the_town() {
     let (network, shapes) = town("town3");
-    let (scene, _) = build(&network, &shapes, 1);
+    let (scene, _) = build(&network, &shapes, Look::of(1));
     let mut ids = BTreeSet::new();
     for object in scene.chunks.iter().flat_map(|c| &c.instances).filter_map(|i| i.object) {
         assert!(object.id >= STATIC_IDS && ids.insert(object.id));
@@ -323,7 +354,7 @@ fn static_objects_have_unique_ids_and_lie_in_the_town() {
 #[test]
 fn paint_lies_on_the_road_and_can_be_seen() {
     let (network, shapes) = town("town5");
-    let (scene, _) = build(&network, &shapes, 1);
+    let (scene, _) = build(&network, &shapes, Look::of(1));
     let mut off = 0;
     let mut flat = 0;
     let mut all = 0;
@@ -383,7 +414,7 @@ fn odd_nets_build_and_everything_is_finite() {
             &network,
         )
         .unwrap();
-        let (scene, _) = build(&network, &shapes, 3);
+        let (scene, _) = build(&network, &shapes, Look::of(3));
         for chunk in &scene.chunks {
             for (_, mesh) in &chunk.levels {
                 assert!(mesh.vertices.iter().all(|v| v.position.iter().all(|c| c.is_finite())), "net {i}");
@@ -396,7 +427,7 @@ fn odd_nets_build_and_everything_is_finite() {
 fn a_left_hand_net_has_its_kerb_towards_the_road() {
     let network = Network::from_xml(Path::new("left.net.xml"), ODD[1]).unwrap();
     assert!(network.left_hand);
-    let (scene, _) = build(&network, &Shapes::default(), 1);
+    let (scene, _) = build(&network, &Shapes::default(), Look::of(1));
     let kerb = scene.library.materials.iter().position(|m| m.name == "kerb").unwrap();
     // The face towards the road looks south, to the driven lane at y = 2.
     let mut faces = 0;
@@ -415,7 +446,7 @@ fn a_left_hand_net_has_its_kerb_towards_the_road() {
 #[test]
 fn nets_without_polygons_get_houses_beside_their_roads() {
     let (network, _) = town("town5");
-    let (scene, _) = build(&network, &Shapes::default(), 1);
+    let (scene, _) = build(&network, &Shapes::default(), Look::of(1));
     let walls = scene
         .chunks
         .iter()
@@ -443,7 +474,7 @@ fn the_games_of_sumo_build() {
             let network = Network::load(&file).unwrap();
             let lanes =
                 network.lanes.iter().filter(|l| network.edge(l.edge).kind == EdgeKind::Normal).count();
-            let (scene, _) = build(&network, &Shapes::default(), 1);
+            let (scene, _) = build(&network, &Shapes::default(), Look::of(1));
             assert!(!scene.chunks.is_empty(), "{name} with {lanes} lanes");
             built += 1;
         }

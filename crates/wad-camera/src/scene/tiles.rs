@@ -1,5 +1,6 @@
 //! The town cut into chunks: everything built goes to the tile that it lies in.
 
+use super::look::Look;
 use super::polygon::clipped;
 use crate::model::{
     CHUNK_SIZE, Chunk, Instance, Library, MaterialId, Mesh, Paint, PaintColour, PointLight, Triangle, Vertex,
@@ -8,6 +9,7 @@ use crate::shape::{V3, bounds_of};
 use nalgebra::Point3;
 use std::collections::BTreeMap;
 use sumo_network::geometry::{Point, Vector};
+use sumo_network::seeds;
 
 /// How far a chunk's levels are used (m): all of it, without small things, the bare town.
 const REACH: [f32; 3] = [70.0, 190.0, f32::INFINITY];
@@ -44,9 +46,9 @@ struct Tile {
 }
 
 /// Collects the town by tile. Coordinates are the world's (m).
-#[derive(Default)]
 pub(super) struct Tiles {
     tiles: BTreeMap<(i32, i32), Tile>,
+    look: Look,
 }
 
 /// A corner of a surface: place and texture coordinates.
@@ -80,7 +82,29 @@ impl Tile {
     }
 }
 
+/// How strong paint at a place still is; None: it is gone.
+fn worn(look: Look, strength: f32, at: [f64; 2]) -> Option<f32> {
+    if look.paint >= 1.0 {
+        return Some(strength);
+    }
+    let key = at.map(|v| (v * 10.0).round() as i64 as u64);
+    let dice = seeds::derive(look.seed ^ key[0].rotate_left(32) ^ key[1], "worn");
+    let unit = |shift: u32| (dice >> shift & 0xffff) as f32 / 65_536.0;
+    let lost = 1.0 - look.paint;
+    (unit(0) >= lost).then(|| strength * (1.0 - 0.6 * lost * unit(16)))
+}
+
 impl Tiles {
+    /// None yet.
+    pub fn new(look: Look) -> Self {
+        Self { tiles: BTreeMap::new(), look }
+    }
+
+    /// Whether paint is worn away in places.
+    pub fn is_worn(&self) -> bool {
+        self.look.paint < 1.0
+    }
+
     fn tile(&mut self, x: f64, y: f64) -> (&mut Tile, Point3<f64>) {
         let key = tile_of(x, y);
         (self.tiles.entry(key).or_default(), origin(key))
@@ -173,6 +197,7 @@ impl Tiles {
         if !(x.is_finite() && y.is_finite()) {
             return;
         }
+        let Some(strength) = worn(self.look, strength, [x, y]) else { return };
         let (tile, origin) = self.tile(x, y);
         tile.paint.push(Paint {
             corners: corners.map(|c| local(c, origin)),

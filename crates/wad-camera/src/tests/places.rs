@@ -1,5 +1,6 @@
 //! Bundled towns with road users put where a test wants them.
 
+use crate::scene::Look;
 use crate::tests::towns;
 use crate::{Camera, CameraConfig, Outputs, Town, Weather};
 use std::sync::Arc;
@@ -34,7 +35,7 @@ impl Place {
     }
 
     pub fn of(network: Network, shapes: &Shapes) -> Self {
-        let town = Town::new(&network, shapes, 0);
+        let town = Town::new(&network, shapes, Look::of(0));
         Self { network, town }
     }
 

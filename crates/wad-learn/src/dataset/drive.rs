@@ -71,7 +71,7 @@ impl<'a> SegmentDrive<'a> {
         };
         Ok(Self {
             options,
-            eye: Eye::new(assets.network(), assets.town(), segment, options)?,
+            eye: Eye::new(assets, segment, options)?,
             session: Session::start(assets, &bridge, vec![seat]).await?,
             noise: Disturber::new(options.noise, seeds::rng(segment.seed, "noise")),
             itinerary,

@@ -11,9 +11,10 @@ use std::collections::HashMap;
 use sumo_network::network::Network;
 use sumo_network::seeds;
 use sumo_network::world::{Actor, WorldState};
-use wad_camera::{CameraConfig, Outputs, Town, model};
+use wad_camera::{CameraConfig, Outputs, Weather, model};
 use wad_see::eyes::Eyes;
 use wad_see::perception::{EgoFacts, Heads, RoadTruth, TruthDetector};
+use wad_sim::assets::Assets;
 use wad_sim::bridge::Ego;
 use wad_vehicle::Control;
 
@@ -25,6 +26,7 @@ const SEEN_PIXELS: u32 = 16;
 /// Camera and perception that make frames.
 pub struct Eye {
     segment: Segment,
+    weather: Weather,
     eyes: Eyes,
     heads: Heads,
     /// The format of camera pictures; None: they are not kept.
@@ -45,29 +47,26 @@ pub struct Moment {
 }
 
 impl Eye {
-    /// For the segment's weather, with the camera's pictures and random signals where `options` say so.
+    /// For the segment's weather and look of the town, with the camera's pictures and random signals where `options` say so.
     ///
     /// # Errors
     /// This build cannot detect lanes.
-    pub fn new(
-        network: &Network,
-        town: Town,
-        segment: Segment,
-        options: &CollectOptions,
-    ) -> Result<Self, DatasetError> {
-        let heads = Heads::new(network, town.scene());
+    pub fn new(assets: &Assets, segment: Segment, options: &CollectOptions) -> Result<Self, DatasetError> {
+        let town = segment.varied_town(&options.vary, assets);
+        let heads = Heads::new(assets.network(), town.scene());
         let outputs = Outputs { boxes: true, ..Outputs::RGB };
         let eyes = Eyes::new(town, CameraConfig::default(), Box::new(TruthDetector::new()))?;
         let codec = options.camera.then(CameraCodec::best);
         let signals = options.random_signals.then(|| RandomSignals::new(segment.seed));
-        let mut eye = Self { segment, eyes: eyes.with_outputs(outputs), heads, codec, signals };
+        let weather = segment.varied_weather(&options.vary);
+        let mut eye = Self { segment, weather, eyes: eyes.with_outputs(outputs), heads, codec, signals };
         eye.reset();
         Ok(eye)
     }
 
     /// Clears its memory, because the ego was moved to another place.
     pub fn reset(&mut self) {
-        self.eyes.reset(self.segment.weather, self.segment.seed);
+        self.eyes.reset(self.weather.clone(), self.segment.seed);
     }
 
     /// The town's traffic after a tick.

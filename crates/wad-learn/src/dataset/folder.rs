@@ -8,6 +8,7 @@ use super::shard::ShardReader;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use wad_camera::model::ObjectClass;
+use wad_camera::variety::Varied;
 use wad_camera::{CameraConfig, Preset};
 use wad_see::perception::TransformedImage;
 use wad_see::perception::coco::class_name;
@@ -86,6 +87,9 @@ pub struct Manifest {
     /// Signals show lamps drawn at random.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub random_signals: bool,
+    /// What is drawn anew for each shard.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub vary: Vec<Varied>,
 }
 
 impl Manifest {
@@ -107,6 +111,7 @@ impl Manifest {
             runs: options.runs.iter().map(|run| run.folder.clone()).collect(),
             showing: options.showing.clone(),
             random_signals: options.random_signals,
+            vary: options.vary.clone(),
         }
     }
 
@@ -149,6 +154,7 @@ impl Manifest {
                 ),
                 ("the classes shown", m.showing.iter().map(|c| class_name(*c)).collect::<Vec<_>>().join(",")),
                 ("whether signals are random", m.random_signals.to_string()),
+                ("what varies", m.vary.iter().map(|v| v.name()).collect::<Vec<_>>().join(",")),
                 ("the camera", m.camera.clone()),
                 ("whether camera pictures are kept", m.keeps_camera.to_string()),
             ]

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 use wad_camera::Preset;
 use wad_camera::model::ObjectClass;
+use wad_camera::variety::Varied;
 
 /// Options of collecting a dataset.
 #[derive(Clone, Debug)]
@@ -32,6 +33,8 @@ pub struct CollectOptions {
     pub showing: Vec<ObjectClass>,
     /// Signals show lamps drawn at random in pictures and labels, lane by lane; traffic obeys the real ones.
     pub random_signals: bool,
+    /// What is drawn anew for each segment.
+    pub vary: Vec<Varied>,
     /// Disturbances of the autopilot's controls.
     pub noise: NoiseParams,
     /// SUMOs in parallel.
@@ -59,6 +62,7 @@ impl CollectOptions {
             every: 0.5,
             showing: Vec::new(),
             random_signals: false,
+            vary: Vec::new(),
             noise: NoiseParams::default(),
             jobs: 1,
             time_limit: None,

@@ -2,7 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 use sumo_network::seeds;
-use wad_camera::Preset;
+use wad_camera::variety::{self, Varied};
+use wad_camera::{Preset, Town, Weather};
+use wad_sim::assets::{Assets, LOOK};
 use wad_sim::traffic::Counts;
 
 /// One SUMO run and one shard.
@@ -18,6 +20,19 @@ pub struct Segment {
     pub traffic: Counts,
     /// Frames to collect.
     pub frames: usize,
+}
+
+impl Segment {
+    /// The town in which it is driven, with what varies drawn for this segment.
+    pub(super) fn varied_town(&self, vary: &[Varied], assets: &Assets) -> Town {
+        let look = variety::look(vary, LOOK, self.seed);
+        if look == LOOK { assets.town() } else { assets.town_with(look) }
+    }
+
+    /// Its weather, with what varies drawn for this segment.
+    pub(super) fn varied_weather(&self, vary: &[Varied]) -> Weather {
+        variety::weather(vary, self.weather, self.seed)
+    }
 }
 
 /// Shares of the dense population, in percent, in turn.

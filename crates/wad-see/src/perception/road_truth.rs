@@ -189,7 +189,7 @@ mod tests {
     fn the_egos_heads_face_it_and_show_what_its_link_shows() {
         let road = Road::new("rGG");
         let stop = road.route.links[0].stop_s;
-        let town = Town::new(&road.network, &Shapes::default(), 1);
+        let town = Town::new(&road.network, &Shapes::default(), wad_camera::scene::Look::of(1));
         let heads = Heads::new(&road.network, town.scene());
         let world = WorldState { traffic_lights: road.signals.clone(), ..WorldState::default() };
         let truth = RoadTruth::find(&road.facts(stop - 30.0, 0.0, 0.0, 5.0), &world, &heads);
