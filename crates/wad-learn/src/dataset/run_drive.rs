@@ -45,7 +45,7 @@ impl<'a> RunDrive<'a> {
         options.bridge.gui = false;
         let drive = Drive::start(options).await?;
         let assets = drive.assets();
-        let eye = Eye::new(&assets, segment, how)?;
+        let eye = Eye::new(assets, segment, how)?;
         Ok(Self { run, drive, eye, every: how.every, next: 0, since_frame: 0.0, standing: 0.0, respawns: 0 })
     }
 
