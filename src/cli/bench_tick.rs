@@ -61,15 +61,11 @@ pub struct Args {
     /// Measure once with each of these instruction sets: plain, avx2, avx512 [default without a list: all that this
     /// processor has]
     #[arg(long, value_name = "SETS", value_delimiter = ',', num_args = 0..=1, require_equals = true,
-          default_missing_value = "avx512,avx2,plain", value_parser = instruction_set)]
+          default_missing_value = "avx512,avx2,plain", value_parser = Instructions::named)]
     cpu_features: Vec<Instructions>,
     /// Print one JSON object as the last line of stdout; everything else goes to stderr.
     #[arg(long)]
     json: bool,
-}
-
-fn instruction_set(name: &str) -> Result<Instructions, String> {
-    Instructions::named(name)
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]

@@ -178,13 +178,13 @@ impl Assets {
 
     /// The town as cameras see it, to be followed on its own; what stands is shared.
     pub fn town(&self) -> Town {
-        self.town.get_or_init(|| self.town_with(LOOK)).share()
+        self.town.get_or_init(|| Town::new(&self.network, &self.shapes, LOOK)).share()
     }
 
     /// The town with another look (colours, façades, trees) than the one that agents know: variety for a detector's
     /// training.
     pub fn town_with(&self, look: Look) -> Town {
-        Town::new(&self.network, &self.shapes, look)
+        if look == LOOK { self.town() } else { Town::new(&self.network, &self.shapes, look) }
     }
 }
 

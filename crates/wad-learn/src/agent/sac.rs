@@ -109,12 +109,12 @@ impl Sac {
         let v_loss = mean(&v_error) * 0.5;
 
         let v_gradient = self.value.params.gradient(&v_loss);
-        let policy_gradient = self.policy.params.gradient(&policy_loss);
+        let actor_learns = self.updates > self.params.critics_first;
+        let policy_gradient = actor_learns.then(|| self.policy.params.gradient(&policy_loss));
         self.critics_adam.step(self.critics.params.flat_mut(), &q_gradient);
         self.value_adam.step(self.value.params.flat_mut(), &v_gradient);
-        let actor_learns = self.updates > self.params.critics_first;
-        if actor_learns {
-            self.policy_adam.step(self.policy.params.flat_mut(), &policy_gradient);
+        if let Some(gradient) = policy_gradient {
+            self.policy_adam.step(self.policy.params.flat_mut(), &gradient);
         }
         if actor_learns && self.params.autotune {
             // d/d(log alpha) of -log alpha (log pi + target entropy), as in Stable-Baselines and cleanrl

@@ -25,8 +25,7 @@ pub struct Segment {
 impl Segment {
     /// The town in which it is driven, with what varies drawn for this segment.
     pub(super) fn varied_town(&self, vary: &[Varied], assets: &Assets) -> Town {
-        let look = variety::look(vary, LOOK, self.seed);
-        if look == LOOK { assets.town() } else { assets.town_with(look) }
+        assets.town_with(variety::look(vary, LOOK, self.seed))
     }
 
     /// Its weather, with what varies drawn for this segment.
