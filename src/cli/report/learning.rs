@@ -3,6 +3,7 @@
 use crate::cli::{Exit, print};
 use anyhow::{Context, anyhow};
 use clap::ValueHint;
+use serde_json::Value;
 use std::path::{Path, PathBuf};
 use wad_cosim::eval::report::{Chart, Line, Table, markdown};
 use wad_cosim::train::agent::Curve;
@@ -29,6 +30,7 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
     std::fs::create_dir_all(&args.out)
         .map_err(|e| Exit::Input.because(e))
         .with_context(|| format!("cannot make the folder {}", args.out.display()))?;
+    let curves = told_apart(curves);
     let mut groups: Vec<Vec<&Curve>> = Vec::new();
     for curve in &curves {
         match groups.iter_mut().find(|group| group[0].made == curve.made) {
@@ -53,6 +55,49 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
     }
     write(&args.out.join("learning.md"), &markdown(&[table(&curves)?]))?;
     Ok(Exit::Done)
+}
+
+/// Most settings that a name tells.
+const TOLD: usize = 3;
+
+/// The curves; where others of the same name were made with other settings, the name tells them.
+fn told_apart(mut curves: Vec<Curve>) -> Vec<Curve> {
+    let others: Vec<(String, Value)> = curves.iter().map(|c| (c.name.clone(), c.made.clone())).collect();
+    for curve in &mut curves {
+        let mut told: Vec<String> = Vec::new();
+        for (_, other) in others.iter().filter(|(name, _)| *name == curve.name) {
+            differences("", &curve.made, other, &mut told);
+        }
+        for setting in told.iter().take(TOLD) {
+            curve.name.push_str(&format!(", {setting}"));
+        }
+    }
+    curves
+}
+
+/// Adds what of `mine`, a setting called `name`, is not so in `other`: `latent_gain 0.02`, of a list its length.
+fn differences(name: &str, mine: &Value, other: &Value, told: &mut Vec<String>) {
+    let setting = match (mine, other) {
+        _ if mine == other => return,
+        (Value::Object(mine), Value::Object(other)) => {
+            for (name, value) in mine {
+                differences(name, value, other.get(name).unwrap_or(&Value::Null), told);
+            }
+            return;
+        }
+        (Value::Array(mine), Value::Array(other)) if mine.len() == other.len() => {
+            for (mine, other) in mine.iter().zip(other) {
+                differences(name, mine, other, told);
+            }
+            return;
+        }
+        (Value::Array(list), _) => format!("{} {name}", list.len()),
+        (Value::String(text), _) => format!("{name} {text}"),
+        _ => format!("{name} {mine}"),
+    };
+    if !told.contains(&setting) {
+        told.push(setting);
+    }
 }
 
 fn write(path: &Path, text: &str) -> anyhow::Result<()> {
@@ -119,4 +164,22 @@ fn table(curves: &[Curve]) -> anyhow::Result<Table> {
         rows: curves.iter().map(row).collect(),
         ..Table::default()
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn names_tell_in_what_settings_differ() {
+        let mine = json!({"latent_gain": 0.02, "curriculum": {"stages": [{"task": "composite"}]}, "egos": 1});
+        let other = json!({"latent_gain": 0.1, "curriculum": {"stages": [{}, {}]}, "egos": 1});
+        let mut told = Vec::new();
+        differences("", &mine, &other, &mut told);
+        told.sort();
+        assert_eq!(told, ["1 stages", "latent_gain 0.02"]);
+        differences("", &mine, &mine, &mut told);
+        assert_eq!(told.len(), 2);
+    }
 }

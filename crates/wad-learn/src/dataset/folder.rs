@@ -237,11 +237,21 @@ impl Dataset {
     /// # Errors
     /// It is test data.
     pub fn require_training(&self) -> Result<(), DatasetError> {
-        match self.manifest.role {
-            Role::Training => Ok(()),
-            Role::Test => {
-                Err(DatasetError::TestData { path: self.folder.clone(), town: self.manifest.town.clone() })
-            }
+        if self.manifest.role == Role::Test {
+            let (path, town) = (self.folder.clone(), self.manifest.town.clone());
+            return Err(DatasetError::TestData { path, town });
+        }
+        Ok(())
+    }
+
+    /// Warns where nothing can be kept for validation.
+    pub fn warn_of_one_shard(&self) {
+        if self.shards.len() == 1 {
+            tracing::warn!(
+                "{}: all its frames are in one shard; it is trained on and serves for validation too, so the scores are \
+                 of frames that were trained on. Collect with a smaller --per-shard.",
+                self.folder.display()
+            );
         }
     }
 
@@ -250,10 +260,13 @@ impl Dataset {
         self.shards.iter().map(|(_, _, frames)| frames).sum()
     }
 
-    /// Indices of shards for training and for validation: one in ten is for validation, at least one
-    /// where there are two.
+    /// Indices of shards for training and for validation: one in ten is for validation, at least one. A shard
+    /// that is alone serves for both.
     pub fn split(&self) -> (Vec<usize>, Vec<usize>) {
         let count = self.shards.len();
+        if count == 1 {
+            return (vec![0], vec![0]);
+        }
         let validation = |i: usize| {
             if count < VALIDATION_EVERY {
                 i + 1 == count
@@ -261,7 +274,7 @@ impl Dataset {
                 i % VALIDATION_EVERY == VALIDATION_EVERY - 1
             }
         };
-        (0..count).partition(|&i| count == 1 || !validation(i))
+        (0..count).partition(|&i| !validation(i))
     }
 
     /// A reader of the shard at this index.
@@ -353,6 +366,17 @@ mod tests {
         for image in bytes.chunks(TransformedImage::BYTES) {
             assert_eq!(reader.next_frame().unwrap().unwrap().transformed.bytes(), image);
         }
+    }
+
+    #[test]
+    fn one_shard_is_trained_on_and_validates() {
+        let folder = tempfile::tempdir().unwrap();
+        write(folder.path(), "town3", &[3], Preset::ClearNoon, |n| Picture {
+            red: false,
+            object: [10 + n, 50, 8, 8],
+        });
+        let dataset = Dataset::open(folder.path(), false).unwrap();
+        assert_eq!(dataset.split(), (vec![0], vec![0]));
     }
 
     #[test]

@@ -257,6 +257,7 @@ impl<'a> Trainer<'a> {
         run::write_json(&options.out.join("config.json"), options)?;
         let (mut training, mut validation) = (Vec::new(), Vec::new());
         for dataset in &datasets {
+            dataset.warn_of_one_shard();
             let (train, validate) = dataset.split();
             training.extend(samples(dataset, &train, usize::MAX)?);
             let share = options.validation_frames.div_ceil(datasets.len());

@@ -114,15 +114,8 @@ impl<'a> Trainer<'a> {
         if options.bfloat16 {
             network.precision = Kind::BFloat16;
         }
-        let (shards, mut validation) = dataset.split();
-        if validation.is_empty() {
-            tracing::warn!(
-                "{}: all its frames are in one shard; it is trained on and serves for validation too, so the scores are \
-                 of frames that were trained on. Collect with a smaller --per-shard.",
-                options.data.display()
-            );
-            validation.clone_from(&shards);
-        }
+        dataset.warn_of_one_shard();
+        let (shards, validation) = dataset.split();
         let labelled = options.label_weight > 0.0;
         let frames: usize = validation.iter().map(|&s| dataset.shards[s].2).sum();
         let every = frames.div_ceil(VALIDATION_IMAGES);
