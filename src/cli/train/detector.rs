@@ -42,7 +42,8 @@ pub struct Args {
     /// Folder for weights, checkpoint and losses.
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     out: PathBuf,
-    /// Start with these weights instead of new ones: centernet (the bundled ones) or centernet:FILE.
+    /// Start with these weights instead of new ones: centernet or eyes (the bundled ones), or
+    /// centernet:FILE or eyes:FILE.
     #[arg(long, value_name = "NAME", conflicts_with = "resume")]
     init: Option<String>,
     /// Epochs over the training frames.
@@ -114,7 +115,7 @@ fn window(text: &str) -> Result<(usize, usize), String> {
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum Backbone {
-    /// MobileNet-like network; real time on one core.
+    /// Plain convolutions, 0.9 million parameters; real time on one core.
     Light,
     /// The paper's network.
     #[value(name = "resnet50_v2")]
