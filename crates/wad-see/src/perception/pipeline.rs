@@ -224,7 +224,9 @@ mod tests {
         let look = |state: &str| {
             let mut perception = Perception::new(Box::new(Sees(seen)), camera);
             let road = Road::new(state);
-            let facts = road.facts(road.route.links[0].stop_s - 40.0, 0.1, 0.0, 6.0);
+            let facts = road.facts(road.route.links[0].stop_s - 40.0, 0.1, 0.0, 0.0);
+            // One look is not believed.
+            perception.perceive(&picture(&camera, &[]), &facts).unwrap();
             let percept = perception.perceive(&picture(&camera, &[]), &facts).unwrap();
             (percept.transformed.clone(), percept.lanes, percept.light, percept.raw)
         };
