@@ -4,6 +4,8 @@
 //! sigmoid, as the heatmaps of objects); ln(1 + the stop line's distance / m). Lanes: left and right boundary, each 20 rows from
 //! the horizon down, each 65 numbers before their softmax: columns of 8 pixels, then none.
 
+use super::graph::PICTURE;
+use super::kind::STRIDE;
 use crate::perception::{GroundPlane, LaneBoundary, LaneEstimate, Seen, SeenLight};
 use nalgebra::{Matrix4, Vector4};
 use sumo_network::world::SignalState;
@@ -14,6 +16,8 @@ pub(super) const CELL: usize = 8;
 pub(super) const COLUMNS: usize = 64;
 pub(super) const ROWS: usize = 20;
 pub(super) const HORIZON: usize = 256;
+/// Width of the light's map (cells).
+const MAP_WIDTH: usize = PICTURE[1] / STRIDE;
 /// Sides and their answers per row: a column each, and none.
 pub(super) const ANSWERS: usize = COLUMNS + 1;
 /// Channels of the light's map: whether a head of the ego is here that shows each of [`COLOURS`]; ln(1 + distance / m).
@@ -33,10 +37,21 @@ const LEAST_ROW: f32 = 0.5;
 
 /// What one picture's answers say.
 pub fn decode(light: &[f32], lanes: &[f32], ground: &GroundPlane) -> Seen {
-    Seen { lanes: decode_lanes(lanes, ground), light: decode_light(light) }
+    let lanes = decode_lanes(lanes, ground);
+    Seen { lanes, light: decode_light(light, &lanes, ground) }
 }
 
-fn decode_light(map: &[f32]) -> Option<SeenLight> {
+/// The heads over the ego's lane, as far as it is seen, count more than those beside it: the network finds heads that look like
+/// the ego's, and which of two side by side it is shows where they hang. A head this far from the lane's middle (m) counts
+/// exp(-0.5) as much, one at the roadside at least [`ASIDE`].
+const BESIDE: f32 = 1.5;
+const ASIDE: f32 = 0.05;
+/// Share of the surest head's certainty from which on a head has a vote.
+const VOTES: f32 = 0.3;
+/// From the ego's centre to its front (m), from where lines are measured.
+const FRONT: f32 = 2.3;
+
+fn decode_light(map: &[f32], lanes: &LaneEstimate, ground: &GroundPlane) -> Option<SeenLight> {
     let cells = map.len() / LIGHT as usize;
     let sigmoid = |x: f32| 1.0 / (1.0 + (-x).exp());
     let (heat, distances) = map.split_at(LAMPS * cells);
@@ -44,17 +59,35 @@ fn decode_light(map: &[f32]) -> Option<SeenLight> {
     if certainty < LEAST_LIGHT {
         return None;
     }
-    // Every head that is about as sure has a vote: how sure the lamp is, and where its line is.
+    let weight = |cell: usize, distance: f32| {
+        let x = distance.exp_m1().max(0.0) + FRONT;
+        let middle = middle_of(lanes, x);
+        let pixels = [middle, middle + 1.0].map(|y| ground.pixel([x, y]));
+        let [Some([own, _]), Some([metre, _])] = pixels else { return 1.0 };
+        let column = (cell % MAP_WIDTH * STRIDE + STRIDE / 2) as f32;
+        let away = (column - own) / (metre - own);
+        ASIDE + (-0.5 * (away / BESIDE).powi(2)).exp()
+    };
     let vote = |lamp: &[f32]| {
-        let (mut sum, mut distance) = (0.0, 0.0);
-        for (p, d) in lamp.iter().map(|x| sigmoid(*x)).zip(distances).filter(|(p, _)| *p >= 0.5 * certainty) {
-            (sum, distance) = (sum + p, distance + p * d);
-        }
-        (sum, distance)
+        let heads = lamp.iter().map(|x| sigmoid(*x)).zip(distances).enumerate();
+        heads.filter(|(_, (p, _))| *p >= VOTES * certainty).fold(
+            (0.0, 0.0),
+            |(sum, distance), (cell, (p, d))| {
+                let p = p * weight(cell, *d);
+                (sum + p, distance + p * d)
+            },
+        )
     };
     let votes = heat.chunks_exact(cells).map(vote).zip(COLOURS);
     let ((sum, distance), state) = votes.max_by(|a, b| a.0.0.total_cmp(&b.0.0))?;
     Some(SeenLight { state, distance: f64::from((distance / sum).exp_m1().max(0.0)), certainty })
+}
+
+/// y (m, left positive) of the lane's middle at `x` m ahead or where the lane ends; 0 where a side is not seen.
+fn middle_of(lanes: &LaneEstimate, x: f32) -> f32 {
+    let (Some(left), Some(right)) = (lanes.left, lanes.right) else { return 0.0 };
+    let x = x.min(left.reach[1].max(right.reach[1]));
+    0.5 * (left.y(x) + right.y(x))
 }
 
 fn decode_lanes(answers: &[f32], ground: &GroundPlane) -> LaneEstimate {
@@ -112,4 +145,33 @@ fn fit(points: &[Vec<([f32; 2], f32)>; 2]) -> LaneEstimate {
         })
     };
     LaneEstimate { left: side(0), right: side(1) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use wad_camera::CameraConfig;
+
+    #[test]
+    fn of_heads_side_by_side_the_one_over_the_ego_s_lane_counts() {
+        let cells = MAP_WIDTH * PICTURE[0] / STRIDE;
+        let ground = GroundPlane::new(&CameraConfig::default());
+        let mut light = vec![-9.0; LIGHT as usize * cells];
+        light[LAMPS * cells..].fill(20.0_f32.ln_1p());
+        let mut head = |lamp: usize, column: usize, x: f32| light[lamp * cells + 30 * MAP_WIDTH + column] = x;
+        // Two green ones 4 and 8 m to the right of a red one, at 20 m; the picture's middle is column 64.
+        head(2, 75, 1.5);
+        head(2, 86, 1.5);
+        head(0, 64, 1.0);
+        let state = |light: &[f32]| decode_light(light, &LaneEstimate::default(), &ground).map(|l| l.state);
+        assert_eq!(state(&light), Some(SignalState::Red));
+        // Without it those at the roadside say what counts.
+        light[30 * MAP_WIDTH + 64] = -9.0;
+        assert_eq!(state(&light), Some(SignalState::GreenMajor));
+        // The ego's lane lies 4 m to the right: it is told by its boundaries.
+        light[30 * MAP_WIDTH + 64] = 1.0;
+        let side = |offset| Some(LaneBoundary { offset, slope: 0.0, bend: 0.0, reach: [4.0, 20.0] });
+        let lanes = LaneEstimate { left: side(-2.2), right: side(-5.5) };
+        assert_eq!(decode_light(&light, &lanes, &ground).map(|l| l.state), Some(SignalState::GreenMajor));
+    }
 }
