@@ -287,7 +287,7 @@ mod tests {
         assert_eq!(lights.update(None, 5.0, 0.1).map(|l| l.distance), Some(stand - 0.5));
         assert!((0..6).map(|_| lights.update(None, 0.0, 0.1)).any(|light| light.is_none()));
         // Below the heads it stays, with the way that the ego goes, until the line is passed.
-        (0..2).for_each(|_| drop(lights.update(seen(8.0), 0.0, 0.1)));
+        assert!((0..2).filter_map(|_| lights.update(seen(8.0), 0.0, 0.1)).last().is_some());
         let near = (0..30).filter_map(|_| lights.update(None, 1.0, 0.1)).last().unwrap();
         assert!(near.state == SignalState::Red && (near.distance - 1.0).abs() < 1e-6, "{near:?}");
         assert!((0..35).filter_map(|_| lights.update(None, 2.0, 0.1)).all(|light| light.distance < 1.0));
