@@ -4,8 +4,6 @@
 //! sigmoid, as the heatmaps of objects); ln(1 + the stop line's distance / m). Lanes: left and right boundary, each 20 rows from
 //! the horizon down, each 65 numbers before their softmax: columns of 8 pixels, then none.
 
-use super::graph::PICTURE;
-use super::kind::STRIDE;
 use crate::perception::{GroundPlane, LaneBoundary, LaneEstimate, Seen, SeenLight};
 use nalgebra::{Matrix4, Vector4};
 use sumo_network::world::SignalState;
@@ -16,8 +14,9 @@ pub(super) const CELL: usize = 8;
 pub(super) const COLUMNS: usize = 64;
 pub(super) const ROWS: usize = 20;
 pub(super) const HORIZON: usize = 256;
-/// Width of the light's map (cells).
-const MAP_WIDTH: usize = PICTURE[1] / STRIDE;
+/// Pixels of the picture per cell of the light's map, and the map's width (cells).
+const LIGHT_CELL: usize = 4;
+const MAP_WIDTH: usize = COLUMNS * CELL / LIGHT_CELL;
 /// Sides and their answers per row: a column each, and none.
 pub(super) const ANSWERS: usize = COLUMNS + 1;
 /// Channels of the light's map: whether a head of the ego is here that shows each of [`COLOURS`]; ln(1 + distance / m).
@@ -64,7 +63,7 @@ fn decode_light(map: &[f32], lanes: &LaneEstimate, ground: &GroundPlane) -> Opti
         let middle = middle_of(lanes, x);
         let pixels = [middle, middle + 1.0].map(|y| ground.pixel([x, y]));
         let [Some([own, _]), Some([metre, _])] = pixels else { return 1.0 };
-        let column = (cell % MAP_WIDTH * STRIDE + STRIDE / 2) as f32;
+        let column = (cell % MAP_WIDTH * LIGHT_CELL + LIGHT_CELL / 2) as f32;
         let away = (column - own) / (metre - own);
         ASIDE + (-0.5 * (away / BESIDE).powi(2)).exp()
     };
@@ -154,7 +153,7 @@ mod tests {
 
     #[test]
     fn of_heads_side_by_side_the_one_over_the_ego_s_lane_counts() {
-        let cells = MAP_WIDTH * PICTURE[0] / STRIDE;
+        let cells = MAP_WIDTH * 80;
         let ground = GroundPlane::new(&CameraConfig::default());
         let mut light = vec![-9.0; LIGHT as usize * cells];
         light[LAMPS * cells..].fill(20.0_f32.ln_1p());
