@@ -83,7 +83,7 @@ def start(cluster):
 
 def finish(driver, code=0):
     """The driver's words, when it has ended as expected."""
-    said = "\n".join(driver.communicate(timeout=100))
+    said = "\n".join(driver.communicate(timeout=300))
     assert driver.returncode == code, said
     return said
 
