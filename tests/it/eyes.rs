@@ -88,14 +88,15 @@ fn the_bundled_eyes_see_the_same_on_other_processors_and_without_openvino() {
     // Canny and Hough find a third here.
     assert!(best[0] > 0.7, "{here}");
     assert!(best[1] > 0.7, "{here}");
-    // Without VNNI; without AVX-512; without AVX, in the camera and encoder too; libtorch in single precision.
+    // Without VNNI; without AVX-512; without AVX, in the camera and encoder too; libtorch in single precision, which may
+    // find two more or less of the fourteen persons.
     let others = [
         ("ONEDNN_MAX_CPU_ISA", "AVX512_CORE", 0.02),
         ("ONEDNN_MAX_CPU_ISA", "AVX2", 0.02),
         ("ONEDNN_MAX_CPU_ISA", "SSE41", 0.02),
         ("WAD_COSIM_CPU", "plain", 1e-9),
-        ("WAD_COSIM_OPENVINO", "off", 0.1),
-        ("WAD_COSIM_OPENVINO", "/nowhere", 0.1),
+        ("WAD_COSIM_OPENVINO", "off", 0.15),
+        ("WAD_COSIM_OPENVINO", "/nowhere", 0.15),
     ];
     for (variable, value, most) in others {
         let (there, errors) = bundled_eyes("60", &[(variable, value)]);
