@@ -237,11 +237,12 @@ impl Dataset {
     /// # Errors
     /// It is test data.
     pub fn require_training(&self) -> Result<(), DatasetError> {
-        if self.manifest.role == Role::Test {
-            let (path, town) = (self.folder.clone(), self.manifest.town.clone());
-            return Err(DatasetError::TestData { path, town });
+        match self.manifest.role {
+            Role::Training => Ok(()),
+            Role::Test => {
+                Err(DatasetError::TestData { path: self.folder.clone(), town: self.manifest.town.clone() })
+            }
         }
-        Ok(())
     }
 
     /// Warns where nothing can be kept for validation.

@@ -4,6 +4,7 @@
 //! sigmoid, as the heatmaps of objects); ln(1 + the stop line's distance / m). Lanes: left and right boundary, each 20 rows from
 //! the horizon down, each 65 numbers before their softmax: columns of 8 pixels, then none.
 
+use super::kind::STRIDE;
 use crate::perception::{GroundPlane, LaneBoundary, LaneEstimate, Seen, SeenLight};
 use nalgebra::{Matrix4, Vector4};
 use sumo_network::world::SignalState;
@@ -14,9 +15,8 @@ pub(super) const CELL: usize = 8;
 pub(super) const COLUMNS: usize = 64;
 pub(super) const ROWS: usize = 20;
 pub(super) const HORIZON: usize = 256;
-/// Pixels of the picture per cell of the light's map, and the map's width (cells).
-const LIGHT_CELL: usize = 4;
-const MAP_WIDTH: usize = COLUMNS * CELL / LIGHT_CELL;
+/// Width of the light's map (cells).
+const MAP_WIDTH: usize = COLUMNS * CELL / STRIDE;
 /// Sides and their answers per row: a column each, and none.
 pub(super) const ANSWERS: usize = COLUMNS + 1;
 /// Channels of the light's map: whether a head of the ego is here that shows each of [`COLOURS`]; ln(1 + distance / m).
@@ -63,19 +63,19 @@ fn decode_light(map: &[f32], lanes: &LaneEstimate, ground: &GroundPlane) -> Opti
         let middle = middle_of(lanes, x);
         let pixels = [middle, middle + 1.0].map(|y| ground.pixel([x, y]));
         let [Some([own, _]), Some([metre, _])] = pixels else { return 1.0 };
-        let column = (cell % MAP_WIDTH * LIGHT_CELL + LIGHT_CELL / 2) as f32;
+        let column = (cell % MAP_WIDTH * STRIDE + STRIDE / 2) as f32;
         let away = (column - own) / (metre - own);
         ASIDE + (-0.5 * (away / BESIDE).powi(2)).exp()
     };
+    // Before the sigmoid: of thousands of cells a few have a vote.
+    let least = (VOTES * certainty / (1.0 - VOTES * certainty)).ln();
     let vote = |lamp: &[f32]| {
-        let heads = lamp.iter().map(|x| sigmoid(*x)).zip(distances).enumerate();
-        heads.filter(|(_, (p, _))| *p >= VOTES * certainty).fold(
-            (0.0, 0.0),
-            |(sum, distance), (cell, (p, d))| {
-                let p = p * weight(cell, *d);
-                (sum + p, distance + p * d)
-            },
-        )
+        let (mut sum, mut distance) = (0.0, 0.0);
+        for (cell, (x, d)) in lamp.iter().zip(distances).enumerate().filter(|(_, (x, _))| **x >= least) {
+            let p = sigmoid(*x) * weight(cell, *d);
+            (sum, distance) = (sum + p, distance + p * d);
+        }
+        (sum, distance)
     };
     let votes = heat.chunks_exact(cells).map(vote).zip(COLOURS);
     let ((sum, distance), state) = votes.max_by(|a, b| a.0.0.total_cmp(&b.0.0))?;
