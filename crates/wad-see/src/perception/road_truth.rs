@@ -21,7 +21,8 @@ pub struct RoadTruth {
     /// Left and right boundary of the ego's lane up to its end: points (x ahead, y left, m, ego frame), near to
     /// far. None inside junctions.
     pub boundaries: Option<[Vec<[f32; 2]>; 2]>,
-    /// The ids, as in [`wad_camera::Frame::objects`], of the signal heads that show the ego's light.
+    /// The ids, as in [`wad_camera::Frame::objects`], of the signal heads that show the ego's light; where it has none,
+    /// of those that face it where its lane ends.
     pub heads: Vec<u32>,
 }
 
@@ -55,8 +56,8 @@ impl RoadTruth {
 pub struct RoadWanted {
     /// Left and right boundary of the ego's lane (m, ego frame), near to far; None inside junctions.
     pub boundaries: Option<[Vec<[f32; 2]>; 2]>,
-    /// The boxes of the heads that show the ego's light (left, top, right, bottom; pixels), and whether each is large and
-    /// plain enough to count.
+    /// The boxes of [`RoadTruth::heads`] (left, top, right, bottom; pixels), and whether each is large and plain enough
+    /// to count.
     pub heads: Vec<([f32; 4], bool)>,
     /// Its lamp (0 red, 1 yellow, 2 green) and the distance of its stop line (m).
     pub light: Option<(usize, f32)>,
@@ -136,12 +137,22 @@ impl Heads {
         Self { by_id }
     }
 
-    /// Those of the ego's traffic light that face it and show what its link shows, by id.
+    /// Those of the ego's traffic light that face it and show what its link shows, by id. Where no light is ahead on the
+    /// route, because it ends before, those at the end of the ego's lane, whatever they show: no picture says that a
+    /// light in front is none.
     fn of_ego(&self, facts: &EgoFacts<'_>, world: &WorldState) -> Vec<u32> {
-        let Some((light, signal, heading)) = LightAhead::with_signal(facts) else { return Vec::new() };
-        let shows = |index: SignalIndex| world.signal(index).map(colour) == Some(colour(light.state));
+        let (state, lights, heading) = match LightAhead::with_signal(facts) {
+            Some((light, signal, heading)) => (Some(colour(light.state)), vec![signal.traffic_light], heading),
+            None => {
+                let Some(lane) = ego_lane(facts).map(|id| facts.network.lane(id)) else { return Vec::new() };
+                let signals = lane.outgoing.iter().filter_map(|link| facts.network.link(*link).signal);
+                let end = lane.shape.at(lane.shape.length());
+                (None, signals.map(|signal| signal.traffic_light).collect(), end.heading)
+            }
+        };
+        let shows = |index: SignalIndex| state.is_none() || world.signal(index).map(colour) == state;
         let is_his = |(index, faces): &(SignalIndex, f64)| {
-            index.traffic_light == signal.traffic_light
+            lights.contains(&index.traffic_light)
                 && wrap_angle(faces - heading).abs() < FACING
                 && shows(*index)
         };
@@ -166,7 +177,8 @@ pub fn colour(state: SignalState) -> Option<usize> {
 mod tests {
     use super::*;
     use crate::perception::testing::Road;
-    use sumo_network::network::Shapes;
+    use sumo_network::network::testing::place;
+    use sumo_network::network::{Shapes, VehicleClass};
     use wad_camera::Town;
 
     #[test]
@@ -200,5 +212,13 @@ mod tests {
         assert!(heads.by_id.len() > truth.heads.len(), "others show green");
         // Past the line there is no light.
         assert!(RoadTruth::find(&road.facts(stop + 3.0, 0.0, 0.0, 5.0), &world, &heads).heads.is_empty());
+        // A route that ends before the light: it has none, but those in front are not nothing.
+        let mut short = road.facts(stop - 30.0, 0.0, 0.0, 5.0);
+        let (from, to) = (place(&road.network, "ab_0", 20.0), place(&road.network, "ab_0", 260.0));
+        let route = road.network.route(from, to, VehicleClass::Passenger).unwrap();
+        short.route = &route;
+        let in_front = RoadTruth::find(&short, &world, &heads).heads;
+        assert!(LightAhead::find(&short).is_none());
+        assert!(truth.heads.iter().all(|id| in_front.contains(id)) && in_front.len() < heads.by_id.len());
     }
 }

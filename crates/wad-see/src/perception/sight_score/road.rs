@@ -58,7 +58,7 @@ pub struct RoadReport {
     pub reds: usize,
     /// Red ones that were called green.
     pub red_as_green: usize,
-    /// Frames in which no head of the ego's is in the picture.
+    /// Frames in which no head of the ego's, nor one where its lane ends, is in the picture.
     pub without_light: usize,
     /// Share of them with a light seen.
     pub phantom_lights: Option<f64>,
