@@ -7,6 +7,7 @@ use crate::env::End;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use wad_camera::Preset;
+use wad_see::perception::LightTicks;
 use wad_sim::traffic::TrafficSpec;
 
 /// The episodes of one agent under one condition. Rates are fractions 0..1.
@@ -79,6 +80,9 @@ pub struct Score {
     pub speeds: Histogram,
     /// Ticks by true gap to the vehicle in front.
     pub gaps: Histogram,
+    /// Ticks by what egos believed of their light; None where the simulator told it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub light: Option<LightTicks>,
 }
 
 /// The rows of episodes, in the order in which their conditions first appear.
@@ -134,12 +138,16 @@ impl Score {
         let mean = |value: &dyn Fn(&EpisodeRecord) -> f64| if n == 0 { 0.0 } else { sum(value) / n as f64 };
         let successes = counting.iter().filter(|episode| episode.ending.success).count() as u64;
         let (mut events, mut speeds, mut gaps) = Default::default();
+        let mut light: Option<LightTicks> = None;
         let mut ends = BTreeMap::new();
         for episode in &counting {
             *ends.entry(episode.ending.end).or_insert(0) += 1;
             EventCounts::add(&mut events, &episode.events);
             Histogram::add(&mut speeds, &episode.speeds);
             Histogram::add(&mut gaps, &episode.gaps);
+            if let Some(ticks) = &episode.light {
+                light.get_or_insert_default().add(ticks);
+            }
         }
         let ticks = sum(&|e| e.ticks as f64).max(1.0);
         Self {
@@ -164,6 +172,7 @@ impl Score {
             events,
             speeds,
             gaps,
+            light,
         }
     }
 }

@@ -11,6 +11,7 @@ use std::str::FromStr;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, mpsc};
 use wad_see::latent::{Encoder, PooledEncoder};
+use wad_see::perception::Perception;
 use wad_sim::assets::AssetsError;
 use wad_sim::bridge::Ego;
 use wad_sim::replay::{Moment, Recorder};
@@ -398,6 +399,7 @@ fn drive(
             events: tally.events,
             speeds: tally.speeds,
             gaps: tally.gaps,
+            light: fleet.eyes(ego).perception().and_then(Perception::light_ticks),
             end_at: tally.last.map_or([0.0; 2], |at| [at.x, at.y]),
             recording: None,
         };

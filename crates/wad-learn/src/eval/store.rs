@@ -461,6 +461,7 @@ mod tests {
             events: EventCounts::default(),
             speeds: Histogram::default(),
             gaps: Histogram::default(),
+            light: None,
             end_at: [0.0; 2],
             recording: None,
         }

@@ -97,6 +97,8 @@ pub struct SeenLights {
 #[derive(Clone, Copy, Debug)]
 struct Track {
     light: LightAhead,
+    /// Where it was first seen (m before the line).
+    first: f64,
     /// How sure its distance is: the sum of the certainties that made it.
     sure: f64,
     /// How sure it was of late.
@@ -124,21 +126,25 @@ const GOES: f64 = 2.0;
 /// none, networks are at times half sure of one for a frame, and who brakes for it stands below nothing.
 const FIRST: f64 = 1.0;
 const RIVAL: f64 = 1.5;
+/// The same for one that is first seen within this distance (m): a light is seen from afar, and what appears so near, in a
+/// bend or inside a junction, is mostly another's.
+const SUDDEN: (f64, f64) = (12.0, 2.0);
 /// Before a line, the near heads are above the picture from here on (m); beyond it, a light is forgotten (m).
 const BELOW: f64 = 10.0;
 const PASSED: f64 = 1.5;
 /// Behind a line, the next one is at least this far away (m).
 const JUNCTION: f64 = 12.0;
-/// The ego is to stop this much before the line (m), where it still sees when the near heads turn green.
-const STAND: f64 = 4.0;
+/// The ego is to stop this much before the line (m), where it still sees when the near heads turn green: drivers stop 2 m
+/// before what they are told, and from 8 m on the heads over the lane are in the rows that networks see.
+const STAND: f64 = 6.0;
 /// A light that turns while the ego drives does not stop it within this of the line (m), or where it cannot stop with
 /// this (m/s2). There the network sees far heads only, often of others.
 const LATE: f64 = 3.0;
 const BRAKE: f64 = 6.0;
 /// Below this the ego stands (m/s).
 const CREEPS: f64 = 0.5;
-/// How long a light is remembered that should be in the picture, and for each sure frame one that the ego stands below
-/// (s): in all longer than signals stay red.
+/// How long a light is remembered that should be in the picture, and one that the ego stands below for each sure frame if
+/// it was seen in as many as count (s): in all longer than signals stay red, and not for long if it was hardly seen.
 const BLINK: f64 = 0.6;
 const HIDDEN: f64 = 10.0;
 
@@ -167,8 +173,9 @@ impl SeenLights {
                 self.rival = Some(Track::new(seen));
             }
         }
-        let needed = self.believed.map_or(FIRST, |believed| RIVAL.max(believed.fresh));
-        let is_surer = |rival: &mut Track| rival.fresh > needed;
+        let believed = self.believed.map_or(FIRST, |believed| RIVAL.max(believed.fresh));
+        let needed = |rival: &Track| if rival.first < SUDDEN.0 { SUDDEN.1.max(believed) } else { believed };
+        let is_surer = |rival: &mut Track| rival.fresh > needed(rival);
         if let Some(rival) = self.rival.take_if(is_surer) {
             self.believed = Some(rival);
         }
@@ -183,7 +190,7 @@ impl Track {
         let certainty = f64::from(seen.certainty);
         let mut lamps = [0.0; 3];
         lamps[lamp(seen.state)] = certainty;
-        Self { light, sure: certainty, fresh: certainty, lamps, hidden: 0.0 }
+        Self { light, first: seen.distance, sure: certainty, fresh: certainty, lamps, hidden: 0.0 }
     }
 
     fn later(mut self, moved: f64, tick: f64) -> Self {
@@ -194,7 +201,11 @@ impl Track {
     }
 
     fn is_remembered(&self) -> bool {
-        let longest = if self.light.distance < BELOW { BLINK.max(HIDDEN * self.sure) } else { BLINK };
+        let longest = if self.light.distance < BELOW {
+            BLINK.max(HIDDEN * self.sure.powi(2) / AVERAGED)
+        } else {
+            BLINK
+        };
         self.hidden <= longest + 1e-9
     }
 
@@ -287,10 +298,11 @@ mod tests {
         assert_eq!(lights.update(None, 5.0, 0.1).map(|l| l.distance), Some(stand - 0.5));
         assert!((0..6).map(|_| lights.update(None, 0.0, 0.1)).any(|light| light.is_none()));
         // Below the heads it stays, with the way that the ego goes, until the line is passed.
-        assert!((0..2).filter_map(|_| lights.update(seen(8.0), 0.0, 0.1)).last().is_some());
-        let near = (0..30).filter_map(|_| lights.update(None, 1.0, 0.1)).last().unwrap();
+        let comes = (0..10).map(|n| seen(9.9 - 0.1 * f64::from(n)));
+        assert!(comes.filter_map(|seen| lights.update(seen, 1.0, 0.1)).last().is_some());
+        let near = (0..20).filter_map(|_| lights.update(None, 1.0, 0.1)).last().unwrap();
         assert!(near.state == SignalState::Red && (near.distance - 1.0).abs() < 1e-6, "{near:?}");
-        assert!((0..35).filter_map(|_| lights.update(None, 2.0, 0.1)).all(|light| light.distance < 1.0));
+        assert!((0..45).filter_map(|_| lights.update(None, 2.0, 0.1)).all(|light| light.distance < 1.0));
         assert!(lights.update(None, 1.0, 0.1).is_none());
         // Cross traffic's heads, behind the line; then the next junction's.
         assert!(lights.update(seen(3.0), 5.0, 0.1).is_none());
@@ -299,7 +311,7 @@ mod tests {
 
     #[test]
     fn another_lamp_is_believed_when_it_stays() {
-        let seen = |state, certainty| Some(SeenLight { state, distance: 6.0, certainty });
+        let seen = |state, certainty| Some(SeenLight { state, distance: 16.0, certainty });
         let (red, green) = (seen(SignalState::Red, 0.8), seen(SignalState::GreenMajor, 0.8));
         let mut lights = SeenLights::default();
         let mut stops = |seen| lights.update(seen, 0.0, 0.1).is_some_and(|light| light.stops());
@@ -316,12 +328,18 @@ mod tests {
     #[test]
     fn another_light_has_to_be_seen_for_a_while() {
         let seen = |state, distance| Some(SeenLight { state, distance, certainty: 0.8 });
-        let (near, far) = (seen(SignalState::Red, 6.0), seen(SignalState::GreenMajor, 30.0));
+        let (near, far) = (seen(SignalState::Red, 14.0), seen(SignalState::GreenMajor, 30.0));
         let mut lights = SeenLights::default();
         let mut stops = |seen| lights.update(seen, 0.0, 0.1).is_some_and(|light| light.stops());
         assert!(!stops(near) && (0..20).all(|_| stops(near)));
         assert!(stops(far) && stops(near) && stops(far) && stops(None) && stops(near));
         assert!((0..20).map(|_| stops(far)).last() == Some(false));
+        // What appears at once in front of the ego has to be seen longer, and is not remembered for long.
+        let mut lights = SeenLights::default();
+        let sudden = seen(SignalState::Red, 9.0);
+        assert!((0..2).all(|_| lights.update(sudden, 0.0, 0.1).is_none()));
+        assert!(lights.update(sudden, 0.0, 0.1).is_some());
+        assert!((0..60).map(|_| lights.update(None, 0.0, 0.1)).last() == Some(None));
         // A light that was hardly seen is not waited for.
         let mut lights = SeenLights::default();
         lights.update(Some(SeenLight { state: SignalState::Red, distance: 3.0, certainty: 0.4 }), 0.0, 0.1);

@@ -17,6 +17,7 @@ mod image;
 mod lanes;
 pub mod lead;
 mod light;
+mod light_ticks;
 pub mod metrics;
 #[cfg(feature = "vision")]
 mod onnx;
@@ -37,6 +38,7 @@ pub use ground::GroundPlane;
 pub use image::{TRANSFORMED_SIZE, TransformedImage};
 pub use lanes::{LaneBoundary, LaneDetector, LaneEstimate};
 pub use light::{AT_INTERSECTION, LightAhead, SeenLights, StopLight};
+pub use light_ticks::LightTicks;
 #[cfg(feature = "vision")]
 pub use onnx::OnnxDetector;
 pub use pipeline::{Percept, Perception};

@@ -4,6 +4,7 @@ use super::crossing::CrossingTracker;
 use super::facts::EgoFacts;
 use super::lead::{self, LeadTracker};
 use super::light::{LightAhead, SeenLights, StopLight};
+use super::light_ticks::LightTicks;
 use super::paint::Painter;
 use super::{
     Detection, Detector, GroundPlane, LaneDetector, LaneEstimate, PerceptionError, TransformedImage,
@@ -42,6 +43,7 @@ pub struct Perception {
     lead: LeadTracker,
     crossing: CrossingTracker,
     seen_lights: SeenLights,
+    light_ticks: LightTicks,
     stop_light: StopLight,
     painter: Painter,
     percept: Percept,
@@ -58,6 +60,7 @@ impl Perception {
             lead: LeadTracker::default(),
             crossing: CrossingTracker::default(),
             seen_lights: SeenLights::default(),
+            light_ticks: LightTicks::default(),
             stop_light: StopLight::default(),
             painter: Painter::default(),
             percept: Percept {
@@ -96,6 +99,7 @@ impl Perception {
         self.lead.reset();
         self.crossing.reset();
         self.seen_lights.reset();
+        self.light_ticks = LightTicks::default();
         self.stop_light.reset();
     }
 
@@ -144,6 +148,7 @@ impl Perception {
                     seen.light,
                     LightAhead::find(facts)
                 );
+                self.light_ticks.note(facts, believed.as_ref());
                 believed
             }
             None => LightAhead::find(facts),
@@ -173,6 +178,11 @@ impl Perception {
     /// The last tick's percept.
     pub fn percept(&self) -> &Percept {
         &self.percept
+    }
+
+    /// Ticks of this episode by what was believed of the light; None where the simulator tells it.
+    pub fn light_ticks(&self) -> Option<LightTicks> {
+        self.detector.seen().map(|_| self.light_ticks)
     }
 
     /// The ground under the camera.
@@ -234,8 +244,8 @@ mod tests {
         assert_eq!(green, look("rGG"), "the simulator's light is in the percept");
         assert_eq!(green.1, seen.lanes);
         // Less the room before the line.
-        assert_eq!(green.2.map(|light| light.distance), Some(8.0));
-        assert_eq!(green.3.stop_light, Some(8.0));
+        assert_eq!(green.2.map(|light| light.distance), Some(6.0));
+        assert_eq!(green.3.stop_light, Some(6.0));
     }
 
     #[test]

@@ -11,8 +11,9 @@ const TRAINED_IN: [Preset; 3] = [Preset::ClearNoon, Preset::CloudyNoon, Preset::
 
 /// All tables of a section, the published ones last.
 pub fn tables(section: &Section) -> Vec<Table> {
-    let mut all =
-        vec![success(section), driving(section), infractions(section), ends(section), weathers(section)];
+    let mut all = vec![success(section), driving(section), infractions(section)];
+    all.extend(lights(section));
+    all.extend([ends(section), weathers(section)]);
     if let Some(published) = published() {
         let own = published.tables.iter().filter(|t| t.suite == section.suite.name);
         all.extend(own.map(|table| table.table(&published.note)));
@@ -219,6 +220,38 @@ fn infractions(section: &Section) -> Table {
         rows: lines(section).into_iter().map(row).collect(),
         ..Table::default()
     }
+}
+
+/// What egos believed of their lights, where the detector sees them; None where the simulator told it.
+fn lights(section: &Section) -> Option<Table> {
+    let row = |(mut cells, group): (Vec<String>, Vec<&EpisodeRecord>)| {
+        let light = Score::of(&group).light?;
+        let share = |part: u64, whole: u64| match whole {
+            0 => "-".to_string(),
+            _ => format!("{:.3} of {whole}", part as f64 / whole as f64),
+        };
+        cells.push(share(light.right, light.ahead));
+        cells.push(share(light.missed, light.ahead));
+        cells.push(format!("{} of {}", light.red_as_green, light.reds));
+        cells.push(share(light.phantom, light.without));
+        Some(cells)
+    };
+    let rows: Vec<Vec<String>> = lines(section).into_iter().filter_map(row).collect();
+    (!rows.is_empty()).then(|| Table {
+        title: format!("{}: the ego's light as it was believed, by ticks", section.suite.title),
+        head: columns(&[
+            "right within 40 m",
+            "none believed",
+            "red believed green",
+            "stopping where none is",
+        ]),
+        rows,
+        notes: vec![
+            "Of ticks with a light within 40 m, hidden ones too; the last of ticks with none within 60 m."
+                .to_string(),
+        ],
+        ..Table::default()
+    })
 }
 
 fn ends(section: &Section) -> Table {

@@ -4,7 +4,7 @@
 //! sigmoid, as the heatmaps of objects); ln(1 + the stop line's distance / m). Lanes: left and right boundary, each 20 rows from
 //! the horizon down, each 65 numbers before their softmax: columns of 8 pixels, then none.
 
-use super::kind::STRIDE;
+use super::kind::{Backbone, STRIDE};
 use crate::perception::{GroundPlane, LaneBoundary, LaneEstimate, Seen, SeenLight};
 use nalgebra::{Matrix4, Vector4};
 use sumo_network::world::SignalState;
@@ -45,6 +45,13 @@ pub fn decode(light: &[f32], lanes: &[f32], ground: &GroundPlane) -> Seen {
 /// exp(-0.5) as much, one at the roadside at least [`ASIDE`].
 const BESIDE: f32 = 1.5;
 const ASIDE: f32 = 0.05;
+/// Heads at the ego's stop line count more than those across the junction or at the next one, which may be another's. At
+/// the line a head hangs at least this much above the camera (heights of the camera above the ground); one that would hang
+/// lower there is farther away, and counts less, at least [`FAR`].
+const AT_LINE: f32 = 1.3;
+const FAR: f32 = 0.02;
+/// So much is left of the certainty of a head across the junction where no other is seen.
+const ACROSS: f32 = 0.3;
 /// Share of the surest head's certainty from which on a head has a vote.
 const VOTES: f32 = 0.3;
 /// From the ego's centre to its front (m), from where lines are measured.
@@ -54,31 +61,39 @@ fn decode_light(map: &[f32], lanes: &LaneEstimate, ground: &GroundPlane) -> Opti
     let cells = map.len() / LIGHT as usize;
     let sigmoid = |x: f32| 1.0 / (1.0 + (-x).exp());
     let (heat, distances) = map.split_at(LAMPS * cells);
-    let certainty = sigmoid(heat.iter().copied().fold(f32::MIN, f32::max));
-    if certainty < LEAST_LIGHT {
+    let surest = sigmoid(heat.iter().copied().fold(f32::MIN, f32::max));
+    if surest < LEAST_LIGHT {
         return None;
     }
-    let weight = |cell: usize, distance: f32| {
+    // In the rows that the network sees.
+    let horizon = (HORIZON - Backbone::Light.rows(2 * HORIZON).0) as f32;
+    // How well a head fits the ego's stop line by its height, and its lane.
+    let weights = |cell: usize, distance: f32| {
         let x = distance.exp_m1().max(0.0) + FRONT;
         let middle = middle_of(lanes, x);
         let pixels = [middle, middle + 1.0].map(|y| ground.pixel([x, y]));
-        let [Some([own, _]), Some([metre, _])] = pixels else { return 1.0 };
-        let column = (cell % MAP_WIDTH * STRIDE + STRIDE / 2) as f32;
+        let [Some([own, ground_y]), Some([metre, _])] = pixels else { return (1.0, 1.0) };
+        let [row, column] = [cell / MAP_WIDTH, cell % MAP_WIDTH].map(|at| (at * STRIDE + STRIDE / 2) as f32);
         let away = (column - own) / (metre - own);
-        ASIDE + (-0.5 * (away / BESIDE).powi(2)).exp()
+        let high = (horizon - row) / (ground_y - HORIZON as f32).max(1.0);
+        let near = (high / AT_LINE).clamp(0.0, 1.0).powi(2);
+        (FAR + near, ASIDE + (-0.5 * (away / BESIDE).powi(2)).exp())
     };
     // Before the sigmoid: of thousands of cells a few have a vote.
-    let least = (VOTES * certainty / (1.0 - VOTES * certainty)).ln();
+    let least = (VOTES * surest / (1.0 - VOTES * surest)).ln();
     let vote = |lamp: &[f32]| {
-        let (mut sum, mut distance) = (0.0, 0.0);
+        let (mut sum, mut distance, mut certainty) = (0.0, 0.0, 0.0_f32);
         for (cell, (x, d)) in lamp.iter().zip(distances).enumerate().filter(|(_, (x, _))| **x >= least) {
-            let p = sigmoid(*x) * weight(cell, *d);
+            let (near, own) = weights(cell, *d);
+            let p = sigmoid(*x);
+            certainty = certainty.max(p * near.clamp(ACROSS, 1.0));
+            let p = p * near * own;
             (sum, distance) = (sum + p, distance + p * d);
         }
-        (sum, distance)
+        (sum, distance, certainty)
     };
     let votes = heat.chunks_exact(cells).map(vote).zip(COLOURS);
-    let ((sum, distance), state) = votes.max_by(|a, b| a.0.0.total_cmp(&b.0.0))?;
+    let ((sum, distance, certainty), state) = votes.max_by(|a, b| a.0.0.total_cmp(&b.0.0))?;
     Some(SeenLight { state, distance: f64::from((distance / sum).exp_m1().max(0.0)), certainty })
 }
 
@@ -172,5 +187,19 @@ mod tests {
         let side = |offset| Some(LaneBoundary { offset, slope: 0.0, bend: 0.0, reach: [4.0, 20.0] });
         let lanes = LaneEstimate { left: side(-2.2), right: side(-5.5) };
         assert_eq!(decode_light(&light, &lanes, &ground).map(|l| l.state), Some(SignalState::GreenMajor));
+    }
+
+    #[test]
+    fn of_heads_one_behind_the_other_the_one_at_the_line_counts() {
+        let cells = MAP_WIDTH * 80;
+        let ground = GroundPlane::new(&CameraConfig::default());
+        let mut light = vec![-9.0; LIGHT as usize * cells];
+        light[LAMPS * cells..].fill(6.0_f32.ln_1p());
+        let state = |light: &[f32]| decode_light(light, &LaneEstimate::default(), &ground).map(|l| l.state);
+        // A red one beyond the junction, just above the horizon, is surer than the green one above the ego.
+        light[36 * MAP_WIDTH + 74] = 0.3;
+        assert_eq!(state(&light), Some(SignalState::Red));
+        light[2 * cells + MAP_WIDTH + 64] = -0.6;
+        assert_eq!(state(&light), Some(SignalState::GreenMajor));
     }
 }
