@@ -164,6 +164,15 @@ impl Ir {
         self.add("AvgPool", 1, data, &[x])
     }
 
+    /// The largest number of each square of `side`.
+    pub fn largest(&mut self, x: Node, side: usize) -> Node {
+        let data = format!(
+            "kernel=\"{side},{side}\" strides=\"{side},{side}\" pads_begin=\"0,0\" pads_end=\"0,0\" \
+             rounding_type=\"floor\" auto_pad=\"explicit\""
+        );
+        self.add("MaxPool", 1, &data, &[x])
+    }
+
     /// What lies from `from` to before `to` along a dimension.
     pub fn part(&mut self, x: Node, axis: i64, from: i64, to: i64) -> Node {
         let [from, to, step, axis] = [from, to, 1, axis].map(|number| self.integers(&[number]));

@@ -6,7 +6,7 @@
 //! precision.
 
 use super::decode::{CELL, LIGHT, ROWS};
-use super::kind::{CLASSES, Sees};
+use super::kind::{CLASSES, STRIDE, Sees};
 use crate::inference::ir::{Ir, Node};
 use crate::weights::{Stored, Weights, WeightsError};
 use safetensors::Dtype;
@@ -19,6 +19,8 @@ pub(super) const PYRAMID: i64 = 32;
 pub const OUT: i64 = 48;
 /// Channels of the road's heads between features and answers.
 pub(super) const HIDDEN: i64 = 32;
+/// Colours of the picture of which the light's head sees the strongest in each cell.
+pub(super) const COLOURS: i64 = 8;
 /// Batch norm keeps its root from 0.
 pub(super) const EPSILON: f64 = 1e-5;
 
@@ -39,6 +41,14 @@ pub enum Numbers<'a> {
     Watched,
     /// Whole numbers of 8 bits within these ranges.
     Whole(&'a Ranges),
+}
+
+/// Where the cells of the light's map are: 2 x 80 x 128, column and row from 0 to 1.
+pub(super) fn place() -> Vec<f32> {
+    let [rows, columns] = PICTURE.map(|side| side / STRIDE);
+    let part = |at: usize, of: usize| (at as f32 + 0.5) / of as f32;
+    let columns_of = (0..rows * columns).map(|cell| part(cell % columns, columns));
+    columns_of.chain((0..rows * columns).map(|cell| part(cell / columns, rows))).collect()
 }
 
 struct Builder<'a> {
@@ -68,6 +78,7 @@ pub fn graph(weights: &Weights, sees: Sees, numbers: Numbers<'_>) -> Result<Ir, 
     if matches!(numbers, Numbers::Whole(_)) {
         x = net.round_all(x, -1.8, 2.2);
     }
+    let picture = x;
     let [stem1, stem2, ..] = CHANNELS;
     x = net.layer(x, "backbone.stem1", [3, stem1, 3, 2])?;
     x = net.layer(x, "backbone.stem2", [stem1, stem2, 3, 2])?;
@@ -106,6 +117,15 @@ pub fn graph(weights: &Weights, sees: Sees, numbers: Numbers<'_>) -> Result<Ir, 
         // What it sees is what the lanes see, so it is rounded alike.
         let all = net.rounded(features)?;
         let hidden = net.convolution(all, "road.light_hidden", [OUT, HIDDEN, 3, 1], true)?;
+        let colours = net.convolution(picture, "road.colours", [3, COLOURS, 1, 1], false)?;
+        let colours = net.ir.relu(colours);
+        let colours = net.ir.largest(colours, STRIDE);
+        let [rows, columns] = PICTURE.map(|side| side / STRIDE);
+        let place = net.ir.floats(&[1, 2, rows, columns], &place());
+        let beside = net.ir.join(colours, place, 1);
+        let beside = net.rounded(beside)?;
+        let beside = net.convolution(beside, "road.light_colours", [COLOURS + 2, HIDDEN, 3, 1], false)?;
+        let hidden = net.ir.sum(hidden, beside);
         let hidden = net.ir.relu(hidden);
         let light = net.head(hidden, "road.light", [HIDDEN, LIGHT, 1, 1])?;
         net.ir.output(light);

@@ -89,10 +89,10 @@ impl CenterNet {
     /// torch fails; h and w must be multiples of 32.
     pub fn forward(&self, pictures: &Tensor, train: bool) -> Result<Answer, TchError> {
         // About zero in the middle, one wide.
-        let x = pictures.f_sub_scalar(0.45)?.f_mul_scalar(4.0)?;
+        let pictures = pictures.f_sub_scalar(0.45)?.f_mul_scalar(4.0)?;
         let x = match &self.features {
-            Features::Light(net) => net.forward(&x, train)?,
-            Features::Resnet(net) => net.forward(&x, train)?,
+            Features::Light(net) => net.forward(&pictures, train)?,
+            Features::Resnet(net) => net.forward(&pictures, train)?,
         };
         let x = x.f_to_kind(Kind::Float)?;
         let head = |(first, last): &(Option<Conv>, Conv)| match first {
@@ -100,7 +100,7 @@ impl CenterNet {
             None => last.forward(&x, train),
         };
         let [heat, size, offset] = &self.heads;
-        let road = self.road.as_ref().map(|road| road.forward(&x, train)).transpose()?.flatten();
+        let road = self.road.as_ref().map(|road| road.forward(&x, &pictures, train)).transpose()?.flatten();
         Ok(Answer { heat: head(heat)?, size: head(size)?, offset: head(offset)?, road })
     }
 

@@ -2,12 +2,17 @@
 //! ego's lane, row by row, and the light that is the ego's.
 //!
 //! ```text
-//! features at /4 --3x3, 1x1------------------> the ego's signal heads by lamp, distance of the stop line
-//!                --/8, rows below the horizon, 3x3, 1x1--> per row and side: the boundary's column, or none
+//! features at /4 --3x3--+--1x1-----------> the ego's signal heads by lamp, distance of the stop line
+//! picture --1x1, largest of 4x4--3x3--+
+//! features at /4 --/8, rows below the horizon, 3x3, 1x1--> per row and side: the boundary's column, or none
 //! ```
+//!
+//! A lamp 40 m away is one pixel, whose colour the backbone's strides blur: the light's head also sees the strongest of
+//! some colours in each cell of the picture itself, and where in the picture the cell is (Liu et al. 2018, "CoordConv"):
+//! which heads are the ego's depends on both.
 
 use super::decode::{LIGHT, ROWS};
-use super::graph::{HIDDEN, PICTURE};
+use super::graph::{COLOURS, HIDDEN, PICTURE, place};
 use super::kind::STRIDE;
 use super::layer::{Conv, Kernel};
 use tch::nn::Path;
@@ -21,6 +26,8 @@ pub(super) const WHOLE: [i64; 2] = [(PICTURE[1] / STRIDE) as i64, (PICTURE[0] / 
 #[derive(Debug)]
 pub struct RoadHeads {
     light_hidden: Conv,
+    colours: Conv,
+    light_colours: Conv,
     light: Conv,
     hidden: Conv,
     lanes: Conv,
@@ -43,7 +50,11 @@ impl RoadHeads {
     pub fn new(path: &Path<'_>, channels: i64) -> Result<Self, TchError> {
         let mut light = Conv::new(&(path / "light"), HIDDEN, LIGHT, Kernel::plain(1));
         light.begin_at(0.01, super::network::FIRST_ANSWER)?;
+        let mut light_colours = Conv::new(&(path / "light_colours"), COLOURS + 2, HIDDEN, Kernel::plain(3));
+        light_colours.begin_at(0.01, 0.0)?;
         Ok(Self {
+            colours: Conv::new(&(path / "colours"), 3, COLOURS, Kernel::plain(1)),
+            light_colours,
             light_hidden: Conv::new(&(path / "light_hidden"), channels, HIDDEN, Kernel::normed(3, 1)),
             light,
             hidden: Conv::new(&(path / "hidden"), channels, HIDDEN, Kernel::normed(3, 1)),
@@ -51,11 +62,16 @@ impl RoadHeads {
         })
     }
 
-    /// Features (n, channels, h, w) of whole pictures; None for parts of pictures.
+    /// Features (n, channels, h, w) of whole pictures (n, 3, 4 h, 4 w); None for parts of pictures.
     ///
     /// # Errors
     /// torch fails.
-    pub fn forward(&self, x: &Tensor, train: bool) -> Result<Option<RoadAnswer>, TchError> {
+    pub fn forward(
+        &self,
+        x: &Tensor,
+        pictures: &Tensor,
+        train: bool,
+    ) -> Result<Option<RoadAnswer>, TchError> {
         let size = x.size();
         if [size[3], size[2]] != WHOLE {
             return Ok(None);
@@ -66,7 +82,14 @@ impl RoadHeads {
         let answers = self.lanes.forward(&hidden, train)?;
         let none = answers.f_narrow(1, 2, 2)?.f_mean_dim([3_i64].as_slice(), true, Kind::Float)?;
         let lanes = Tensor::f_cat(&[answers.f_narrow(1, 0, 2)?, none], 3)?;
-        let hidden = self.light_hidden.forward(x, train)?.f_relu()?;
+        let colours = self.colours.forward(pictures, train)?.f_relu()?;
+        let side = [STRIDE as i64; 2];
+        let colours = colours.f_max_pool2d(side, side, [0, 0], [1, 1], false)?.f_to_kind(Kind::Float)?;
+        let [w, h] = WHOLE;
+        let place = Tensor::f_from_slice(&place())?.f_view([1, 2, h, w])?.f_to_device(x.device())?;
+        let beside = Tensor::f_cat(&[colours, place.f_expand([size[0], 2, h, w], false)?], 1)?;
+        let beside = self.light_colours.forward(&beside, train)?;
+        let hidden = self.light_hidden.forward(x, train)?.f_add(&beside)?.f_relu()?;
         Ok(Some(RoadAnswer { light: self.light.forward(&hidden, train)?, lanes }))
     }
 
