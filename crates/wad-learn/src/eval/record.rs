@@ -6,7 +6,7 @@ use crate::env::Ending;
 use crate::reward::RewardTerms;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-use wad_see::perception::LightTicks;
+use wad_see::perception::sight_score::LightCounts;
 use wad_sim::tasks::Placement;
 
 /// The fault that stopped an episode before its end.
@@ -70,7 +70,7 @@ pub struct EpisodeRecord {
     pub gaps: Histogram,
     /// Ticks by what the ego believed of its light; None where the simulator told it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub light: Option<LightTicks>,
+    pub light: Option<LightCounts>,
     /// Where it ended: x, y (m).
     pub end_at: [f64; 2],
     /// The recording's folder, relative to the evaluation's; None if it was not kept.

@@ -7,7 +7,7 @@ use crate::env::End;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use wad_camera::Preset;
-use wad_see::perception::LightTicks;
+use wad_see::perception::sight_score::LightCounts;
 use wad_sim::traffic::TrafficSpec;
 
 /// The episodes of one agent under one condition. Rates are fractions 0..1.
@@ -82,7 +82,7 @@ pub struct Score {
     pub gaps: Histogram,
     /// Ticks by what egos believed of their light; None where the simulator told it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub light: Option<LightTicks>,
+    pub light: Option<LightCounts>,
 }
 
 /// The rows of episodes, in the order in which their conditions first appear.
@@ -138,7 +138,7 @@ impl Score {
         let mean = |value: &dyn Fn(&EpisodeRecord) -> f64| if n == 0 { 0.0 } else { sum(value) / n as f64 };
         let successes = counting.iter().filter(|episode| episode.ending.success).count() as u64;
         let (mut events, mut speeds, mut gaps) = Default::default();
-        let mut light: Option<LightTicks> = None;
+        let mut light: Option<LightCounts> = None;
         let mut ends = BTreeMap::new();
         for episode in &counting {
             *ends.entry(episode.ending.end).or_insert(0) += 1;

@@ -399,7 +399,7 @@ fn drive(
             events: tally.events,
             speeds: tally.speeds,
             gaps: tally.gaps,
-            light: fleet.eyes(ego).perception().and_then(Perception::light_ticks),
+            light: fleet.eyes(ego).perception().and_then(Perception::light_counts),
             end_at: tally.last.map_or([0.0; 2], |at| [at.x, at.y]),
             recording: None,
         };

@@ -159,18 +159,21 @@ impl Ir {
 
     /// Half as high and wide, each number the mean of four.
     pub fn halve(&mut self, x: Node) -> Node {
-        let data = "kernel=\"2,2\" strides=\"2,2\" pads_begin=\"0,0\" pads_end=\"0,0\" exclude-pad=\"true\" \
-                    rounding_type=\"floor\" auto_pad=\"explicit\"";
-        self.add("AvgPool", 1, data, &[x])
+        self.pool("AvgPool", "exclude-pad=\"true\"", x, 2)
     }
 
     /// The largest number of each square of `side`.
     pub fn largest(&mut self, x: Node, side: usize) -> Node {
+        self.pool("MaxPool", "", x, side)
+    }
+
+    /// One number for each square of `side`.
+    fn pool(&mut self, kind: &str, more: &str, x: Node, side: usize) -> Node {
         let data = format!(
-            "kernel=\"{side},{side}\" strides=\"{side},{side}\" pads_begin=\"0,0\" pads_end=\"0,0\" \
+            "kernel=\"{side},{side}\" strides=\"{side},{side}\" pads_begin=\"0,0\" pads_end=\"0,0\" {more} \
              rounding_type=\"floor\" auto_pad=\"explicit\""
         );
-        self.add("MaxPool", 1, &data, &[x])
+        self.add(kind, 1, &data, &[x])
     }
 
     /// What lies from `from` to before `to` along a dimension.

@@ -17,7 +17,6 @@ mod image;
 mod lanes;
 pub mod lead;
 mod light;
-mod light_ticks;
 pub mod metrics;
 #[cfg(feature = "vision")]
 mod onnx;
@@ -38,7 +37,6 @@ pub use ground::GroundPlane;
 pub use image::{TRANSFORMED_SIZE, TransformedImage};
 pub use lanes::{LaneBoundary, LaneDetector, LaneEstimate};
 pub use light::{AT_INTERSECTION, LightAhead, SeenLights, StopLight};
-pub use light_ticks::LightTicks;
 #[cfg(feature = "vision")]
 pub use onnx::OnnxDetector;
 pub use pipeline::{Percept, Perception};

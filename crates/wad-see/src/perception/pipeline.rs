@@ -4,8 +4,8 @@ use super::crossing::CrossingTracker;
 use super::facts::EgoFacts;
 use super::lead::{self, LeadTracker};
 use super::light::{LightAhead, SeenLights, StopLight};
-use super::light_ticks::LightTicks;
 use super::paint::Painter;
+use super::sight_score::LightCounts;
 use super::{
     Detection, Detector, GroundPlane, LaneDetector, LaneEstimate, PerceptionError, TransformedImage,
 };
@@ -43,7 +43,7 @@ pub struct Perception {
     lead: LeadTracker,
     crossing: CrossingTracker,
     seen_lights: SeenLights,
-    light_ticks: LightTicks,
+    light_counts: LightCounts,
     stop_light: StopLight,
     painter: Painter,
     percept: Percept,
@@ -60,7 +60,7 @@ impl Perception {
             lead: LeadTracker::default(),
             crossing: CrossingTracker::default(),
             seen_lights: SeenLights::default(),
-            light_ticks: LightTicks::default(),
+            light_counts: LightCounts::default(),
             stop_light: StopLight::default(),
             painter: Painter::default(),
             percept: Percept {
@@ -99,7 +99,7 @@ impl Perception {
         self.lead.reset();
         self.crossing.reset();
         self.seen_lights.reset();
-        self.light_ticks = LightTicks::default();
+        self.light_counts = LightCounts::default();
         self.stop_light.reset();
     }
 
@@ -142,13 +142,13 @@ impl Perception {
         let light = match self.detector.seen() {
             Some(seen) => {
                 let speed = facts.on_route.state.speed;
+                let there = LightAhead::find(facts);
                 let believed = self.seen_lights.update(seen.light, speed, facts.tick);
                 tracing::debug!(
-                    "light: {:?} seen, {believed:?} believed, {:?} there, {speed:.2} m/s",
-                    seen.light,
-                    LightAhead::find(facts)
+                    "light: {:?} seen, {believed:?} believed, {there:?} there, {speed:.2} m/s",
+                    seen.light
                 );
-                self.light_ticks.note(facts, believed.as_ref());
+                self.light_counts.note(facts, there.as_ref(), believed.as_ref());
                 believed
             }
             None => LightAhead::find(facts),
@@ -181,8 +181,8 @@ impl Perception {
     }
 
     /// Ticks of this episode by what was believed of the light; None where the simulator tells it.
-    pub fn light_ticks(&self) -> Option<LightTicks> {
-        self.detector.seen().map(|_| self.light_ticks)
+    pub fn light_counts(&self) -> Option<LightCounts> {
+        self.detector.seen().map(|_| self.light_counts)
     }
 
     /// The ground under the camera.

@@ -226,7 +226,7 @@ fn infractions(section: &Section) -> Table {
 fn lights(section: &Section) -> Option<Table> {
     let row = |(mut cells, group): (Vec<String>, Vec<&EpisodeRecord>)| {
         let light = Score::of(&group).light?;
-        let share = |part: u64, whole: u64| match whole {
+        let share = |part: usize, whole: usize| match whole {
             0 => "-".to_string(),
             _ => format!("{:.3} of {whole}", part as f64 / whole as f64),
         };

@@ -166,18 +166,28 @@ mod tests {
     use super::*;
     use wad_camera::CameraConfig;
 
+    const CELLS: usize = MAP_WIDTH * 80;
+
+    /// The light's answers where no head is, with the stop line everywhere at `distance` m.
+    fn no_light(distance: f32) -> Vec<f32> {
+        let mut light = vec![-9.0; LIGHT as usize * CELLS];
+        light[LAMPS * CELLS..].fill(distance.ln_1p());
+        light
+    }
+
+    fn state_in(light: &[f32], lanes: &LaneEstimate) -> Option<SignalState> {
+        decode_light(light, lanes, &GroundPlane::new(&CameraConfig::default())).map(|light| light.state)
+    }
+
     #[test]
     fn of_heads_side_by_side_the_one_over_the_ego_s_lane_counts() {
-        let cells = MAP_WIDTH * 80;
-        let ground = GroundPlane::new(&CameraConfig::default());
-        let mut light = vec![-9.0; LIGHT as usize * cells];
-        light[LAMPS * cells..].fill(20.0_f32.ln_1p());
-        let mut head = |lamp: usize, column: usize, x: f32| light[lamp * cells + 30 * MAP_WIDTH + column] = x;
+        let mut light = no_light(20.0);
+        let mut head = |lamp: usize, column: usize, x: f32| light[lamp * CELLS + 30 * MAP_WIDTH + column] = x;
         // Two green ones 4 and 8 m to the right of a red one, at 20 m; the picture's middle is column 64.
         head(2, 75, 1.5);
         head(2, 86, 1.5);
         head(0, 64, 1.0);
-        let state = |light: &[f32]| decode_light(light, &LaneEstimate::default(), &ground).map(|l| l.state);
+        let state = |light: &[f32]| state_in(light, &LaneEstimate::default());
         assert_eq!(state(&light), Some(SignalState::Red));
         // Without it those at the roadside say what counts.
         light[30 * MAP_WIDTH + 64] = -9.0;
@@ -186,20 +196,17 @@ mod tests {
         light[30 * MAP_WIDTH + 64] = 1.0;
         let side = |offset| Some(LaneBoundary { offset, slope: 0.0, bend: 0.0, reach: [4.0, 20.0] });
         let lanes = LaneEstimate { left: side(-2.2), right: side(-5.5) };
-        assert_eq!(decode_light(&light, &lanes, &ground).map(|l| l.state), Some(SignalState::GreenMajor));
+        assert_eq!(state_in(&light, &lanes), Some(SignalState::GreenMajor));
     }
 
     #[test]
     fn of_heads_one_behind_the_other_the_one_at_the_line_counts() {
-        let cells = MAP_WIDTH * 80;
-        let ground = GroundPlane::new(&CameraConfig::default());
-        let mut light = vec![-9.0; LIGHT as usize * cells];
-        light[LAMPS * cells..].fill(6.0_f32.ln_1p());
-        let state = |light: &[f32]| decode_light(light, &LaneEstimate::default(), &ground).map(|l| l.state);
+        let mut light = no_light(6.0);
+        let state = |light: &[f32]| state_in(light, &LaneEstimate::default());
         // A red one beyond the junction, just above the horizon, is surer than the green one above the ego.
         light[36 * MAP_WIDTH + 74] = 0.3;
         assert_eq!(state(&light), Some(SignalState::Red));
-        light[2 * cells + MAP_WIDTH + 64] = -0.6;
+        light[2 * CELLS + MAP_WIDTH + 64] = -0.6;
         assert_eq!(state(&light), Some(SignalState::GreenMajor));
     }
 }

@@ -26,6 +26,8 @@ pub(super) const EPSILON: f64 = 1e-5;
 
 /// Rows and columns of the picture that the network sees.
 pub const PICTURE: [usize; 2] = [320, 512];
+/// Rows and columns of the cells that heads see.
+pub(super) const MAP: [usize; 2] = [PICTURE[0] / STRIDE, PICTURE[1] / STRIDE];
 /// Name of the tensor of ranges in a file of weights.
 pub const RANGES: &str = "ranges";
 
@@ -45,7 +47,7 @@ pub enum Numbers<'a> {
 
 /// Where the cells of the light's map are: 2 x 80 x 128, column and row from 0 to 1.
 pub(super) fn place() -> Vec<f32> {
-    let [rows, columns] = PICTURE.map(|side| side / STRIDE);
+    let [rows, columns] = MAP;
     let part = |at: usize, of: usize| (at as f32 + 0.5) / of as f32;
     let columns_of = (0..rows * columns).map(|cell| part(cell % columns, columns));
     columns_of.chain((0..rows * columns).map(|cell| part(cell / columns, rows))).collect()
@@ -120,8 +122,7 @@ pub fn graph(weights: &Weights, sees: Sees, numbers: Numbers<'_>) -> Result<Ir, 
         let colours = net.convolution(picture, "road.colours", [3, COLOURS, 1, 1], false)?;
         let colours = net.ir.relu(colours);
         let colours = net.ir.largest(colours, STRIDE);
-        let [rows, columns] = PICTURE.map(|side| side / STRIDE);
-        let place = net.ir.floats(&[1, 2, rows, columns], &place());
+        let place = net.ir.floats(&[1, 2, MAP[0], MAP[1]], &place());
         let beside = net.ir.join(colours, place, 1);
         let beside = net.rounded(beside)?;
         let beside = net.convolution(beside, "road.light_colours", [COLOURS + 2, HIDDEN, 3, 1], false)?;

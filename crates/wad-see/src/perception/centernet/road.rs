@@ -12,7 +12,7 @@
 //! which heads are the ego's depends on both.
 
 use super::decode::{LIGHT, ROWS};
-use super::graph::{COLOURS, HIDDEN, PICTURE, place};
+use super::graph::{COLOURS, HIDDEN, MAP, place};
 use super::kind::STRIDE;
 use super::layer::{Conv, Kernel};
 use tch::nn::Path;
@@ -20,7 +20,7 @@ use tch::{Kind, TchError, Tensor};
 
 /// Whole pictures have this many cells of features: width and height. Parts of pictures have no answers, for where the ego is in
 /// them is not known.
-pub(super) const WHOLE: [i64; 2] = [(PICTURE[1] / STRIDE) as i64, (PICTURE[0] / STRIDE) as i64];
+pub(super) const WHOLE: [i64; 2] = [MAP[1] as i64, MAP[0] as i64];
 
 /// The heads.
 #[derive(Debug)]
@@ -28,6 +28,8 @@ pub struct RoadHeads {
     light_hidden: Conv,
     colours: Conv,
     light_colours: Conv,
+    /// (1, 2, h, w): see [`place`].
+    place: Tensor,
     light: Conv,
     hidden: Conv,
     lanes: Conv,
@@ -52,7 +54,10 @@ impl RoadHeads {
         light.begin_at(0.01, super::network::FIRST_ANSWER)?;
         let mut light_colours = Conv::new(&(path / "light_colours"), COLOURS + 2, HIDDEN, Kernel::plain(3));
         light_colours.begin_at(0.01, 0.0)?;
+        let [w, h] = WHOLE;
+        let place = Tensor::f_from_slice(&place())?.f_view([1, 2, h, w])?.f_to_device(path.device())?;
         Ok(Self {
+            place,
             colours: Conv::new(&(path / "colours"), 3, COLOURS, Kernel::plain(1)),
             light_colours,
             light_hidden: Conv::new(&(path / "light_hidden"), channels, HIDDEN, Kernel::normed(3, 1)),
@@ -85,9 +90,8 @@ impl RoadHeads {
         let colours = self.colours.forward(pictures, train)?.f_relu()?;
         let side = [STRIDE as i64; 2];
         let colours = colours.f_max_pool2d(side, side, [0, 0], [1, 1], false)?.f_to_kind(Kind::Float)?;
-        let [w, h] = WHOLE;
-        let place = Tensor::f_from_slice(&place())?.f_view([1, 2, h, w])?.f_to_device(x.device())?;
-        let beside = Tensor::f_cat(&[colours, place.f_expand([size[0], 2, h, w], false)?], 1)?;
+        let place = self.place.f_expand([size[0], -1, -1, -1], false)?;
+        let beside = Tensor::f_cat(&[colours, place], 1)?;
         let beside = self.light_colours.forward(&beside, train)?;
         let hidden = self.light_hidden.forward(x, train)?.f_add(&beside)?.f_relu()?;
         Ok(Some(RoadAnswer { light: self.light.forward(&hidden, train)?, lanes }))

@@ -3,10 +3,12 @@
 
 mod lanes;
 mod lead;
+mod light;
 mod road;
 
 pub use lanes::{LaneScore, LaneTruth, MEASURED_AT};
 pub use lead::{LeadBin, LeadScore, LeadTruth};
+pub use light::LightCounts;
 pub use road::{RoadReport, RoadScore};
 
 use serde::{Deserialize, Serialize};

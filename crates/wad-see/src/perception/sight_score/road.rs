@@ -1,18 +1,16 @@
 //! What networks saw of lane and light against what is true of both.
 
 use super::lanes::FOUND;
+use super::light::{LightCounts, REACH};
 use super::{MEASURED_AT, Spread, share};
 use crate::perception::road_truth::y_at;
 use crate::perception::{RoadWanted, Seen, colour};
 use serde::{Deserialize, Serialize};
 
-/// A light counts up to this far before its stop line, the error of the distance up to this far (m).
-const LIGHT_REACH: f32 = 40.0;
+/// The error of the stop line's distance counts up to this far before it (m).
 const LINE_REACH: f32 = 20.0;
 /// A boundary that reaches less far ahead than this is no false one (m): the last of a lane before a junction.
 const PHANTOM_REACH: f32 = 8.0;
-const RED: usize = 0;
-const GREEN: usize = 2;
 
 /// Counts over frames.
 #[derive(Clone, Debug, Default)]
@@ -23,13 +21,7 @@ pub struct RoadScore {
     lateral: Vec<f64>,
     junctions: usize,
     phantom_lanes: usize,
-    lights: usize,
-    right: usize,
-    missed: usize,
-    reds: usize,
-    red_as_green: usize,
-    without: usize,
-    phantom_lights: usize,
+    light: LightCounts,
     line: Vec<f64>,
 }
 
@@ -90,26 +82,20 @@ impl RoadScore {
         let shown = wanted.heads.iter().any(|(_, counts)| *counts);
         let lamp = seen.light.and_then(|light| colour(light.state));
         match wanted.light {
-            Some((wanted, distance)) if shown && distance <= LIGHT_REACH => {
-                self.lights += 1;
-                self.right += usize::from(lamp == Some(wanted));
-                self.missed += usize::from(lamp.is_none());
-                self.reds += usize::from(wanted == RED);
-                self.red_as_green += usize::from(wanted == RED && lamp == Some(GREEN));
+            Some((wanted, distance)) if shown && f64::from(distance) <= REACH => {
+                self.light.add_lit(wanted, lamp);
                 if distance <= LINE_REACH {
                     self.line.extend(seen.light.map(|light| (light.distance - f64::from(distance)).abs()));
                 }
             }
-            _ if wanted.heads.is_empty() => {
-                self.without += 1;
-                self.phantom_lights += usize::from(lamp.is_some());
-            }
+            _ if wanted.heads.is_empty() => self.light.add_dark(lamp.is_some()),
             _ => {}
         }
     }
 
     /// The figures.
     pub fn report(&self) -> RoadReport {
+        let light = &self.light;
         RoadReport {
             frames: self.frames,
             boundaries: self.boundaries,
@@ -117,13 +103,13 @@ impl RoadScore {
             lateral_error: Spread::of(&self.lateral),
             junctions: self.junctions,
             phantom_lanes: share(self.phantom_lanes, self.junctions),
-            lights: self.lights,
-            lights_right: share(self.right, self.lights),
-            lights_missed: share(self.missed, self.lights),
-            reds: self.reds,
-            red_as_green: self.red_as_green,
-            without_light: self.without,
-            phantom_lights: share(self.phantom_lights, self.without),
+            lights: light.ahead,
+            lights_right: share(light.right, light.ahead),
+            lights_missed: share(light.missed, light.ahead),
+            reds: light.reds,
+            red_as_green: light.red_as_green,
+            without_light: light.without,
+            phantom_lights: share(light.phantom, light.without),
             line_error: Spread::of(&self.line),
         }
     }
@@ -131,6 +117,7 @@ impl RoadScore {
 
 #[cfg(test)]
 mod tests {
+    use super::super::light::{GREEN, RED};
     use super::*;
     use crate::perception::{LaneBoundary, LaneEstimate, SeenLight};
     use sumo_network::world::SignalState;
