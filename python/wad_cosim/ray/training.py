@@ -26,7 +26,7 @@ from . import cluster
 # After `cluster`, which says how to install it.
 import ray
 
-#: Seconds between two lines of losses in the log.
+#: Seconds between two lines of losses in the log; every checkpoint has one too.
 _FIGURES = 5.0
 
 
@@ -361,19 +361,26 @@ class _Run:
             self._bar.say(f"step {state.steps}: stage {passed['stage'] + 1} ({task}) {how}")
         for name, loss in state.losses.items():
             self._figures.setdefault(name, []).append(loss)
-        now, (then, steps, updates) = time.monotonic(), self._told
-        if self._figures and now - then >= _FIGURES:
-            figures = {name: sum(values) / len(values) for name, values in self._figures.items()}
-            figures["charts/SPS"] = (state.steps - steps) / (now - then)
-            figures["charts/UPS"] = (state.updates - updates) / (now - then)
-            figures |= {"charts/updates": state.updates, "charts/buffer": state.buffer, "charts/hours": state.hours}
-            lines.append({"global_step": state.steps, **figures})
-            self._figures, self._told = {}, (now, state.steps, state.updates)
+        if time.monotonic() - self._told[0] >= _FIGURES:
+            lines += self._means()
         self._folder.log(lines)
+
+    def _means(self) -> list[dict[str, Any]]:
+        """The log's line of losses and speeds since the last such line, if there is anything to tell."""
+        if not self._figures:
+            return []
+        now, state, (then, steps, updates) = time.monotonic(), self._state, self._told
+        figures = {name: sum(values) / len(values) for name, values in self._figures.items()}
+        figures["charts/SPS"] = (state.steps - steps) / (now - then)
+        figures["charts/UPS"] = (state.updates - updates) / (now - then)
+        figures |= {"charts/updates": state.updates, "charts/buffer": state.buffer, "charts/hours": state.hours}
+        self._figures, self._told = {}, (now, state.steps, state.updates)
+        return [{"global_step": state.steps, **figures}]
 
     def _save(self) -> int:
         """Keeps a checkpoint, of all that the log has; returns its steps."""
         for ref in list(self._learning):
             self._learned(ref)
+        self._folder.log(self._means())
         self._folder.save(self._ask(self._learn("save")))
         return self._state.steps
