@@ -23,6 +23,7 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     wad_cosim::register_bundled();
     errors::add(module)?;
     module.add("VERSION", wad_cosim::program::version())?;
+    module.add("DEFAULT_DETECTOR", wad_cosim::perception::DEFAULT_DETECTOR)?;
     module.add("NUMBERS", episode::NUMBERS.to_vec())?;
     module.add("WHOLE", episode::WHOLE.map(|index| episode::NUMBERS[index]).to_vec())?;
     module.add("RAW_SIZE", wad_cosim::observation::RAW_SIZE)?;

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 __all__ = [
     "Collection",
     "Collector",
+    "DEFAULT_DETECTOR",
     "Environments",
     "Error",
     "InputError",
@@ -37,6 +38,7 @@ __all__ = [
     "use_sumo",
 ]
 
+DEFAULT_DETECTOR: str
 VERSION: str
 NUMBERS: list[str]
 WHOLE: list[str]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from . import _native, actions
+from . import _native, actions, observations
 from ._native import InputError
 
 _MODES = {"raw": "raw_only", "vector": "vector", "latent": "latent_and_raw"}
@@ -26,7 +26,7 @@ def evaluate(
     name: str | None = None,
     observation: str = "raw",
     action: Any = "continuous",
-    detector: str = "truth",
+    detector: str | None = None,
     encoder: str | os.PathLike[str] = "default",
     agent_timeout: float = 10.0,
     condition: str | Iterable[str] = (),
@@ -54,7 +54,8 @@ def evaluate(
         name: Its name in tables. Default: the function's or the class's.
         observation: What it gets: ``raw``, ``vector`` or ``latent``, as :class:`DrivingEnv` has them.
         action: What it gives, as :class:`DrivingEnv`'s ``action``.
-        detector: As the command line's ``--detector``.
+        detector: As the command line's ``--detector``. Default: for a driver by name the command line's, ``eyes``, which
+            needs ``wad-cosim[eyes]``; for a policy that of :class:`DrivingEnv` with this observation.
         encoder: What makes the latent of ``observation="latent"``.
         agent_timeout: Seconds for each answer of an ``exec:`` agent.
         condition, task, town, weather, traffic, seed: Only these of the suite; one or several.
@@ -81,7 +82,9 @@ def evaluate(
     act: Callable[[Any, int], Any] | None = None
     if isinstance(agent, str):
         called = agent
+        detector = detector or _native.DEFAULT_DETECTOR
     else:
+        detector = detector or observations.found_by(observation)
         called = name or getattr(agent, "__name__", None) or type(agent).__name__
         act = _driver(agent, action)
     wanted = wanted_by(

@@ -41,9 +41,7 @@ class Setup:
             raise InputError(f"render_mode={render_mode!r}: expected None, 'rgb_array' or 'human' (SUMO's own window)")
         self.observation = observation if isinstance(observation, str) else tuple(observation)
         parts = observations.parts_of(self.observation)
-        # Where the camera draws anyhow, its boxes cost nothing.
-        found_by = detector or ("truth" if {"latent", "transformed"} & set(parts) else "outlines")
-        merged: dict[str, Any] = {"world": "fresh", "detector": found_by}
+        merged: dict[str, Any] = {"world": "fresh", "detector": detector or observations.found_by(self.observation)}
         made: dict[str, Any] = {
             "town": None,
             "task": task,

@@ -12,7 +12,7 @@ use wad_cosim::camera::{CameraConfig, Instructions, Outputs, Preset};
 use wad_cosim::drive::DriveOptions;
 use wad_cosim::eyes::EyesError;
 use wad_cosim::latent::Encoder;
-use wad_cosim::perception::{self, DETECTORS, MIN_SCORE};
+use wad_cosim::perception::{self, DEFAULT_DETECTOR, DETECTORS, MIN_SCORE};
 use wad_cosim::traffic::TrafficSpec;
 
 const EXAMPLES: &str = "\
@@ -41,7 +41,7 @@ pub struct Args {
     /// The camera's outputs.
     #[arg(long, value_enum, default_value_t = Made::Rgb)]
     outputs: Made,
-    #[arg(long, help = format!("The detector: {DETECTORS}"), default_value = "truth", value_name = "NAME")]
+    #[arg(long, help = format!("The detector: {DETECTORS}"), default_value = DEFAULT_DETECTOR, value_name = "NAME")]
     detector: String,
     /// The encoder: a .safetensors file, a folder of `train encoder`, a bundled encoder, or none.
     #[arg(long, default_value = "default", value_name = "NAME")]

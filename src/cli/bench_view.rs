@@ -10,7 +10,7 @@ use std::time::Instant;
 use wad_cosim::bundled;
 use wad_cosim::camera::Preset;
 use wad_cosim::drive::{Drive, DriveOptions};
-use wad_cosim::perception::DETECTORS;
+use wad_cosim::perception::{DEFAULT_DETECTOR, DETECTORS};
 use wad_cosim::stats::{median, quantile};
 use wad_cosim::traffic::TrafficSpec;
 use wad_cosim::view::{Crowd, Listener, ViewAddress};
@@ -37,7 +37,7 @@ pub struct Args {
     /// How often each case is measured.
     #[arg(long, default_value_t = 5)]
     repeat: usize,
-    #[arg(long, help = format!("The detector: {DETECTORS}"), default_value = "truth", value_name = "NAME")]
+    #[arg(long, help = format!("The detector: {DETECTORS}"), default_value = DEFAULT_DETECTOR, value_name = "NAME")]
     detector: String,
     /// Seed of the traffic.
     #[arg(long, default_value_t = 0)]

@@ -102,7 +102,7 @@ pub struct Args {
     /// transformed image, reconstruction) below the view.
     #[arg(long)]
     perception: bool,
-    #[arg(long, help = format!("The detector: {}", perception::DETECTORS), default_value = "truth", value_name = "NAME")]
+    #[arg(long, help = format!("The detector: {}", perception::DETECTORS), default_value = perception::DEFAULT_DETECTOR, value_name = "NAME")]
     detector: String,
     /// Run no faster than real time.
     #[arg(long)]

@@ -79,7 +79,7 @@ pub struct Args {
     /// A stage of perception on the front camera's picture, in place of the plain picture.
     #[arg(long, value_enum, conflicts_with_all = ["overlay", "view"])]
     stage: Option<Stage>,
-    #[arg(long, help = format!("The detector: {}", perception::DETECTORS), default_value = "truth", value_name = "NAME", requires = "stage")]
+    #[arg(long, help = format!("The detector: {}", perception::DETECTORS), default_value = perception::DEFAULT_DETECTOR, value_name = "NAME", requires = "stage")]
     detector: String,
     /// All 14 weathers in one picture, each of --size.
     #[arg(long, conflicts_with_all = ["weather", "overlay", "stage"])]

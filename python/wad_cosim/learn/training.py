@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from .. import _native
+from .. import _native, observations
 from .._native import Error, InputError, SumoError
 from ..evaluation import save_agent
 from ..info import TERMS
@@ -106,7 +106,7 @@ class Settings:
     @property
     def found_by(self) -> str:
         """The detector."""
-        return self.detector or ("truth" if self.observation == "latent" else "outlines")
+        return self.detector or observations.found_by(self.observation)
 
     def choose(self, number: int, stage: int, rng: np.random.Generator) -> int:
         """Which task collector ``number`` drives next, at this stage of the curriculum: a stage's number or an environment's."""

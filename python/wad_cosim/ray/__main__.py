@@ -26,7 +26,7 @@ def _parser() -> argparse.ArgumentParser:
         drive.add_argument(f"--{name}", action="append", default=[], help="only this; may be given several times")
     drive.add_argument("--seed", action="append", type=int, default=[], metavar="N")
     drive.add_argument("--episodes", type=int, metavar="N", help="per task, town and weather")
-    drive.add_argument("--detector", default="truth", metavar="NAME")
+    drive.add_argument("--detector", default=_native.DEFAULT_DETECTOR, metavar="NAME", help=f"[{_native.DEFAULT_DETECTOR}]")
     drive.add_argument("--agent-timeout", type=float, default=10, metavar="SECONDS", help="for each answer of an exec: agent [10]")
     drive.add_argument("--keep", default="failures", choices=("none", "failures", "all"), help="which to record")
     drive.add_argument("--resume", action="store_true", help="continue the evaluation in --out")

@@ -61,7 +61,7 @@ pub struct Args {
     /// Route file for a town without one (make it with `eval routes`).
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     routes: Option<PathBuf>,
-    #[arg(long, help = format!("The detector: {}", wad_cosim::perception::DETECTORS), default_value = "truth", value_name = "NAME")]
+    #[arg(long, help = format!("The detector: {}", wad_cosim::perception::DETECTORS), default_value = wad_cosim::perception::DEFAULT_DETECTOR, value_name = "NAME")]
     detector: String,
     /// SUMOs in parallel; each takes a core.
     #[arg(long, value_name = "N", default_value_t = 1)]

@@ -13,6 +13,9 @@ pub const DETECTORS: &str = "truth (the renderer's boxes), truth:faulty (with a 
      eyes (the bundled one that sees lane and light too), eyes:FILE (one that train eyes wrote), \
      onnx:FILE (any COCO detector in ONNX; onnx alone: what scripts/fetch-detector fetched)";
 
+/// What evaluated and watched drives see by, where nobody asks for another: the camera's picture alone.
+pub const DEFAULT_DETECTOR: &str = "eyes";
+
 /// Detections with a lower score are dropped, unless a measurement needs all of them.
 pub const MIN_SCORE: f32 = 0.3;
 

@@ -31,7 +31,7 @@ pub mod stages;
 pub(crate) mod testing;
 mod truth;
 
-pub use choice::{DETECTORS, MIN_SCORE, centernet_weights, detector, sees_the_road, weights_hash};
+pub use choice::{DEFAULT_DETECTOR, DETECTORS, MIN_SCORE, centernet_weights, detector, sees_the_road, weights_hash};
 pub use facts::EgoFacts;
 pub use ground::GroundPlane;
 pub use image::{TRANSFORMED_SIZE, TransformedImage};
