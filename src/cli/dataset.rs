@@ -85,7 +85,8 @@ pub struct CollectArgs {
     #[arg(long)]
     random_signals: bool,
     /// Draw these anew for each shard: houses (façades, colours, kinds of trees), paint (worn or missing), parked (cars
-    /// along the streets), trees (none to over the road), sun (from every side), night (every third shard), or all.
+    /// along the streets), trees (none to over the road), sun (from every side), night (every third shard), signs
+    /// (many, which say anything), or all.
     #[arg(long, value_name = "WHAT,...", value_parser = Varied::list)]
     vary: Option<VariedList>,
     /// Mean seconds between disturbances of the autopilot's controls; 0: none.

@@ -54,7 +54,7 @@ pub struct Args {
     #[arg(long, default_value_t = 0, value_name = "N")]
     seed: u64,
     /// Draw these from --vary-seed, as `dataset collect --vary` does for each shard: houses, paint, parked, trees, sun,
-    /// night, or all.
+    /// night, signs, or all.
     #[arg(long, value_name = "WHAT,...", value_parser = Varied::list, conflicts_with = "sheet")]
     vary: Option<VariedList>,
     /// The seed of --vary.

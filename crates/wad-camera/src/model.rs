@@ -13,6 +13,7 @@ use super::grid::Grid;
 use super::mesh::Faces;
 use super::walls::Walls;
 use nalgebra::Point3;
+use serde::{Deserialize, Serialize};
 use std::sync::OnceLock;
 use sumo_network::geometry::Pose;
 use sumo_network::network::SignalIndex;
@@ -274,6 +275,32 @@ impl Chunk {
     }
 }
 
+/// What a traffic sign says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Sign {
+    /// No faster than this (km/h): one of [`LIMITS`].
+    Limit(u32),
+    /// Give way.
+    GiveWay,
+    /// Stop, then give way.
+    Stop,
+}
+
+/// The speed limits that signs show (km/h).
+pub const LIMITS: [u32; 11] = [20, 30, 40, 50, 60, 70, 80, 90, 100, 120, 130];
+
+/// A sign at the roadside.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlacedSign {
+    /// What it says.
+    pub sign: Sign,
+    /// The middle of its plate, and the heading of the traffic that it faces.
+    pub pose: Pose,
+    /// Of its plate (m).
+    pub radius: f64,
+}
+
 /// Width of a chunk of the town (m).
 pub const CHUNK_SIZE: f64 = 32.0;
 
@@ -286,6 +313,8 @@ pub struct Scene {
     pub ground: Option<(MaterialId, f64)>,
     /// Fill and then call [`Scene::index`].
     pub chunks: Vec<Chunk>,
+    /// Speed limits, give-way and stop signs.
+    pub signs: Vec<PlacedSign>,
     pub(super) grid: Grid,
     /// Worked out when they are first asked for.
     walls: OnceLock<Walls>,

@@ -22,13 +22,16 @@ pub enum Varied {
     Sun,
     /// Every third drive is at night.
     Night,
+    /// Many more signs, which say anything.
+    Signs,
 }
 
 impl Varied {
     /// All of them.
-    pub const ALL: [Self; 6] = [Self::Houses, Self::Paint, Self::Parked, Self::Trees, Self::Sun, Self::Night];
+    pub const ALL: [Self; 7] =
+        [Self::Houses, Self::Paint, Self::Parked, Self::Trees, Self::Sun, Self::Night, Self::Signs];
 
-    /// `houses`, `paint`, `parked`, `trees`, `sun` or `night`.
+    /// `houses`, `paint`, `parked`, `trees`, `sun`, `night` or `signs`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Houses => "houses",
@@ -37,6 +40,7 @@ impl Varied {
             Self::Trees => "trees",
             Self::Sun => "sun",
             Self::Night => "night",
+            Self::Signs => "signs",
         }
     }
 
@@ -72,6 +76,7 @@ pub fn look(varied: &[Varied], usual: Look, seed: u64) -> Look {
             Varied::Paint => look.paint = drawn.sqrt(),
             Varied::Parked => look.parked = 1.5 * drawn,
             Varied::Trees => look.trees = 2.0 * drawn,
+            Varied::Signs => look.many_signs = true,
             Varied::Sun | Varied::Night => {}
         }
     }

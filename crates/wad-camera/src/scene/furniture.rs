@@ -1,7 +1,7 @@
 //! Street lamps, benches, bins, bus shelters, signs: small things that are placed many times.
 
 use super::materials::Materials;
-use crate::model::{Channel, Level, Library, MaterialId, Model, ModelId};
+use crate::model::{Channel, LIMITS, Level, Library, MaterialId, Model, ModelId, Sign};
 use crate::shape::{Shaper, V3, bounds_of};
 use std::f32::consts::TAU;
 
@@ -89,8 +89,9 @@ fn strokes(digit: u32) -> Vec<[f32; 4]> {
     (0..7).filter(|i| lit >> i & 1 == 1).map(|i| all[i]).collect()
 }
 
-/// Height of a sign's middle (m).
-const SIGN: f32 = 2.35;
+/// Height of a sign's middle, and the radius of its plate (m).
+pub const SIGN: f32 = 2.35;
+const SIGN_RADIUS: f32 = 0.33;
 
 fn post(s: &mut Shaper, m: &Materials, level: usize) {
     s.tube(
@@ -105,6 +106,18 @@ fn post(s: &mut Shaper, m: &Materials, level: usize) {
 const SMALL: [f32; 2] = [26.0, 3.0];
 
 impl Furniture {
+    /// The model of a sign, for limits the nearest one that there is, and the radius of its plate (m).
+    pub fn sign(&self, sign: Sign) -> (ModelId, f32) {
+        match sign {
+            Sign::Limit(kmh) => {
+                let nearest = self.limits.iter().min_by_key(|(limit, _)| limit.abs_diff(kmh));
+                (nearest.map_or(self.stop, |(_, model)| *model), SIGN_RADIUS)
+            }
+            Sign::GiveWay => (self.give_way, SIGN_RADIUS),
+            Sign::Stop => (self.stop, SIGN_RADIUS),
+        }
+    }
+
     pub fn new(library: &mut Library, m: &Materials) -> Self {
         let lamp = made(library, "street lamp", 50.0, &[50.0, 6.0], |s, level| {
             let sides = [8, 3][level];
@@ -192,14 +205,14 @@ impl Furniture {
                 s.cuboid([-d + 0.1, w - 0.1, 0.3], [d - 0.35, w - 0.04, 2.1], true, m.sign_blue);
             }
         });
-        let limits = [20, 30, 40, 50, 60, 70, 80, 90, 100, 120, 130]
+        let limits = LIMITS
             .into_iter()
             .map(|limit: u32| {
                 let id = made(library, "speed limit", 30.0, &SMALL, |s, level| {
                     post(s, m, level);
                     let n = [20, 8][level];
-                    disc(s, 0.0, SIGN, 0.33, n, 0.0, m.sign_red);
-                    disc_back(s, 0.015, SIGN, 0.33, n, 0.0, m.sign_back);
+                    disc(s, 0.0, SIGN, SIGN_RADIUS, n, 0.0, m.sign_red);
+                    disc_back(s, 0.015, SIGN, SIGN_RADIUS, n, 0.0, m.sign_back);
                     disc(s, -0.008, SIGN, 0.25, n, 0.0, m.sign_white);
                     let text = limit.to_string();
                     let (w, gap) = (0.115, 0.045);

@@ -11,11 +11,14 @@ pub struct Look {
     pub parked: f32,
     /// Trees along streets: 0 none, 1 as usual, 2 on every street and with crowns over the road.
     pub trees: f32,
+    /// Many more signs stand along the roads, and say anything: for those who learn to read them. Drivers do not obey
+    /// them.
+    pub many_signs: bool,
 }
 
 impl Look {
     /// As usual, with this seed.
     pub const fn of(seed: u64) -> Self {
-        Self { seed, paint: 1.0, parked: 1.0, trees: 1.0 }
+        Self { seed, paint: 1.0, parked: 1.0, trees: 1.0, many_signs: false }
     }
 }

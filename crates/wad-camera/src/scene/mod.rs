@@ -70,12 +70,13 @@ pub fn build(network: &Network, shapes: &Shapes, look: Look) -> (Scene, Cast) {
         dice: Dice::new(seed, "town"),
         look,
         statics: 0,
+        signs: Vec::new(),
     };
     areas::lay(&mut site, &shapes.polygons);
     areas::islands(&mut site);
     signals::build(&mut site);
     street::signs(&mut site);
-    let Site { mut ground, mut tiles, dice, statics, .. } = site;
+    let Site { mut ground, mut tiles, dice, statics, signs, .. } = site;
     let into = (&mut tiles, &mut scene.library, &materials);
     let built = buildings::from_polygons(&shapes.polygons, &mut ground, &terrain, into, seed);
     let kilometres = network
@@ -101,11 +102,13 @@ pub fn build(network: &Network, shapes: &Shapes, look: Look) -> (Scene, Cast) {
         dice,
         look,
         statics,
+        signs,
     };
     areas::benches(&mut site, &shapes.points);
     street::build(&mut site);
     areas::plant(&mut site, &shapes.polygons);
-    let Site { mut tiles, .. } = site;
+    let Site { mut tiles, signs, .. } = site;
+    scene.signs = signs;
     areas::horizon(network, terrain.low, (&materials.hills, materials.skyline), seed, &mut tiles);
 
     scene.ground = Some((materials.grass, terrain.low - if terrain.flat { 0.05 } else { 6.0 }));

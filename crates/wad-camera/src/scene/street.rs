@@ -1,7 +1,7 @@
 //! Things along the streets: lamps, trees, hedges, benches, bins, bus stops, parked cars, signs, rails.
 
 use super::bridges;
-use super::furniture::{BENCH, Furniture, LAMP_HEIGHT, LAMP_REACH};
+use super::furniture::{BENCH, Furniture, LAMP_HEIGHT, LAMP_REACH, SIGN};
 use super::ground::{Ground, Terrain, uses};
 use super::look::Look;
 use super::markings::opposite;
@@ -10,7 +10,9 @@ use super::roads::{Station, Surface, stations, surface};
 use super::tiles::{Levels, Tiles};
 use super::trees::{Plants, leaf_colour};
 use crate::actors::Cast;
-use crate::model::{Box3, Instance, ModelId, Object, ObjectClass, PaintColour, STATIC_IDS};
+use crate::model::{
+    Box3, Instance, LIMITS, ModelId, Object, ObjectClass, PaintColour, PlacedSign, STATIC_IDS, Sign,
+};
 use crate::shape::Shaper;
 use nalgebra::Point3;
 use std::f64::consts::FRAC_PI_2;
@@ -55,6 +57,7 @@ pub(super) struct Site<'a> {
     pub dice: Dice,
     pub look: Look,
     pub statics: u32,
+    pub signs: Vec<PlacedSign>,
 }
 
 const TAKEN: u16 = uses::WAY | uses::BUILDING | uses::OBJECT | uses::WATER;
@@ -157,22 +160,32 @@ impl Side<'_> {
     }
 }
 
+/// Between signs, where there are many (m).
+const APART: f64 = 22.0;
+
 /// Signs at every road; before anything else, so that they find their places.
 pub(super) fn signs(site: &mut Site<'_>) {
     let network = site.network;
     let outer = site.outer();
+    let mut dice = Dice::new(site.look.seed, "signs");
     for (number, edge) in network.edges.iter().enumerate() {
         let Some((border, road)) = carriageway(network, edge) else { continue };
         let length = border.shape.length();
         let side = Side { lane: border, side: outer, sidewalk: false };
         let put = |site: &mut Site<'_>, model: ModelId, s: f64| {
-            for out in [0.45, 0.8, 1.2] {
+            [0.45, 0.8, 1.2].into_iter().find_map(|out| {
                 let (at, _) = side.place(s, out);
-                let heading = side.lane.shape.at(s).heading;
-                if let Some(sign) = site.put(model, at, heading, 0.1) {
-                    site.tiles.instance(sign);
-                    return;
-                }
+                let placed = site.put(model, at, side.lane.shape.at(s).heading, 0.1)?;
+                let pose = placed.pose;
+                site.tiles.instance(placed);
+                Some(pose)
+            })
+        };
+        let say = |site: &mut Site<'_>, sign: Sign, s: f64| {
+            let (model, radius) = site.furniture.sign(sign);
+            if let Some(mut pose) = put(site, model, s) {
+                pose.position.z += f64::from(SIGN);
+                site.signs.push(PlacedSign { sign, pose, radius: f64::from(radius) });
             }
         };
         // Where the limit differs from that of a road which leads here, and now and then otherwise.
@@ -184,20 +197,17 @@ pub(super) fn signs(site: &mut Site<'_>) {
         });
         if length > 40.0 && (changed || number % 4 == 0) {
             let kmh = (road.speed_limit * 3.6).round() as u32;
-            let nearest =
-                site.furniture.limits.iter().min_by_key(|(limit, _)| limit.abs_diff(kmh)).map(|(_, m)| *m);
-            if let Some(model) = nearest {
-                put(site, model, 14.0);
-            }
+            let shown = LIMITS.into_iter().min_by_key(|limit| limit.abs_diff(kmh)).unwrap_or(kmh);
+            say(site, Sign::Limit(shown), 14.0);
         }
         let links: Vec<_> = road.outgoing.iter().map(|&l| network.link(l)).collect();
         let signalled = links.iter().any(|l| l.signal.is_some());
         if length > 12.0 && !signalled {
             let yields = links.iter().any(|l| !l.must_yield_to.is_empty());
             if links.iter().any(|l| l.state == 's') {
-                put(site, site.furniture.stop, length - 1.2);
+                say(site, Sign::Stop, length - 1.2);
             } else if yields && links.iter().any(|l| l.state == 'm') {
-                put(site, site.furniture.give_way, length - 1.2);
+                say(site, Sign::GiveWay, length - 1.2);
             } else if links.iter().any(|l| l.state == 'M') && number % 3 == 0 {
                 put(site, site.furniture.priority, length - 14.0);
             }
@@ -206,6 +216,16 @@ pub(super) fn signs(site: &mut Site<'_>) {
                 network.crossings.iter().any(|c| c.signal.is_none() && c.crossed_edges.contains(&id));
             if crossed && edge.to.is_some_and(|to| !network.junction(to).crossings.is_empty()) {
                 put(site, site.furniture.crossing, length - 2.4);
+            }
+        }
+        if site.look.many_signs {
+            for s in (1..).map(|n| APART * f64::from(n)).take_while(|s| *s < length - 8.0) {
+                let sign = match dice.next() as usize % (LIMITS.len() + 2) {
+                    0 => Sign::GiveWay,
+                    1 => Sign::Stop,
+                    n => Sign::Limit(LIMITS[n - 2]),
+                };
+                say(site, sign, s + dice.between(-6.0, 6.0));
             }
         }
     }
