@@ -6,7 +6,7 @@ use crate::camera::{Camera, CameraConfig, CameraError, Frame, Outputs, Town, Wea
 use crate::eyes::Eyes;
 use crate::latent::Decoder;
 use crate::network::Network;
-use crate::perception::{EgoFacts, GroundPlane, Percept, TRANSFORMED_SIZE, TransformedImage};
+use crate::perception::{EgoFacts, GroundPlane, Percept, TRANSFORMED_SIZE, TransformedImage, says};
 use bytes::Bytes;
 use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
 use serde_json::{Value, json};
@@ -160,7 +160,15 @@ impl Artist {
         let gap = percept.raw.lead.map(|lead| lead.gap);
         let light = percept.light.map(|light| json!({ "state": light.state, "distance": light.distance }));
         let red = percept.light_red;
-        (json!({ "boxes": boxes, "lanes": lanes, "light": light, "red": red, "gap": gap }), images)
+        let signs: Vec<Value> = (percept.signs.iter())
+            .map(|sign| {
+                let [x, y] = sign.pixel.map(|v| v.round() as i32);
+                json!([says(sign.sign), x, y, (100.0 * sign.certainty).round()])
+            })
+            .collect();
+        let limit = percept.limit;
+        let sees = json!({ "boxes": boxes, "lanes": lanes, "light": light, "red": red, "gap": gap, "signs": signs, "limit": limit });
+        (sees, images)
     }
 }
 

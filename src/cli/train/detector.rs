@@ -46,6 +46,9 @@ pub struct Args {
     /// centernet:FILE or eyes:FILE.
     #[arg(long, value_name = "NAME", conflicts_with = "resume")]
     init: Option<String>,
+    /// Only the head for signs learns, and all else stays as it is in --init; for `train eyes`.
+    #[arg(long, requires = "init")]
+    only_signs: bool,
     /// Epochs over the training frames.
     #[arg(long, value_name = "N", default_value_t = 12)]
     epochs: u64,
@@ -154,6 +157,11 @@ fn options(args: &Args, sees: Sees, data: &std::path::Path) -> anyhow::Result<Tr
             "--epochs, --batch, --learning-rate and --collect must be more than 0, --weight-decay 0 or more"
         )));
     }
+    if args.only_signs && (sees != Sees::Road || args.window.is_some_and(|window| window != (0, 0))) {
+        return Err(Exit::Input.because(anyhow::anyhow!(
+            "--only-signs is for `train eyes` on whole pictures (--window 0): no other network reads signs"
+        )));
+    }
     let backbone = match args.backbone {
         Backbone::Light => centernet::Backbone::Light,
         Backbone::Resnet50V2 => centernet::Backbone::Resnet50V2,
@@ -162,6 +170,7 @@ fn options(args: &Args, sees: Sees, data: &std::path::Path) -> anyhow::Result<Tr
     Ok(TrainOptions {
         sees,
         init: args.init.clone(),
+        only_signs: args.only_signs,
         epochs: args.epochs,
         batch: args.batch,
         epoch_steps: args.epoch_steps.max(1),

@@ -235,7 +235,7 @@ function paintPictures(drawn) {
 }
 
 function overlay() {
-  const c = cameraContext, { boxes, lanes, light: lamp, red } = state.sees;
+  const c = cameraContext, { boxes, lanes, light: lamp, red, signs } = state.sees;
   c.lineWidth = 2;
   c.font = "12px system-ui, DejaVu Sans, sans-serif";
   for (const [name, l, t, r, b, sure] of boxes) {
@@ -243,6 +243,8 @@ function overlay() {
     c.strokeRect(l + 1, t + 1, r - l - 2, b - t - 2);
     if (r - l > 26) { c.fillStyle = c.strokeStyle; c.fillText(`${words(name).toLowerCase()} ${sure} %`, l + 2, Math.max(t - 4, 11)); }
   }
+  c.fillStyle = "#fff";
+  for (const [says, x, y, sure] of signs) c.fillText(`${says} (${sure} %)`, x + 8, Math.max(y - 8, 11));
   c.strokeStyle = "#43e07d";
   c.lineWidth = 3;
   for (const lane of lanes) {
@@ -332,6 +334,7 @@ function paint() {
     put("sees-lanes", ["none", "one", "both"][s.sees.lanes.length]);
     put("sees-gap", s.sees.gap === null ? "–" : s.sees.gap.toFixed(0) + " m");
     put("sees-light", seenLight(s.sees.light));
+    put("sees-limit", s.sees.limit === null ? "–" : s.sees.limit + " km/h");
   }
   if (hello.mode === "replay") {
     if (!scrubbing) $("scrub").value = s.tick;

@@ -11,7 +11,8 @@ use std::collections::HashMap;
 use sumo_network::network::Network;
 use sumo_network::seeds;
 use sumo_network::world::{Actor, WorldState};
-use wad_camera::{CameraConfig, Outputs, Weather, model};
+use wad_camera::model::{self, PlacedSign};
+use wad_camera::{CameraConfig, Outputs, Weather};
 use wad_see::eyes::Eyes;
 use wad_see::perception::{EgoFacts, Heads, RoadTruth, TruthDetector};
 use wad_sim::assets::Assets;
@@ -29,6 +30,7 @@ pub struct Eye {
     weather: Weather,
     eyes: Eyes,
     heads: Heads,
+    signs: Vec<PlacedSign>,
     /// The format of camera pictures; None: they are not kept.
     codec: Option<CameraCodec>,
     signals: Option<RandomSignals>,
@@ -54,12 +56,14 @@ impl Eye {
     pub fn new(assets: &Assets, segment: Segment, options: &CollectOptions) -> Result<Self, DatasetError> {
         let town = segment.varied_town(&options.vary, assets);
         let heads = Heads::new(assets.network(), town.scene());
-        let outputs = Outputs { boxes: true, ..Outputs::RGB };
+        let signs = town.scene().signs.clone();
+        let outputs = Outputs { boxes: true, depth: true, ..Outputs::RGB };
         let eyes = Eyes::new(town, CameraConfig::default(), Box::new(TruthDetector::new()))?;
         let codec = options.camera.then(CameraCodec::best);
         let signals = options.random_signals.then(|| RandomSignals::new(segment.seed));
         let weather = segment.varied_weather(&options.vary);
-        let mut eye = Self { segment, weather, eyes: eyes.with_outputs(outputs), heads, codec, signals };
+        let mut eye =
+            Self { segment, weather, eyes: eyes.with_outputs(outputs), heads, signs, codec, signals };
         eye.reset();
         Ok(eye)
     }
@@ -111,6 +115,8 @@ impl Eye {
             pedestrian: nearest_in_lane(ego, people),
             red: percept.light_red,
         };
+        let road = RoadTruth::find(&facts, world, &self.heads);
+        let road = road.with_signs(&self.signs, &CameraConfig::default(), &facts.on_route.state.pose, frame);
         let record = FrameRecord {
             time: moment.time,
             weather: self.segment.weather,
@@ -122,7 +128,7 @@ impl Eye {
             raw: percept.raw,
             labels,
             lanes: percept.lanes,
-            road: Some(RoadTruth::find(&facts, world, &self.heads)),
+            road: Some(road),
         };
         let camera = match &self.codec {
             Some(codec) => codec.encode(&frame.rgb, frame.width, frame.height)?,

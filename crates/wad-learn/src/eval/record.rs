@@ -6,7 +6,7 @@ use crate::env::Ending;
 use crate::reward::RewardTerms;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-use wad_see::perception::sight_score::LightCounts;
+use wad_see::perception::sight_score::{LightCounts, LimitCounts};
 use wad_sim::tasks::Placement;
 
 /// The fault that stopped an episode before its end.
@@ -71,6 +71,9 @@ pub struct EpisodeRecord {
     /// Ticks by what the ego believed of its light; None where the simulator told it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub light: Option<LightCounts>,
+    /// Ticks by what it believed of the speed limit, by signs; None where the detector sees none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub limit: Option<LimitCounts>,
     /// Where it ended: x, y (m).
     pub end_at: [f64; 2],
     /// The recording's folder, relative to the evaluation's; None if it was not kept.

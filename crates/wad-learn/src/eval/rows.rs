@@ -7,7 +7,7 @@ use crate::env::End;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use wad_camera::Preset;
-use wad_see::perception::sight_score::LightCounts;
+use wad_see::perception::sight_score::{LightCounts, LimitCounts};
 use wad_sim::traffic::TrafficSpec;
 
 /// The episodes of one agent under one condition. Rates are fractions 0..1.
@@ -83,6 +83,9 @@ pub struct Score {
     /// Ticks by what egos believed of their light; None where the simulator told it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub light: Option<LightCounts>,
+    /// Ticks by what they believed of the speed limit; None where the detector sees no signs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub limit: Option<LimitCounts>,
 }
 
 /// The rows of episodes, in the order in which their conditions first appear.
@@ -139,6 +142,7 @@ impl Score {
         let successes = counting.iter().filter(|episode| episode.ending.success).count() as u64;
         let (mut events, mut speeds, mut gaps) = Default::default();
         let mut light: Option<LightCounts> = None;
+        let mut limit: Option<LimitCounts> = None;
         let mut ends = BTreeMap::new();
         for episode in &counting {
             *ends.entry(episode.ending.end).or_insert(0) += 1;
@@ -147,6 +151,9 @@ impl Score {
             Histogram::add(&mut gaps, &episode.gaps);
             if let Some(ticks) = &episode.light {
                 light.get_or_insert_default().add(ticks);
+            }
+            if let Some(ticks) = &episode.limit {
+                limit.get_or_insert_default().add(ticks);
             }
         }
         let ticks = sum(&|e| e.ticks as f64).max(1.0);
@@ -173,6 +180,7 @@ impl Score {
             speeds,
             gaps,
             light,
+            limit,
         }
     }
 }

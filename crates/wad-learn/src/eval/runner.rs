@@ -400,6 +400,7 @@ fn drive(
             speeds: tally.speeds,
             gaps: tally.gaps,
             light: fleet.eyes(ego).perception().and_then(Perception::light_counts),
+            limit: fleet.eyes(ego).perception().and_then(Perception::limit_counts),
             end_at: tally.last.map_or([0.0; 2], |at| [at.x, at.y]),
             recording: None,
         };

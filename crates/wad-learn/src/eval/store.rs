@@ -462,6 +462,7 @@ mod tests {
             speeds: Histogram::default(),
             gaps: Histogram::default(),
             light: None,
+            limit: None,
             end_at: [0.0; 2],
             recording: None,
         }

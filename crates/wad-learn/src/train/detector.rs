@@ -18,7 +18,7 @@ use std::time::Instant;
 use sumo_network::seeds;
 use tch::{Device, Kind, Tensor};
 use wad_see::perception::centernet::loss::loss;
-use wad_see::perception::centernet::road_targets::road_loss;
+use wad_see::perception::centernet::road_targets::{road_loss, signs_loss};
 use wad_see::perception::centernet::{Backbone, CenterNet, CenterNetDetector, Sees, Watcher};
 use wad_see::perception::coco::{class_index, class_name};
 use wad_see::perception::metrics::{Found, Scored, average_precision, mean};
@@ -45,6 +45,9 @@ pub struct TrainOptions {
     /// Initial weights by detector name (centernet, centernet:FILE); None: new ones.
     #[serde(default)]
     pub init: Option<String>,
+    /// Nothing but the head for signs learns.
+    #[serde(default)]
+    pub only_signs: bool,
     /// Epochs in total.
     pub epochs: u64,
     /// Pictures per step.
@@ -83,6 +86,7 @@ impl TrainOptions {
             more: Vec::new(),
             out: out.to_path_buf(),
             init: None,
+            only_signs: false,
             epochs: 12,
             batch: 16,
             epoch_steps: 400,
@@ -113,12 +117,12 @@ pub struct Validation {
 }
 
 impl Validation {
-    /// Which network is better: the mean of mAP, boundaries found and lights right.
+    /// Which network is better: the mean of mAP, boundaries found, lights right and signs right.
     fn score(&self) -> f64 {
         match &self.road {
             None => self.map50,
             Some(road) => {
-                let parts = [Some(self.map50), road.boundaries_found, road.lights_right];
+                let parts = [Some(self.map50), road.boundaries_found, road.lights_right, road.signs_right];
                 parts.iter().flatten().sum::<f64>() / parts.iter().flatten().count() as f64
             }
         }
@@ -243,7 +247,10 @@ fn find_ranges(options: &TrainOptions, file: &Path) -> Result<(), TrainError> {
     for sample in samples(&dataset, &dataset.split().0, WATCHED)? {
         watcher.show(&sample.rgb()?)?;
     }
-    Ok(watcher.finish(weights).save(file)?)
+    let before = options.init.as_ref().filter(|_| options.only_signs);
+    let before = before.map(|name| centernet_weights(name)).transpose()?;
+    let before = before.as_ref().map(|(weights, _)| weights);
+    Ok(watcher.finish(weights, before)?.save(file)?)
 }
 
 impl<'a> Trainer<'a> {
@@ -269,7 +276,7 @@ impl<'a> Trainer<'a> {
             Some(name) => Some(centernet_weights(name)?),
             None => None,
         };
-        let network = match &begin {
+        let mut network = match &begin {
             Some((weights, known)) => CenterNet::begun_with(weights, *known, options.sees, device)?,
             None => CenterNet::new(options.backbone, options.sees, device)?,
         };
@@ -279,6 +286,9 @@ impl<'a> Trainer<'a> {
                 found: format!("backbone {}", network.backbone.name()),
                 expected: format!("backbone {}", options.backbone.name()),
             }));
+        }
+        if options.only_signs {
+            network.learn_signs_only();
         }
         let mut adam = AdamW::new(&network.store, options.weight_decay)?;
         let mut reached = Reached::default();
@@ -304,7 +314,7 @@ impl<'a> Trainer<'a> {
             )
         };
         let made_of = datasets.iter().map(said).collect::<Vec<_>>().join("; and ");
-        let epoch_steps = steps(&training, options.batch, options.epoch_steps) as u64;
+        let epoch_steps = steps(&training, options.only_signs, options.batch, options.epoch_steps) as u64;
         let began = Instant::now();
         Ok(Self {
             options,
@@ -368,6 +378,7 @@ impl Training for Trainer<'_> {
                 batch: options.batch,
                 window: options.window,
                 vary: options.vary,
+                only_signs: options.only_signs,
             },
             &samples,
             self.epoch_steps as usize,
@@ -382,10 +393,15 @@ impl Training for Trainer<'_> {
                 let precision = if options.bfloat16 { Kind::BFloat16 } else { Kind::Float };
                 let pictures = pictures.f_to_kind(precision)?;
                 let answer = self.network.forward(&pictures, true)?;
-                let mut total = loss(&answer, &target)?.total()?;
-                if let (Some(answer), Some(targets)) = (&answer.road, batch.road()) {
-                    total = total.f_add(&road_loss(answer, targets, self.device)?)?;
-                }
+                let total = match (&answer.road, batch.road()) {
+                    (Some(answer), Some(targets)) if options.only_signs => {
+                        signs_loss(answer, targets, self.device)?
+                    }
+                    (Some(road), Some(targets)) => {
+                        loss(&answer, &target)?.total()?.f_add(&road_loss(road, targets, self.device)?)?
+                    }
+                    _ => loss(&answer, &target)?.total()?,
+                };
                 let rate = self.rate();
                 let is_good = self.adam.step(&total, rate, LONGEST)?;
                 let (value, step) = (total.f_double_value(&[])?, self.reached.walk.step);
@@ -492,6 +508,7 @@ impl Training for Trainer<'_> {
         if let Some(road) = &record.validation.road {
             figures.extend(road.boundaries_found.map(|v| ("charts/boundaries_found", v)));
             figures.extend(road.lights_right.map(|v| ("charts/lights_right", v)));
+            figures.extend(road.signs_right.map(|v| ("charts/signs_right", v)));
         }
         (record.step, figures)
     }

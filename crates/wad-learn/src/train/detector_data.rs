@@ -74,6 +74,11 @@ impl Sample {
         self.road.as_ref()
     }
 
+    /// Whether signs are in it that are to be read.
+    fn has_signs(&self) -> bool {
+        self.road.iter().flat_map(|road| &road.signs).flatten().any(|sign| sign.is_plain)
+    }
+
     /// The ground truth to score a detector by; its detections are to be added.
     pub fn truths(&self) -> Scored {
         let truths = self.objects.iter().map(|object| {
@@ -123,29 +128,37 @@ fn road(record: &FrameRecord) -> Option<RoadWanted> {
     Some(truth.wanted(objects, record.light))
 }
 
-/// How often each sample is used per epoch.
-fn repeats(samples: &[Sample]) -> Vec<f64> {
+/// The classes of objects, and signs as one more.
+const SHOWN: usize = 9;
+
+/// How often each sample is used per epoch; where only signs are learned, none of which nobody knows its signs.
+fn repeats(samples: &[Sample], only_signs: bool) -> Vec<f64> {
     let present = |sample: &Sample| {
-        let mut classes = [false; 8];
+        let mut classes = [false; SHOWN];
+        classes[SHOWN - 1] = sample.has_signs();
         for wanted in sample.wanted().filter(|w| !w.ignored) {
             classes[wanted.class] = true;
         }
         classes
     };
-    let present: Vec<[bool; 8]> = samples.iter().map(present).collect();
+    let present: Vec<[bool; SHOWN]> = samples.iter().map(present).collect();
     let share =
         |class: usize| present.iter().filter(|p| p[class]).count() as f64 / samples.len().max(1) as f64;
     // Traffic lights are in nearly every frame, so they do not raise a frame's rate.
     let light = class_index(ObjectClass::TrafficLight);
     let factors: Vec<f64> =
-        (0..8).map(|c| (COMMON / share(c).max(1e-9)).sqrt().clamp(1.0, MOST_REPEATS)).collect();
-    present
-        .iter()
-        .map(|p| {
-            let best = (0..8).filter(|&c| p[c] && c != light).map(|c| factors[c]).fold(0.0, f64::max);
-            if best > 0.0 { best } else { EMPTY }
-        })
-        .collect()
+        (0..SHOWN).map(|c| (COMMON / share(c).max(1e-9)).sqrt().clamp(1.0, MOST_REPEATS)).collect();
+    let counts = |class: usize| if only_signs { class == SHOWN - 1 } else { class != light };
+    let times = |(p, sample): (&[bool; SHOWN], &Sample)| {
+        let best = (0..SHOWN).filter(|&c| p[c] && counts(c)).map(|c| factors[c]).fold(0.0, f64::max);
+        let is_known = sample.road.as_ref().is_some_and(|road| road.signs.is_some());
+        match best {
+            _ if only_signs && !is_known => 0.0,
+            0.0 => EMPTY,
+            best => best,
+        }
+    };
+    present.iter().zip(samples).map(times).collect()
 }
 
 /// The samples of an epoch, shuffled.
@@ -175,6 +188,8 @@ pub struct Show {
     pub window: Option<(usize, usize)>,
     /// Augment weather, light and colours.
     pub vary: bool,
+    /// Nothing but the head for signs learns: frames with signs that are to be read, and a quarter of the others.
+    pub only_signs: bool,
 }
 
 /// Share of an epoch's steps that use whole pictures.
@@ -286,7 +301,8 @@ impl Batch {
                 let view = View { left, top, width, objects: &samples[index].objects };
                 weathering::weather(&mut batch.pixels[start..], view, rng);
             }
-            let mirrored = rng.random::<bool>();
+            // In a mirror nobody can read.
+            let mirrored = rng.random::<bool>() && !samples[index].has_signs();
             if mirrored {
                 for row in batch.pixels[start..].chunks_exact_mut(3 * width) {
                     row.as_chunks_mut::<3>().0.reverse();
@@ -358,7 +374,7 @@ pub fn epoch<E: From<DatasetError>>(
     workers: usize,
     mut take: impl FnMut(Batch) -> Result<bool, E>,
 ) -> Result<(), E> {
-    let order = order(&repeats(samples), seed, epoch);
+    let order = order(&repeats(samples, show.only_signs), seed, epoch);
     if order.is_empty() {
         return Ok(());
     }
@@ -396,9 +412,9 @@ pub fn epoch<E: From<DatasetError>>(
     })
 }
 
-/// Steps of one epoch over these samples, at most `most`.
-pub fn steps(samples: &[Sample], batch: usize, most: usize) -> usize {
-    let shown: f64 = repeats(samples).iter().sum();
+/// Steps of one epoch over these samples, at most `most`; `only_signs` as in [`Show`].
+pub fn steps(samples: &[Sample], only_signs: bool, batch: usize, most: usize) -> usize {
+    let shown: f64 = repeats(samples, only_signs).iter().sum();
     ((shown as usize / batch.max(1)).max(1)).min(most)
 }
 

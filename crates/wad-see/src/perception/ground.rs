@@ -34,6 +34,14 @@ impl GroundPlane {
         self.view.pixel(&Point3::new(f64::from(x), f64::from(y), 0.0)).map(|(pixel, _)| pixel)
     }
 
+    /// The place (m, ego frame) of something in the picture's column `u` that is `depth` (m) before the camera along its
+    /// axis, at any height.
+    pub fn ahead(&self, u: f32, depth: f32) -> [f32; 2] {
+        let ray = self.view.ray(u, self.view.centre[1]);
+        let eye = &self.view.eye;
+        [eye.x as f32 + ray[0] * depth, eye.y as f32 + ray[1] * depth]
+    }
+
     /// Change of distance (m) per pixel up or down, for a point on the ground at `x` (m ahead).
     pub fn metres_per_row(&self, x: f32) -> f32 {
         let ahead = (x - self.view.eye.x as f32).max(0.5);

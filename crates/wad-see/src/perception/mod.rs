@@ -26,12 +26,15 @@ mod pipeline;
 mod road_truth;
 pub mod score;
 pub mod sight_score;
+mod signs;
 pub mod stages;
 #[cfg(test)]
 pub(crate) mod testing;
 mod truth;
 
-pub use choice::{DEFAULT_DETECTOR, DETECTORS, MIN_SCORE, centernet_weights, detector, sees_the_road, weights_hash};
+pub use choice::{
+    DEFAULT_DETECTOR, DETECTORS, MIN_SCORE, centernet_weights, detector, sees_the_road, weights_hash,
+};
 pub use facts::EgoFacts;
 pub use ground::GroundPlane;
 pub use image::{TRANSFORMED_SIZE, TransformedImage};
@@ -41,6 +44,7 @@ pub use light::{AT_INTERSECTION, LightAhead, SeenLights, StopLight};
 pub use onnx::OnnxDetector;
 pub use pipeline::{Percept, Perception};
 pub use road_truth::{Heads, RoadTruth, RoadWanted, colour};
+pub use signs::{SIGNS, SeenLimit, SeenSign, SignTruth, says, sign_index, sign_of};
 pub use truth::{Faults, TruthDetector};
 
 use sumo_network::world::SignalState;
@@ -83,6 +87,8 @@ pub struct Seen {
     pub lanes: LaneEstimate,
     /// The light that is the ego's.
     pub light: Option<SeenLight>,
+    /// Signs, the surest first.
+    pub signs: [Option<SeenSign>; 4],
 }
 
 /// A light in a picture.

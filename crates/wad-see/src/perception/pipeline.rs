@@ -5,9 +5,10 @@ use super::facts::EgoFacts;
 use super::lead::{self, LeadTracker};
 use super::light::{LightAhead, SeenLights, StopLight};
 use super::paint::Painter;
-use super::sight_score::LightCounts;
+use super::sight_score::{LightCounts, LimitCounts};
 use super::{
-    Detection, Detector, GroundPlane, LaneDetector, LaneEstimate, PerceptionError, TransformedImage,
+    Detection, Detector, GroundPlane, LaneDetector, LaneEstimate, PerceptionError, SeenLimit, SeenSign,
+    TransformedImage,
 };
 use crate::observation::{LeadState, RawState};
 use wad_camera::{CameraConfig, Frame, Outputs};
@@ -23,6 +24,10 @@ pub struct Percept {
     pub light: Option<LightAhead>,
     /// The ego is at the intersection and the light is red: painted.
     pub light_red: bool,
+    /// Signs in the picture; none where the detector sees none.
+    pub signs: Vec<SeenSign>,
+    /// The speed limit that the last sign set (km/h); None before the first, and where the detector sees none.
+    pub limit: Option<u32>,
     /// The road user in the ego's path. The nearer of it and `crossing` is the raw state's vehicle in
     /// front.
     pub lead: Option<LeadState>,
@@ -44,6 +49,8 @@ pub struct Perception {
     crossing: CrossingTracker,
     seen_lights: SeenLights,
     light_counts: LightCounts,
+    seen_limit: SeenLimit,
+    limit_counts: LimitCounts,
     stop_light: StopLight,
     painter: Painter,
     percept: Percept,
@@ -61,6 +68,8 @@ impl Perception {
             crossing: CrossingTracker::default(),
             seen_lights: SeenLights::default(),
             light_counts: LightCounts::default(),
+            seen_limit: SeenLimit::default(),
+            limit_counts: LimitCounts::default(),
             stop_light: StopLight::default(),
             painter: Painter::default(),
             percept: Percept {
@@ -68,6 +77,8 @@ impl Perception {
                 lanes: LaneEstimate::default(),
                 light: None,
                 light_red: false,
+                signs: Vec::new(),
+                limit: None,
                 lead: None,
                 crossing: None,
                 transformed: TransformedImage::default(),
@@ -100,6 +111,8 @@ impl Perception {
         self.crossing.reset();
         self.seen_lights.reset();
         self.light_counts = LightCounts::default();
+        self.seen_limit.reset();
+        self.limit_counts = LimitCounts::default();
         self.stop_light.reset();
     }
 
@@ -149,6 +162,10 @@ impl Perception {
                     seen.light
                 );
                 self.light_counts.note(facts, there.as_ref(), believed.as_ref());
+                self.percept.signs.clear();
+                self.percept.signs.extend(seen.signs.iter().flatten());
+                self.percept.limit = self.seen_limit.update(&self.percept.signs, &facts.on_route.state.pose);
+                self.limit_counts.note(facts, self.percept.limit);
                 believed
             }
             None => LightAhead::find(facts),
@@ -183,6 +200,11 @@ impl Perception {
     /// Ticks of this episode by what was believed of the light; None where the simulator tells it.
     pub fn light_counts(&self) -> Option<LightCounts> {
         self.detector.seen().map(|_| self.light_counts)
+    }
+
+    /// The same of the speed limit.
+    pub fn limit_counts(&self) -> Option<LimitCounts> {
+        self.detector.seen().map(|_| self.limit_counts)
     }
 
     /// The ground under the camera.
@@ -229,7 +251,8 @@ mod tests {
     fn what_is_seen_of_lane_and_light_counts_and_the_simulator_does_not() {
         let line = LaneBoundary { offset: 1.5, slope: 0.0, bend: 0.0, reach: [4.0, 20.0] };
         let light = SeenLight { state: SignalState::Red, distance: 12.0, certainty: 0.9 };
-        let seen = Seen { lanes: LaneEstimate { left: Some(line), right: None }, light: Some(light) };
+        let lanes = LaneEstimate { left: Some(line), right: None };
+        let seen = Seen { lanes, light: Some(light), ..Seen::default() };
         let camera = CameraConfig::default();
         let look = |state: &str| {
             let mut perception = Perception::new(Box::new(Sees(seen)), camera);

@@ -1,13 +1,14 @@
 //! What is true of the ego's lane and of its light: the labels of networks that see, and the measure of them.
 
-use super::{EgoFacts, LightAhead};
+use super::{EgoFacts, LightAhead, SignTruth};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
-use sumo_network::geometry::{Vector, wrap_angle};
+use sumo_network::geometry::{Pose, Vector, wrap_angle};
 use sumo_network::network::{EdgeKind, LaneId, Network, SignalIndex};
 use sumo_network::world::{SignalState, WorldState};
-use wad_camera::model::{ObjectClass, Scene};
+use wad_camera::model::{ObjectClass, PlacedSign, Scene};
 use wad_camera::scene::painted_sides;
+use wad_camera::{CameraConfig, Frame, View};
 
 /// A boundary is known this far ahead of the ego's centre (m), at points this far apart along the lane (m).
 const FAR: f64 = 40.0;
@@ -24,12 +25,28 @@ pub struct RoadTruth {
     /// The ids, as in [`wad_camera::Frame::objects`], of the signal heads that show the ego's light; where it has none,
     /// of those that face it where its lane ends.
     pub heads: Vec<u32>,
+    /// The signs in the picture; None where nobody looked for them.
+    #[serde(default)]
+    pub signs: Option<Vec<SignTruth>>,
 }
 
 impl RoadTruth {
     /// The truth for an ego in a world.
     pub fn find(facts: &EgoFacts<'_>, world: &WorldState, heads: &Heads) -> Self {
-        Self { boundaries: boundaries(facts), heads: heads.of_ego(facts, world) }
+        Self { boundaries: boundaries(facts), heads: heads.of_ego(facts, world), signs: None }
+    }
+
+    /// With the town's `signs` that `frame`, with depth, shows from the ego's `camera` at `pose`.
+    #[must_use]
+    pub fn with_signs(
+        mut self,
+        signs: &[PlacedSign],
+        camera: &CameraConfig,
+        pose: &Pose,
+        frame: &Frame,
+    ) -> Self {
+        self.signs = Some(SignTruth::find(signs, &View::new(camera, pose), frame));
+        self
     }
 }
 
@@ -47,7 +64,12 @@ impl RoadTruth {
         let heads = objects.filter(|(id, ..)| self.heads.contains(id));
         let heads = heads.map(|(_, bounds, hidden)| (bounds, !hidden && bounds[3] - bounds[1] >= LEAST_HEAD));
         let light = light.and_then(|(state, distance)| Some((colour(state)?, distance as f32)));
-        RoadWanted { boundaries: self.boundaries.clone(), heads: heads.collect(), light }
+        RoadWanted {
+            boundaries: self.boundaries.clone(),
+            heads: heads.collect(),
+            light,
+            signs: self.signs.clone(),
+        }
     }
 }
 
@@ -61,6 +83,8 @@ pub struct RoadWanted {
     pub heads: Vec<([f32; 4], bool)>,
     /// Its lamp (0 red, 1 yellow, 2 green) and the distance of its stop line (m).
     pub light: Option<(usize, f32)>,
+    /// The signs in it; None where nobody looked for them.
+    pub signs: Option<Vec<SignTruth>>,
 }
 
 impl RoadWanted {
@@ -73,6 +97,12 @@ impl RoadWanted {
         }
         for ([l, _, r, _], _) in &mut self.heads {
             (*l, *r) = (width - *r, width - *l);
+        }
+        for sign in self.signs.iter_mut().flatten() {
+            let [l, _, r, _] = &mut sign.bounds;
+            (*l, *r) = (width - *r, width - *l);
+            // In a mirror nobody can read.
+            sign.is_plain = false;
         }
         self
     }

@@ -2,7 +2,7 @@
 
 use super::coco::class_name;
 use super::paint::{BLUE, GREEN, RED, is_obstacle};
-use super::{Detection, GroundPlane, Percept, TRANSFORMED_SIZE, TransformedImage, colour};
+use super::{Detection, GroundPlane, Percept, TRANSFORMED_SIZE, TransformedImage, colour, says};
 use wad_camera::model::ObjectClass;
 use wad_camera::{Frame, Picture};
 
@@ -40,7 +40,7 @@ pub fn lanes(frame: &Frame, percept: &Percept, ground: &GroundPlane) -> Picture 
 }
 
 /// The camera's picture with all that was seen in it: boxes with their class and certainty (percent), the lane's
-/// boundaries, and what light is ahead, with the distance of its stop line.
+/// boundaries, what light is ahead, with the distance of its stop line, and signs.
 pub fn seen(frame: &Frame, percept: &Percept, ground: &GroundPlane) -> Picture {
     let mut picture = Picture::rgb(frame);
     draw_lanes(&mut picture, percept, ground);
@@ -51,7 +51,19 @@ pub fn seen(frame: &Frame, percept: &Percept, ground: &GroundPlane) -> Picture {
         picture.label(&words, l, t.saturating_sub(9), 1);
     }
     label_light(&mut picture, percept);
+    label_signs(&mut picture, percept);
     picture
+}
+
+fn label_signs(picture: &mut Picture, percept: &Percept) {
+    for sign in &percept.signs {
+        let [x, y] = sign.pixel.map(|v| v.max(0.0) as usize);
+        let words = format!("{} {:.0}", says(sign.sign), 100.0 * sign.certainty);
+        picture.label(&words, x, y.saturating_sub(20), 1);
+    }
+    if let Some(limit) = percept.limit {
+        picture.label(&format!("limit {limit}"), 8, 28, 2);
+    }
 }
 
 fn label_light(picture: &mut Picture, percept: &Percept) {
@@ -89,7 +101,7 @@ pub fn transformed(image: &TransformedImage) -> Picture {
     Picture { width: TRANSFORMED_SIZE, height: TRANSFORMED_SIZE, rgb: image.bytes().to_vec() }
 }
 
-/// Camera, what was seen in its picture (boxes, boundaries, light), transformed image and, where there is one,
+/// Camera, what was seen in its picture (boxes, boundaries, light, signs), transformed image and, where there is one,
 /// reconstruction, side by side, `side` pixels each.
 pub fn strip(
     frame: &Frame,
@@ -101,6 +113,7 @@ pub fn strip(
     let mut seen = lanes(frame, percept, ground);
     draw_boxes(&mut seen, &percept.detections);
     label_light(&mut seen, percept);
+    label_signs(&mut seen, percept);
     let mut pictures = vec![Picture::rgb(frame), seen, transformed(&percept.transformed)];
     pictures.extend(reconstruction.map(transformed));
     let mut strip = Picture::new(side * pictures.len(), side);

@@ -222,10 +222,11 @@ fn infractions(section: &Section) -> Table {
     }
 }
 
-/// What egos believed of their lights, where the detector sees them; None where the simulator told it.
+/// What egos believed of their lights and limits, where the detector sees them; None where the simulator told it.
 fn lights(section: &Section) -> Option<Table> {
     let row = |(mut cells, group): (Vec<String>, Vec<&EpisodeRecord>)| {
-        let light = Score::of(&group).light?;
+        let Score { light, limit, .. } = Score::of(&group);
+        let (light, limit) = (light?, limit.unwrap_or_default());
         let share = |part: usize, whole: usize| match whole {
             0 => "-".to_string(),
             _ => format!("{:.3} of {whole}", part as f64 / whole as f64),
@@ -234,16 +235,18 @@ fn lights(section: &Section) -> Option<Table> {
         cells.push(share(light.missed, light.ahead));
         cells.push(format!("{} of {}", light.red_as_green, light.reds));
         cells.push(share(light.phantom, light.without));
+        cells.push(share(limit.right, limit.ticks));
         Some(cells)
     };
     let rows: Vec<Vec<String>> = lines(section).into_iter().filter_map(row).collect();
     (!rows.is_empty()).then(|| Table {
-        title: format!("{}: the ego's light as it was believed, by ticks", section.suite.title),
+        title: format!("{}: light and speed limit as they were believed, by ticks", section.suite.title),
         head: columns(&[
             "right within 40 m",
             "none believed",
             "red believed green",
             "stopping where none is",
+            "speed limit right",
         ]),
         rows,
         notes: vec![

@@ -1,11 +1,12 @@
-//! What the answers of the road's heads say: the ego's lane and its light.
+//! What the answers of the road's heads say: the ego's lane, its light, and signs.
 //!
 //! Light: 4 channels of 80 x 128 cells of 4 pixels: whether a head of the ego is here that shows red, yellow, green (before the
 //! sigmoid, as the heatmaps of objects); ln(1 + the stop line's distance / m). Lanes: left and right boundary, each 20 rows from
-//! the horizon down, each 65 numbers before their softmax: columns of 8 pixels, then none.
+//! the horizon down, each 65 numbers before their softmax: columns of 8 pixels, then none. Signs: 14 channels of 40 x 128 cells of 4
+//! pixels, the rows of [`SIGN_ROWS`]: whether a sign is here that says each of [`sign_of`] (before the sigmoid); ln(1 + distance / m).
 
 use super::kind::{Backbone, STRIDE};
-use crate::perception::{GroundPlane, LaneBoundary, LaneEstimate, Seen, SeenLight};
+use crate::perception::{GroundPlane, LaneBoundary, LaneEstimate, SIGNS, Seen, SeenLight, SeenSign, sign_of};
 use nalgebra::{Matrix4, Vector4};
 use sumo_network::world::SignalState;
 
@@ -25,19 +26,63 @@ pub(super) const LAMPS: usize = COLOURS.len();
 /// The lamps in the order of [`crate::perception::colour`].
 const COLOURS: [SignalState; 3] = [SignalState::Red, SignalState::Yellow, SignalState::GreenMajor];
 
+/// Channels of the signs' map.
+pub(super) const SIGN_CHANNELS: i64 = 1 + SIGNS as i64;
+/// The rows of cells in which signs are looked for (of those that the network sees): 112 pixels above the horizon to 48 below.
+pub(super) const SIGN_ROWS: [usize; 2] = [12, 52];
+
+/// The first of these rows in the picture (pixels): the network sees it from row 96 on.
+pub(super) const SIGN_TOP: usize = 96 + SIGN_ROWS[0] * STRIDE;
+
 /// The middle of a row in the picture (pixels).
 pub(super) fn row_y(row: usize) -> f32 {
     (HORIZON as f32) + (row as f32 + 0.5) * CELL as f32
 }
 
-/// Least certainty of a light, and of a boundary in a row.
+/// Least certainty of a light, of a sign, and of a boundary in a row.
 const LEAST_LIGHT: f32 = 0.3;
+const LEAST_SIGN: f32 = 0.3;
 const LEAST_ROW: f32 = 0.5;
 
-/// What one picture's answers say.
-pub fn decode(light: &[f32], lanes: &[f32], ground: &GroundPlane) -> Seen {
+/// What one picture's answers say: light, lanes, signs.
+pub fn decode([light, lanes, signs]: &[Vec<f32>; 3], ground: &GroundPlane) -> Seen {
     let lanes = decode_lanes(lanes, ground);
-    Seen { lanes, light: decode_light(light, &lanes, ground) }
+    Seen { lanes, light: decode_light(light, &lanes, ground), signs: decode_signs(signs, ground) }
+}
+
+fn sigmoid(x: f32) -> f32 {
+    1.0 / (1.0 + (-x).exp())
+}
+
+/// Two signs are at least this many cells apart.
+const APART: usize = 3;
+
+fn decode_signs(map: &[f32], ground: &GroundPlane) -> [Option<SeenSign>; 4] {
+    let cells = map.len() / SIGN_CHANNELS as usize;
+    let (heat, distances) = map.split_at(SIGNS * cells);
+    let least = (LEAST_SIGN / (1.0 - LEAST_SIGN)).ln();
+    let sure = heat.iter().enumerate().filter(|(_, x)| **x >= least);
+    let mut sure: Vec<(f32, usize, usize)> = sure.map(|(at, x)| (*x, at / cells, at % cells)).collect();
+    sure.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let mut found = [None; 4];
+    let mut taken: Vec<[usize; 2]> = Vec::new();
+    for (x, index, cell) in sure {
+        let at = [cell % MAP_WIDTH, cell / MAP_WIDTH];
+        if taken.iter().any(|other| (0..2).all(|k| other[k].abs_diff(at[k]) < APART)) {
+            continue;
+        }
+        let Some(place) = found.get_mut(taken.len()) else { break };
+        let pixel = at.map(|cell| (cell * STRIDE + STRIDE / 2) as f32);
+        let depth = distances[cell].clamp(0.0, 5.0).exp_m1();
+        *place = Some(SeenSign {
+            sign: sign_of(index),
+            at: ground.ahead(pixel[0], depth),
+            pixel: [pixel[0], pixel[1] + SIGN_TOP as f32],
+            certainty: sigmoid(x),
+        });
+        taken.push(at);
+    }
+    found
 }
 
 /// The heads over the ego's lane, as far as it is seen, count more than those beside it: the network finds heads that look like
@@ -59,7 +104,6 @@ const FRONT: f32 = 2.3;
 
 fn decode_light(map: &[f32], lanes: &LaneEstimate, ground: &GroundPlane) -> Option<SeenLight> {
     let cells = map.len() / LIGHT as usize;
-    let sigmoid = |x: f32| 1.0 / (1.0 + (-x).exp());
     let (heat, distances) = map.split_at(LAMPS * cells);
     let surest = sigmoid(heat.iter().copied().fold(f32::MIN, f32::max));
     if surest < LEAST_LIGHT {

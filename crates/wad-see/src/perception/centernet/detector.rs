@@ -41,9 +41,9 @@ enum Engine {
 struct Outputs {
     /// Height and width of the maps (cells).
     shape: [usize; 2],
-    /// Heatmap (behind its sigmoid), size, offset, and the road's light and lanes: see [`decode`].
-    maps: [Vec<f32>; 5],
-    /// Whether the last two are of this picture.
+    /// Heatmap (behind its sigmoid), size, offset, and the road's light, lanes and signs: see [`decode`].
+    maps: [Vec<f32>; 6],
+    /// Whether the last three are of this picture.
     sees_road: bool,
 }
 
@@ -193,8 +193,8 @@ impl CenterNetDetector {
             };
             PerceptionError::Detector { name: self.name.clone(), why }
         })?;
-        let Outputs { shape: [h, w], maps: [heat, sizes, offsets, light, lanes], sees_road } = &self.outputs;
-        self.seen = sees_road.then(|| decode::decode(light, lanes, &self.ground));
+        let Outputs { shape: [h, w], maps: [heat, sizes, offsets, road @ ..], sees_road } = &self.outputs;
+        self.seen = sees_road.then(|| decode::decode(road, &self.ground));
         let tensors = [
             Output { name: "heat", shape: &[CLASSES as usize, *h, *w], values: heat },
             Output { name: "size", shape: &[2, *h, *w], values: sizes },
@@ -254,7 +254,7 @@ fn run_torch(
         outputs.shape = [2, 3].map(|k| answer.heat.size()[k] as usize);
         outputs.sees_road = answer.road.is_some();
         let mut tensors = vec![answer.heat.f_sigmoid()?, answer.size, answer.offset];
-        tensors.extend(answer.road.into_iter().flat_map(|road| [road.light, road.lanes]));
+        tensors.extend(answer.road.into_iter().flat_map(|road| [road.light, road.lanes, road.signs]));
         for (tensor, map) in tensors.iter().zip(outputs.maps.iter_mut()) {
             let tensor = tensor.f_contiguous()?.f_to_device(Device::Cpu)?;
             map.resize(tensor.numel(), 0.0);
@@ -305,7 +305,7 @@ impl Watcher {
     pub fn new(weights: &Weights, sees: Sees) -> Result<Self, WeightsError> {
         let ir = graph::graph(weights, sees, Numbers::Watched)?;
         let network = inference::Network::new(&ir, &SHAPE)?;
-        let answers = if sees == Sees::Road { 5 } else { 3 };
+        let answers = if sees == Sees::Road { 6 } else { 3 };
         Ok(Self { network, answers, ranges: vec![0.0; ir.outputs() - answers], pictures: 0 })
     }
 
@@ -330,10 +330,19 @@ impl Watcher {
         Ok(())
     }
 
-    /// The same weights with the ranges: the means over the pictures.
-    pub fn finish(self, mut weights: Weights) -> Weights {
+    /// The same weights with the ranges: the means over the pictures. The first of them are those of `before`, of which
+    /// the network was made and which computes alike as far as they reach.
+    ///
+    /// # Errors
+    /// Those of `before` cannot be read.
+    pub fn finish(self, mut weights: Weights, before: Option<&Weights>) -> Result<Weights, WeightsError> {
         let ranges = self.ranges.iter().map(|sum| (sum / self.pictures.max(1) as f32).max(1e-6));
-        graph::set_ranges(&mut weights, &ranges.collect());
-        weights
+        let mut ranges: Ranges = ranges.collect();
+        let kept = before.map(graph::ranges).transpose()?.flatten().unwrap_or_default();
+        for (range, kept) in ranges.iter_mut().zip(kept) {
+            *range = kept;
+        }
+        graph::set_ranges(&mut weights, &ranges);
+        Ok(weights)
     }
 }

@@ -5,7 +5,7 @@
 //! 0 to about the largest number that the network was seen to have there (see [`Ranges`]). The heads stay in single
 //! precision.
 
-use super::decode::{CELL, LIGHT, ROWS};
+use super::decode::{CELL, LIGHT, ROWS, SIGN_CHANNELS, SIGN_ROWS};
 use super::kind::{CLASSES, STRIDE, Sees};
 use crate::inference::ir::{Ir, Node};
 use crate::weights::{Stored, Weights, WeightsError};
@@ -21,6 +21,8 @@ pub const OUT: i64 = 48;
 pub(super) const HIDDEN: i64 = 32;
 /// Colours of the picture of which the light's head sees the strongest in each cell.
 pub(super) const COLOURS: i64 = 8;
+/// Channels of what the head for signs sees of the picture itself, at stride 2.
+pub(super) const SIGN_STEM: i64 = 16;
 /// Batch norm keeps its root from 0.
 pub(super) const EPSILON: f64 = 1e-5;
 
@@ -62,7 +64,7 @@ struct Builder<'a> {
 }
 
 /// The network of some weights: one picture of [`PICTURE`] (1, 320, 512, 3) in bytes to heatmap (behind its sigmoid),
-/// size and offset, and where it sees the road, light and lanes: as in [`super::decode`].
+/// size and offset, and where it sees the road, light, lanes and signs: as in [`super::decode`].
 ///
 /// # Errors
 /// The weights are of another network, or have ranges for another number of places.
@@ -141,6 +143,20 @@ pub fn graph(weights: &Weights, sees: Sees, numbers: Numbers<'_>) -> Result<Ir, 
         let none = net.ir.mean(none, 3);
         let lanes = net.ir.join(columns, none, 3);
         net.ir.output(lanes);
+        let [first, last] = SIGN_ROWS.map(|row| row as i64);
+        let pixels = net.ir.part(picture, 2, first * STRIDE as i64, last * STRIDE as i64);
+        let pixels = net.layer(pixels, "road.signs_stem1", [3, SIGN_STEM, 3, 2])?;
+        let pixels = net.layer(pixels, "road.signs_stem2", [SIGN_STEM, HIDDEN, 3, 2])?;
+        let pixels = net.convolution(pixels, "road.signs_pixels", [HIDDEN, HIDDEN, 3, 1], true)?;
+        let near = net.ir.part(all, 2, first, last);
+        let hidden = net.convolution(near, "road.signs_features", [OUT, HIDDEN, 3, 1], true)?;
+        let hidden = net.ir.sum(hidden, pixels);
+        let hidden = net.ir.relu(hidden);
+        let hidden = net.rounded(hidden)?;
+        let hidden = net.convolution(hidden, "road.signs_hidden", [HIDDEN, HIDDEN, 3, 1], true)?;
+        let hidden = net.ir.relu(hidden);
+        let signs = net.head(hidden, "road.signs", [HIDDEN, SIGN_CHANNELS, 1, 1])?;
+        net.ir.output(signs);
     }
     if matches!(numbers, Numbers::Watched) {
         for place in std::mem::take(&mut net.places) {

@@ -22,6 +22,11 @@ enum Features {
     Resnet(Resnet50V2),
 }
 
+/// Whether a parameter is of the head for signs.
+fn is_of_signs(name: &str) -> bool {
+    name.starts_with("road.signs")
+}
+
 /// The network's output: (n, 8, h, w), (n, 2, h, w), (n, 2, h, w).
 #[derive(Debug)]
 pub struct Answer {
@@ -46,6 +51,7 @@ pub struct CenterNet {
     /// Heatmap, size, offset: a 3x3 where the backbone is large, and a 1x1.
     heads: [(Option<Conv>, Conv); 3],
     road: Option<RoadHeads>,
+    only_signs: bool,
 }
 
 impl CenterNet {
@@ -74,7 +80,15 @@ impl CenterNet {
             Sees::Objects => None,
             Sees::Road => Some(RoadHeads::new(&(&root / "road"), channels)?),
         };
-        Ok(Self { backbone, store, features, heads, road })
+        Ok(Self { backbone, store, features, heads, road, only_signs: false })
+    }
+
+    /// From now on nothing but its head for signs learns: all else stays as it is, bit for bit.
+    pub fn learn_signs_only(&mut self) {
+        self.only_signs = true;
+        for (name, variable) in self.store.variables() {
+            let _ = variable.set_requires_grad(variable.requires_grad() && is_of_signs(&name));
+        }
     }
 
     /// What it sees.
@@ -90,17 +104,21 @@ impl CenterNet {
     pub fn forward(&self, pictures: &Tensor, train: bool) -> Result<Answer, TchError> {
         // About zero in the middle, one wide.
         let pictures = pictures.f_sub_scalar(0.45)?.f_mul_scalar(4.0)?;
-        let x = match &self.features {
-            Features::Light(net) => net.forward(&pictures, train)?,
-            Features::Resnet(net) => net.forward(&pictures, train)?,
+        let train_signs = train;
+        let train = train && !self.only_signs;
+        let x = || match &self.features {
+            Features::Light(net) => net.forward(&pictures, train),
+            Features::Resnet(net) => net.forward(&pictures, train),
         };
+        let x = if self.only_signs { tch::no_grad(x)? } else { x()? };
         let x = x.f_to_kind(Kind::Float)?;
         let head = |(first, last): &(Option<Conv>, Conv)| match first {
             Some(first) => last.forward(&first.forward(&x, train)?.f_relu()?, train),
             None => last.forward(&x, train),
         };
         let [heat, size, offset] = &self.heads;
-        let road = self.road.as_ref().map(|road| road.forward(&x, &pictures, train)).transpose()?.flatten();
+        let looked = |road: &RoadHeads| road.forward(&x, &pictures, train, train_signs);
+        let road = self.road.as_ref().map(looked).transpose()?.flatten();
         Ok(Answer { heat: head(heat)?, size: head(size)?, offset: head(offset)?, road })
     }
 
@@ -143,11 +161,11 @@ impl CenterNet {
     /// # Errors
     /// They are of another network or of another camera, or torch fails.
     pub fn from_weights(weights: &Weights, sees: Sees, device: Device) -> Result<Self, WeightsError> {
-        Self::begun_with(weights, sees, sees, device)
+        Self::filled(weights, sees, sees, device, |_| false)
     }
 
-    /// A network that sees what `sees` says, its parameters from weights that see `known`; those that these lack are
-    /// new.
+    /// A network that sees what `sees` says, its parameters from weights that see `known`; what these lack of the road's
+    /// heads is new.
     ///
     /// # Errors
     /// As [`Self::from_weights`].
@@ -157,10 +175,20 @@ impl CenterNet {
         sees: Sees,
         device: Device,
     ) -> Result<Self, WeightsError> {
+        let has = |name: &str| weights.tensors.iter().any(|(one, _)| one == name);
+        Self::filled(weights, known, sees, device, |name| name.starts_with("road.") && !has(name))
+    }
+
+    fn filled(
+        weights: &Weights,
+        known: Sees,
+        sees: Sees,
+        device: Device,
+        is_new: impl Fn(&str) -> bool,
+    ) -> Result<Self, WeightsError> {
         let backbone = kind::backbone(weights, known)?;
         let network = Self::new(backbone, sees, device)?;
         tch::no_grad(|| {
-            let is_new = |name: &str| known != sees && name.starts_with("road.");
             for (name, mut variable) in network.store.variables() {
                 if is_new(&name) {
                     continue;

@@ -1,18 +1,21 @@
 //! What `eyes` see beside objects, by heads of their own over the light backbone's features: the boundaries of the
-//! ego's lane, row by row, and the light that is the ego's.
+//! ego's lane, row by row, the light that is the ego's, and signs.
 //!
 //! ```text
 //! features at /4 --3x3--+--1x1-----------> the ego's signal heads by lamp, distance of the stop line
 //! picture --1x1, largest of 4x4--3x3--+
 //! features at /4 --/8, rows below the horizon, 3x3, 1x1--> per row and side: the boundary's column, or none
+//! features at /4 --3x3--+--3x3, 1x1--> signs by what they say, their distance (rows round the horizon)
+//! picture --3x3/2, 3x3/2, 3x3--+
 //! ```
 //!
 //! A lamp 40 m away is one pixel, whose colour the backbone's strides blur: the light's head also sees the strongest of
 //! some colours in each cell of the picture itself, and where in the picture the cell is (Liu et al. 2018, "CoordConv"):
-//! which heads are the ego's depends on both.
+//! which heads are the ego's depends on both. Digits are smaller than the backbone's cells, so the head for signs has
+//! convolutions of its own over the picture.
 
-use super::decode::{LIGHT, ROWS};
-use super::graph::{COLOURS, HIDDEN, MAP, place};
+use super::decode::{LIGHT, ROWS, SIGN_CHANNELS, SIGN_ROWS};
+use super::graph::{COLOURS, HIDDEN, MAP, SIGN_STEM, place};
 use super::kind::STRIDE;
 use super::layer::{Conv, Kernel};
 use tch::nn::Path;
@@ -33,6 +36,11 @@ pub struct RoadHeads {
     light: Conv,
     hidden: Conv,
     lanes: Conv,
+    /// Over the picture, then over the features, then over their sum.
+    signs_pixels: [Conv; 3],
+    signs_features: Conv,
+    signs_hidden: Conv,
+    signs: Conv,
 }
 
 /// Their output before softmax and sigmoid.
@@ -42,6 +50,8 @@ pub struct RoadAnswer {
     pub light: Tensor,
     /// (n, 2, 20, 65): left and right boundary, by rows from the horizon down: columns, then none.
     pub lanes: Tensor,
+    /// (n, 14, 40, 128): see [`super::decode`].
+    pub signs: Tensor,
 }
 
 impl RoadHeads {
@@ -54,6 +64,8 @@ impl RoadHeads {
         light.begin_at(0.01, super::network::FIRST_ANSWER)?;
         let mut light_colours = Conv::new(&(path / "light_colours"), COLOURS + 2, HIDDEN, Kernel::plain(3));
         light_colours.begin_at(0.01, 0.0)?;
+        let mut signs = Conv::new(&(path / "signs"), HIDDEN, SIGN_CHANNELS, Kernel::plain(1));
+        signs.begin_at(0.01, super::network::FIRST_ANSWER)?;
         let [w, h] = WHOLE;
         let place = Tensor::f_from_slice(&place())?.f_view([1, 2, h, w])?.f_to_device(path.device())?;
         Ok(Self {
@@ -64,10 +76,19 @@ impl RoadHeads {
             light,
             hidden: Conv::new(&(path / "hidden"), channels, HIDDEN, Kernel::normed(3, 1)),
             lanes: Conv::new(&(path / "lanes"), HIDDEN, 4, Kernel::plain(1)),
+            signs_pixels: [
+                Conv::new(&(path / "signs_stem1"), 3, SIGN_STEM, Kernel::normed(3, 2)),
+                Conv::new(&(path / "signs_stem2"), SIGN_STEM, HIDDEN, Kernel::normed(3, 2)),
+                Conv::new(&(path / "signs_pixels"), HIDDEN, HIDDEN, Kernel::normed(3, 1)),
+            ],
+            signs_features: Conv::new(&(path / "signs_features"), channels, HIDDEN, Kernel::normed(3, 1)),
+            signs_hidden: Conv::new(&(path / "signs_hidden"), HIDDEN, HIDDEN, Kernel::normed(3, 1)),
+            signs,
         })
     }
 
-    /// Features (n, channels, h, w) of whole pictures (n, 3, 4 h, 4 w); None for parts of pictures.
+    /// Features (n, channels, h, w) of whole pictures (n, 3, 4 h, 4 w); None for parts of pictures. `train` says whether it learns,
+    /// `train_signs` the same of the head for signs.
     ///
     /// # Errors
     /// torch fails.
@@ -76,6 +97,7 @@ impl RoadHeads {
         x: &Tensor,
         pictures: &Tensor,
         train: bool,
+        train_signs: bool,
     ) -> Result<Option<RoadAnswer>, TchError> {
         let size = x.size();
         if [size[3], size[2]] != WHOLE {
@@ -94,7 +116,21 @@ impl RoadHeads {
         let beside = Tensor::f_cat(&[colours, place], 1)?;
         let beside = self.light_colours.forward(&beside, train)?;
         let hidden = self.light_hidden.forward(x, train)?.f_add(&beside)?.f_relu()?;
-        Ok(Some(RoadAnswer { light: self.light.forward(&hidden, train)?, lanes }))
+        let light = self.light.forward(&hidden, train)?;
+        Ok(Some(RoadAnswer { light, lanes, signs: self.find_signs(x, pictures, train_signs)? }))
+    }
+
+    fn find_signs(&self, x: &Tensor, pictures: &Tensor, train: bool) -> Result<Tensor, TchError> {
+        let [first, last] = SIGN_ROWS.map(|row| row as i64);
+        let stride = STRIDE as i64;
+        let pixels = pictures.f_narrow(2, first * stride, (last - first) * stride)?;
+        let [stem1, stem2, third] = &self.signs_pixels;
+        let pixels = stem1.forward(&pixels, train)?.f_relu()?;
+        let pixels = stem2.forward(&pixels, train)?.f_relu()?;
+        let pixels = third.forward(&pixels.f_to_kind(Kind::Float)?, train)?;
+        let near = self.signs_features.forward(&x.f_narrow(2, first, last - first)?, train)?;
+        let hidden = self.signs_hidden.forward(&near.f_add(&pixels)?.f_relu()?, train)?.f_relu()?;
+        self.signs.forward(&hidden, train)
     }
 
     /// Folds every batch norm.
@@ -103,6 +139,9 @@ impl RoadHeads {
     /// torch fails.
     pub fn fold(&mut self) -> Result<(), TchError> {
         self.light_hidden.fold()?;
+        self.signs_pixels.iter_mut().try_for_each(Conv::fold)?;
+        self.signs_features.fold()?;
+        self.signs_hidden.fold()?;
         self.hidden.fold()
     }
 }

@@ -1,13 +1,13 @@
 //! The targets and the loss of the road's heads.
 
-use super::decode::{ANSWERS, CELL, COLUMNS, HORIZON, LAMPS, ROWS, row_y};
+use super::decode::{ANSWERS, CELL, COLUMNS, HORIZON, LAMPS, ROWS, SIGN_ROWS, SIGN_TOP, row_y};
 use super::graph::PICTURE;
-use super::kind::Backbone;
+use super::kind::{Backbone, STRIDE};
 use super::loss::focal;
 use super::road::{RoadAnswer, WHOLE};
 use super::targets::{NO_MATTER, Wanted, encode};
 use crate::perception::road_truth::y_at;
-use crate::perception::{GroundPlane, RoadWanted};
+use crate::perception::{GroundPlane, RoadWanted, SIGNS, sign_index};
 use tch::{Device, Kind, TchError, Tensor};
 
 /// Deviation of a boundary's column in the target (cells).
@@ -24,7 +24,15 @@ pub struct RoadTargets {
     distances: Vec<f32>,
     /// n x 2 x 20 x 65: how likely each answer is to be; all 0 where a row does not count.
     lanes: Vec<f32>,
+    /// n x 13 x 40 x 128, as CenterNet's heatmap: what signs say for classes.
+    signs: Vec<f32>,
+    /// As `cells` and `distances`, of signs.
+    sign_cells: Vec<i64>,
+    sign_distances: Vec<f32>,
 }
+
+/// Columns and rows of the signs' map.
+const SIGN_MAP: [usize; 2] = [WHOLE[0] as usize, SIGN_ROWS[1] - SIGN_ROWS[0]];
 
 impl RoadTargets {
     /// Adds a picture; None: nothing is known of its road.
@@ -36,6 +44,7 @@ impl RoadTargets {
         self.pictures += 1;
         self.heat.resize(self.pictures * planes, if wanted.is_some() { 0.0 } else { NO_MATTER });
         self.lanes.resize(self.pictures * answers, 0.0);
+        self.add_signs(n, wanted);
         let Some(wanted) = wanted else { return };
         let top = Backbone::Light.rows(PICTURE[1]).0 as f32;
         let lamp = wanted.light.map(|(lamp, _)| lamp);
@@ -74,6 +83,33 @@ impl RoadTargets {
     }
 }
 
+impl RoadTargets {
+    fn add_signs(&mut self, n: usize, wanted: Option<&RoadWanted>) {
+        let [w, h] = SIGN_MAP;
+        let signs = wanted.and_then(|wanted| wanted.signs.as_deref());
+        let planes = SIGNS * w * h;
+        self.signs.resize((n + 1) * planes, if signs.is_some() { 0.0 } else { NO_MATTER });
+        let Some(signs) = signs else { return };
+        let (mut boxes, mut distances) = (Vec::new(), Vec::new());
+        for sign in signs {
+            let [l, t, r, b] = sign.bounds;
+            let bounds = [l, t - SIGN_TOP as f32, r, b - SIGN_TOP as f32];
+            let middle = 0.5 * (bounds[1] + bounds[3]);
+            let one = |class, ignored| Wanted { class, bounds, ignored };
+            if sign.is_plain && (0.0..(h * STRIDE) as f32).contains(&middle) {
+                boxes.push(one(sign_index(sign.sign), false));
+                distances.push(sign.distance.max(0.0).ln_1p());
+            } else {
+                boxes.extend((0..SIGNS).map(|class| one(class, true)));
+            }
+        }
+        // Centres come in the order of the boxes that count.
+        let centres = encode(&boxes, (w, h), &mut self.signs[n * planes..]);
+        self.sign_cells.extend(centres.iter().map(|centre| (n * w * h + centre.cell) as i64));
+        self.sign_distances.extend(distances);
+    }
+}
+
 /// Where a boundary meets a row.
 enum Column {
     /// Cells from the middle of the first.
@@ -98,40 +134,62 @@ fn column(line: Option<&[[f32; 2]]>, row: usize, ground: &GroundPlane) -> Column
     }
 }
 
-/// The road's part of the loss: light and lanes.
+/// Where heads or signs are, and how far away: focal loss of the heatmap and L1 of the distance, per centre. `answer` has a plane
+/// for each class, then the distance.
+fn places_loss(
+    answer: &Tensor,
+    heat: &[f32],
+    (cells, distances): (&[i64], &[f32]),
+    device: Device,
+) -> Result<Tensor, TchError> {
+    let size = answer.size();
+    let classes = size[1] - 1;
+    let heat =
+        Tensor::f_from_slice(heat)?.f_view([size[0], classes, size[2], size[3]])?.f_to_device(device)?;
+    let centres = (cells.len() as f64).max(1.0);
+    let found = focal(&answer.f_narrow(1, 0, classes)?, &heat)?.f_div_scalar(centres)?;
+    if cells.is_empty() {
+        return Ok(found);
+    }
+    let cells = Tensor::f_from_slice(cells)?.f_to_device(device)?;
+    let seen = answer.f_select(1, classes)?.f_reshape([-1])?.f_index_select(0, &cells)?;
+    let distances = Tensor::f_from_slice(distances)?.f_to_device(device)?;
+    found.f_add(&seen.f_sub(&distances)?.f_abs()?.f_mean(Kind::Float)?)
+}
+
+/// The road's part of the loss: light, lanes and signs.
 ///
 /// # Errors
 /// torch fails.
 pub fn road_loss(answer: &RoadAnswer, targets: &RoadTargets, device: Device) -> Result<Tensor, TchError> {
     let n = targets.pictures as i64;
-    let [w, h] = WHOLE;
     let lanes = Tensor::f_from_slice(&targets.lanes)?
         .f_view([n, 2, ROWS as i64, ANSWERS as i64])?
         .f_to_device(device)?;
     let rows = lanes.f_sum(Kind::Float)?.f_clamp_min(1.0)?;
     let log = answer.lanes.f_log_softmax(3, Kind::Float)?;
-    let mut loss = log.f_mul(&lanes)?.f_sum(Kind::Float)?.f_div(&rows)?.f_neg()?;
-    let lamps = LAMPS as i64;
-    let heat = Tensor::f_from_slice(&targets.heat)?.f_view([n, lamps, h, w])?.f_to_device(device)?;
-    let centres = (targets.cells.len() as f64).max(1.0);
-    let found = focal(&answer.light.f_narrow(1, 0, lamps)?, &heat)?.f_div_scalar(centres)?;
-    loss = loss.f_add(&found)?;
-    if targets.cells.is_empty() {
-        return Ok(loss);
-    }
-    let cells = Tensor::f_from_slice(&targets.cells)?.f_to_device(device)?;
-    let seen = answer.light.f_select(1, lamps)?.f_reshape([-1])?.f_index_select(0, &cells)?;
-    let distances = Tensor::f_from_slice(&targets.distances)?.f_to_device(device)?;
-    loss.f_add(&seen.f_sub(&distances)?.f_abs()?.f_mean(Kind::Float)?)
+    let lanes = log.f_mul(&lanes)?.f_sum(Kind::Float)?.f_div(&rows)?.f_neg()?;
+    let light = places_loss(&answer.light, &targets.heat, (&targets.cells, &targets.distances), device)?;
+    lanes.f_add(&light)?.f_add(&signs_loss(answer, targets, device)?)
+}
+
+/// The signs' part of it.
+///
+/// # Errors
+/// torch fails.
+pub fn signs_loss(answer: &RoadAnswer, targets: &RoadTargets, device: Device) -> Result<Tensor, TchError> {
+    let centres = (targets.sign_cells.as_slice(), targets.sign_distances.as_slice());
+    places_loss(&answer.signs, &targets.signs, centres, device)
 }
 
 #[cfg(test)]
 mod tests {
     use super::super::decode::{LIGHT, decode};
     use super::*;
-    use crate::perception::Seen;
+    use crate::perception::{Seen, SignTruth};
     use sumo_network::world::SignalState;
     use wad_camera::CameraConfig;
+    use wad_camera::model::Sign;
 
     fn ground() -> GroundPlane {
         GroundPlane::new(&CameraConfig::default())
@@ -143,6 +201,12 @@ mod tests {
             boundaries: Some([line(1.6), line(-1.7)]),
             heads: vec![([250.0, 180.0, 262.0, 200.0], true), ([300.0, 190.0, 312.0, 210.0], true)],
             light: Some((2, 17.5)),
+            signs: Some(vec![SignTruth {
+                sign: Sign::Limit(50),
+                bounds: [350.0, 222.0, 362.0, 234.0],
+                distance: 15.0,
+                is_plain: true,
+            }]),
         }
     }
 
@@ -160,7 +224,17 @@ mod tests {
             light[LAMPS * cells + cell as usize] = *distance;
         }
         assert_eq!(targets.cells.len(), 2);
-        let seen = decode(&light, &lanes, &ground());
+        let [w, h] = SIGN_MAP;
+        let mut signs = vec![-9.0; (SIGNS + 1) * w * h];
+        for (out, heat) in signs.iter_mut().zip(&targets.signs) {
+            *out = if *heat == 1.0 { 3.0 } else { -9.0 };
+        }
+        signs[SIGNS * w * h + targets.sign_cells[0] as usize] = targets.sign_distances[0];
+        let seen = decode(&[light, lanes, signs], &ground());
+        let [Some(sign), None, ..] = seen.signs else { panic!("{:?}", seen.signs) };
+        assert!(sign.sign == Sign::Limit(50) && (sign.pixel[0] - 356.0).abs() <= 2.0, "{sign:?}");
+        // 100 pixels right of the middle, 15 m ahead of the camera, which is 0.7 m before the ego's centre.
+        assert!((sign.at[0] - 15.7).abs() < 0.1 && (sign.at[1] + 5.9).abs() < 0.2, "{sign:?}");
         let light = seen.light.unwrap();
         assert!(light.state == SignalState::GreenMajor && (light.distance - 17.5).abs() < 0.01, "{light:?}");
         let (left, right) = (seen.lanes.left.unwrap(), seen.lanes.right.unwrap());
@@ -177,14 +251,16 @@ mod tests {
         targets.add(Some(&RoadWanted::default()), &ground());
         let lanes: Vec<f32> = targets.lanes.iter().map(|p| p.max(1e-9).ln()).collect();
         let light = vec![-9.0; (LIGHT * WHOLE[0] * WHOLE[1]) as usize];
-        assert_eq!(decode(&light, &lanes, &ground()), Seen::default());
+        let answers = [light, lanes, Vec::new()];
+        assert_eq!(decode(&answers, &ground()), Seen::default());
         // A lane that ends 12 m ahead is none in the rows beyond.
         let mut short = wanted();
         short.boundaries.iter_mut().flatten().for_each(|side| side.truncate(13));
         let mut targets = RoadTargets::default();
         targets.add(Some(&short), &ground());
+        let [light, _, signs] = answers;
         let lanes: Vec<f32> = targets.lanes.iter().map(|p| p.max(1e-9).ln()).collect();
-        let reach = decode(&light, &lanes, &ground()).lanes.left.unwrap().reach;
+        let reach = decode(&[light, lanes, signs], &ground()).lanes.left.unwrap().reach;
         assert!(reach[1] < 12.5 && reach[1] > 8.0, "{reach:?}");
     }
 
@@ -195,6 +271,7 @@ mod tests {
         assert!((left[0][1] - 1.7).abs() < 1e-6 && (right[0][1] + 1.6).abs() < 1e-6);
         assert_eq!(mirrored.heads[0].0, [250.0, 180.0, 262.0, 200.0]);
         assert_eq!(mirrored.heads[1].0, [200.0, 190.0, 212.0, 210.0]);
+        assert!(mirrored.signs.iter().flatten().all(|sign| !sign.is_plain), "in a mirror nobody can read");
         let twice = mirrored.mirrored(512.0);
         assert_eq!(twice.boundaries, wanted().boundaries);
     }

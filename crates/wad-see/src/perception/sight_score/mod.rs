@@ -4,11 +4,13 @@
 mod lanes;
 mod lead;
 mod light;
+mod limit;
 mod road;
 
 pub use lanes::{LaneScore, LaneTruth, MEASURED_AT};
 pub use lead::{LeadBin, LeadScore, LeadTruth};
 pub use light::LightCounts;
+pub use limit::LimitCounts;
 pub use road::{RoadReport, RoadScore};
 
 use serde::{Deserialize, Serialize};

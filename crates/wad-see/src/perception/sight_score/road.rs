@@ -4,13 +4,18 @@ use super::lanes::FOUND;
 use super::light::{LightCounts, REACH};
 use super::{MEASURED_AT, Spread, share};
 use crate::perception::road_truth::y_at;
-use crate::perception::{RoadWanted, Seen, colour};
+use crate::perception::{RoadWanted, Seen, SeenSign, SignTruth, colour};
 use serde::{Deserialize, Serialize};
 
 /// The error of the stop line's distance counts up to this far before it (m).
 const LINE_REACH: f32 = 20.0;
 /// A boundary that reaches less far ahead than this is no false one (m): the last of a lane before a junction.
 const PHANTOM_REACH: f32 = 8.0;
+
+/// A sign is seen where it is if both are within this, or half its height (pixels).
+const NEAR_SIGN: f32 = 8.0;
+/// Plates as wide as this can be read (pixels).
+const LEGIBLE: f32 = 14.0;
 
 /// Counts over frames.
 #[derive(Clone, Debug, Default)]
@@ -23,6 +28,12 @@ pub struct RoadScore {
     phantom_lanes: usize,
     light: LightCounts,
     line: Vec<f64>,
+    signs: usize,
+    signs_found: usize,
+    near_signs: usize,
+    signs_right: usize,
+    looked: usize,
+    phantom_signs: usize,
 }
 
 /// The figures.
@@ -56,6 +67,21 @@ pub struct RoadReport {
     pub phantom_lights: Option<f64>,
     /// Absolute error of the stop line's distance within 20 m (m).
     pub line_error: Spread,
+    /// Signs that are to be read: 7 pixels high or more, plain, facing the camera.
+    #[serde(default)]
+    pub signs: usize,
+    /// Share of them that are seen.
+    #[serde(default)]
+    pub signs_found: Option<f64>,
+    /// Those of them whose digits are 5 pixels high or more: within 12 m.
+    #[serde(default)]
+    pub near_signs: usize,
+    /// Share of these that are seen to say what they say.
+    #[serde(default)]
+    pub signs_right: Option<f64>,
+    /// Signs seen where none is, per frame.
+    #[serde(default)]
+    pub phantom_signs: Option<f64>,
 }
 
 impl RoadScore {
@@ -91,6 +117,30 @@ impl RoadScore {
             _ if wanted.heads.is_empty() => self.light.add_dark(lamp.is_some()),
             _ => {}
         }
+        if let Some(signs) = &wanted.signs {
+            self.add_signs(signs, seen);
+        }
+    }
+
+    fn add_signs(&mut self, wanted: &[SignTruth], seen: &Seen) {
+        let is_there = |sign: &SignTruth, seen: &SeenSign| {
+            let [l, t, r, b] = sign.bounds;
+            let [x, y] = seen.pixel;
+            (x - 0.5 * (l + r)).abs().max((y - 0.5 * (t + b)).abs()) <= (0.5 * (r - l)).max(NEAR_SIGN)
+        };
+        let seen = || seen.signs.iter().flatten();
+        for sign in wanted.iter().filter(|sign| sign.is_plain) {
+            // The surest comes first.
+            let found = seen().find(|seen| is_there(sign, seen));
+            self.signs += 1;
+            self.signs_found += usize::from(found.is_some());
+            if sign.bounds[2] - sign.bounds[0] >= LEGIBLE {
+                self.near_signs += 1;
+                self.signs_right += usize::from(found.is_some_and(|found| found.sign == sign.sign));
+            }
+        }
+        self.looked += 1;
+        self.phantom_signs += seen().filter(|seen| !wanted.iter().any(|sign| is_there(sign, seen))).count();
     }
 
     /// The figures.
@@ -111,6 +161,11 @@ impl RoadScore {
             without_light: light.without,
             phantom_lights: share(light.phantom, light.without),
             line_error: Spread::of(&self.line),
+            signs: self.signs,
+            signs_found: share(self.signs_found, self.signs),
+            near_signs: self.near_signs,
+            signs_right: share(self.signs_right, self.near_signs),
+            phantom_signs: share(self.phantom_signs, self.looked),
         }
     }
 }
@@ -130,17 +185,18 @@ mod tests {
             boundaries: Some([line(1.6, 30), line(-1.6, 30)]),
             heads: vec![head],
             light: Some((RED, 15.0)),
+            signs: None,
         };
         let boundary = |offset| Some(LaneBoundary { offset, slope: 0.0, bend: 0.0, reach: [4.0, 20.0] });
         let light = |state| Some(SeenLight { state, distance: 16.0, certainty: 1.0 });
         let lanes = LaneEstimate { left: boundary(1.9), right: boundary(-3.0) };
         let mut score = RoadScore::default();
-        score.add(&wanted, &Seen { lanes, light: light(SignalState::Red) });
-        score.add(&wanted, &Seen { lanes, light: light(SignalState::GreenMajor) });
+        score.add(&wanted, &Seen { lanes, light: light(SignalState::Red), ..Seen::default() });
+        score.add(&wanted, &Seen { lanes, light: light(SignalState::GreenMajor), ..Seen::default() });
         score.add(&wanted, &Seen::default());
-        let far = RoadWanted { light: Some((GREEN, 60.0)), boundaries: None, heads: vec![head] };
+        let far = RoadWanted { light: Some((GREEN, 60.0)), boundaries: None, heads: vec![head], signs: None };
         score.add(&far, &Seen::default());
-        score.add(&RoadWanted::default(), &Seen { lanes, light: light(SignalState::Red) });
+        score.add(&RoadWanted::default(), &Seen { lanes, light: light(SignalState::Red), ..Seen::default() });
         let r = score.report();
         assert_eq!((r.frames, r.boundaries, r.boundaries_found), (5, 6, Some(2.0 / 6.0)));
         assert_eq!((r.junctions, r.phantom_lanes), (2, Some(0.5)));
