@@ -164,7 +164,7 @@ def test_a_worker_that_hangs_before_its_first_episode_is_started_again(cluster, 
         def __reduce__(self):
             return unpickle, ()
 
-    wanted = wanted_by("tasks", [AGENT], **PART, **NO_MORE, detector="truth", out=out, keep="all")
+    wanted = wanted_by("tasks", [AGENT], **PART, **NO_MORE, detector=_native.DEFAULT_DETECTOR, out=out, keep="all")
     evaluation.evaluate(wanted, Hangs(), address=cluster.address, limit=5)
     assert mark.exists()
     assert_same(out, one_machine)

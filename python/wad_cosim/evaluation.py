@@ -54,8 +54,9 @@ def evaluate(
         name: Its name in tables. Default: the function's or the class's.
         observation: What it gets: ``raw``, ``vector`` or ``latent``, as :class:`DrivingEnv` has them.
         action: What it gives, as :class:`DrivingEnv`'s ``action``.
-        detector: As the command line's ``--detector``. Default: for a driver by name the command line's, ``eyes``, which
-            needs ``wad-cosim[eyes]``; for a policy that of :class:`DrivingEnv` with this observation.
+        detector: As the command line's ``--detector``. Default: for a driver by name and for what
+            :func:`load_agent` gave the command line's, ``eyes``, which needs ``wad-cosim[eyes]``; for a policy that of
+            :class:`DrivingEnv` with this observation.
         encoder: What makes the latent of ``observation="latent"``.
         agent_timeout: Seconds for each answer of an ``exec:`` agent.
         condition, task, town, weather, traffic, seed: Only these of the suite; one or several.
@@ -80,11 +81,11 @@ def evaluate(
     if observation not in _MODES:
         raise InputError(f"observation={observation!r}: expected one of {', '.join(_MODES)}")
     act: Callable[[Any, int], Any] | None = None
+    is_ours = isinstance(agent, str | TrainedAgent)
+    detector = detector or (_native.DEFAULT_DETECTOR if is_ours else observations.found_by(observation))
     if isinstance(agent, str):
         called = agent
-        detector = detector or _native.DEFAULT_DETECTOR
     else:
-        detector = detector or observations.found_by(observation)
         called = name or getattr(agent, "__name__", None) or type(agent).__name__
         act = _driver(agent, action)
     wanted = wanted_by(
