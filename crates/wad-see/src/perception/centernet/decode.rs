@@ -3,7 +3,7 @@
 //! Light: 4 channels of 80 x 128 cells of 4 pixels: whether a head of the ego is here that shows red, yellow, green (before the
 //! sigmoid, as the heatmaps of objects); ln(1 + the stop line's distance / m). Lanes: left and right boundary, each 20 rows from
 //! the horizon down, each 65 numbers before their softmax: columns of 8 pixels, then none. Signs: 14 channels of 40 x 128 cells of 4
-//! pixels, the rows of [`SIGN_ROWS`]: whether a sign is here that says each of [`sign_of`] (before the sigmoid); ln(1 + distance / m).
+//! pixels, round the horizon: whether a sign is here that says each of [`sign_of`] (before the sigmoid); ln(1 + distance / m).
 
 use super::kind::{Backbone, STRIDE};
 use crate::perception::{GroundPlane, LaneBoundary, LaneEstimate, SIGNS, Seen, SeenLight, SeenSign, sign_of};
