@@ -6,7 +6,7 @@ use crate::camera::{Camera, CameraConfig, CameraError, Frame, Outputs, Town, Wea
 use crate::eyes::Eyes;
 use crate::latent::Decoder;
 use crate::network::Network;
-use crate::perception::{EgoFacts, GroundPlane, Percept, TRANSFORMED_SIZE, TransformedImage, says};
+use crate::perception::{EgoFacts, GroundPlane, Percept, TRANSFORMED_SIZE, TransformedImage};
 use bytes::Bytes;
 use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
 use serde_json::{Value, json};
@@ -163,7 +163,7 @@ impl Artist {
         let signs: Vec<Value> = (percept.signs.iter())
             .map(|sign| {
                 let [x, y] = sign.pixel.map(|v| v.round() as i32);
-                json!([says(sign.sign), x, y, (100.0 * sign.certainty).round()])
+                json!([sign.sign.to_string(), x, y, (100.0 * sign.certainty).round()])
             })
             .collect();
         let limit = percept.limit;

@@ -14,6 +14,7 @@ use super::mesh::Faces;
 use super::walls::Walls;
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
+use std::fmt;
 use std::sync::OnceLock;
 use sumo_network::geometry::Pose;
 use sumo_network::network::SignalIndex;
@@ -290,6 +291,47 @@ pub enum Sign {
 /// The speed limits that signs show (km/h).
 pub const LIMITS: [u32; 11] = [20, 30, 40, 50, 60, 70, 80, 90, 100, 120, 130];
 
+impl Sign {
+    /// How many there are.
+    pub const KINDS: usize = LIMITS.len() + 2;
+
+    /// Its number, below [`Self::KINDS`]: the limits, give way, stop.
+    pub fn index(self) -> usize {
+        match self {
+            Self::Limit(kmh) => LIMITS.iter().position(|limit| *limit == kmh).unwrap_or(0),
+            Self::GiveWay => LIMITS.len(),
+            Self::Stop => LIMITS.len() + 1,
+        }
+    }
+
+    /// The sign with a number below [`Self::KINDS`].
+    pub fn of(index: usize) -> Self {
+        match LIMITS.get(index) {
+            Some(limit) => Self::Limit(*limit),
+            None if index == LIMITS.len() => Self::GiveWay,
+            None => Self::Stop,
+        }
+    }
+
+    /// The limit that is nearest to one (km/h).
+    pub fn limit(kmh: u32) -> Self {
+        Self::Limit(LIMITS.into_iter().min_by_key(|limit| limit.abs_diff(kmh)).unwrap_or(kmh))
+    }
+}
+
+impl fmt::Display for Sign {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Limit(kmh) => write!(f, "{kmh}"),
+            Self::GiveWay => f.write_str("give way"),
+            Self::Stop => f.write_str("stop"),
+        }
+    }
+}
+
+/// The radius of a sign's plate (m): a limit's; the others are somewhat larger.
+pub const SIGN_RADIUS: f32 = 0.33;
+
 /// A sign at the roadside.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlacedSign {
@@ -297,8 +339,6 @@ pub struct PlacedSign {
     pub sign: Sign,
     /// The middle of its plate, and the heading of the traffic that it faces.
     pub pose: Pose,
-    /// Of its plate (m).
-    pub radius: f64,
 }
 
 /// Width of a chunk of the town (m).

@@ -1,7 +1,7 @@
 //! Street lamps, benches, bins, bus shelters, signs: small things that are placed many times.
 
 use super::materials::Materials;
-use crate::model::{Channel, LIMITS, Level, Library, MaterialId, Model, ModelId, Sign};
+use crate::model::{Channel, LIMITS, Level, Library, MaterialId, Model, ModelId, SIGN_RADIUS};
 use crate::shape::{Shaper, V3, bounds_of};
 use std::f32::consts::TAU;
 
@@ -12,10 +12,8 @@ pub(super) struct Furniture {
     pub bench: ModelId,
     pub bin: ModelId,
     pub shelter: ModelId,
-    /// A post with a disc for each speed limit (km/h).
-    pub limits: Vec<(u32, ModelId)>,
-    pub give_way: ModelId,
-    pub stop: ModelId,
+    /// A post with a plate for each sign, by [`crate::model::Sign::index`].
+    pub signs: Vec<ModelId>,
     pub priority: ModelId,
     pub crossing: ModelId,
     pub signal: ModelId,
@@ -89,9 +87,8 @@ fn strokes(digit: u32) -> Vec<[f32; 4]> {
     (0..7).filter(|i| lit >> i & 1 == 1).map(|i| all[i]).collect()
 }
 
-/// Height of a sign's middle, and the radius of its plate (m).
+/// Height of a sign's middle (m).
 pub const SIGN: f32 = 2.35;
-const SIGN_RADIUS: f32 = 0.33;
 
 fn post(s: &mut Shaper, m: &Materials, level: usize) {
     s.tube(
@@ -106,18 +103,6 @@ fn post(s: &mut Shaper, m: &Materials, level: usize) {
 const SMALL: [f32; 2] = [26.0, 3.0];
 
 impl Furniture {
-    /// The model of a sign, for limits the nearest one that there is, and the radius of its plate (m).
-    pub fn sign(&self, sign: Sign) -> (ModelId, f32) {
-        match sign {
-            Sign::Limit(kmh) => {
-                let nearest = self.limits.iter().min_by_key(|(limit, _)| limit.abs_diff(kmh));
-                (nearest.map_or(self.stop, |(_, model)| *model), SIGN_RADIUS)
-            }
-            Sign::GiveWay => (self.give_way, SIGN_RADIUS),
-            Sign::Stop => (self.stop, SIGN_RADIUS),
-        }
-    }
-
     pub fn new(library: &mut Library, m: &Materials) -> Self {
         let lamp = made(library, "street lamp", 50.0, &[50.0, 6.0], |s, level| {
             let sides = [8, 3][level];
@@ -205,10 +190,10 @@ impl Furniture {
                 s.cuboid([-d + 0.1, w - 0.1, 0.3], [d - 0.35, w - 0.04, 2.1], true, m.sign_blue);
             }
         });
-        let limits = LIMITS
+        let mut signs: Vec<ModelId> = LIMITS
             .into_iter()
             .map(|limit: u32| {
-                let id = made(library, "speed limit", 30.0, &SMALL, |s, level| {
+                made(library, "speed limit", 30.0, &SMALL, |s, level| {
                     post(s, m, level);
                     let n = [20, 8][level];
                     disc(s, 0.0, SIGN, SIGN_RADIUS, n, 0.0, m.sign_red);
@@ -227,8 +212,7 @@ impl Furniture {
                             s.plate([[x, y0, z0], [x, y1, z0], [x, y1, z1], [x, y0, z1]], m.sign_black);
                         }
                     }
-                });
-                (limit, id)
+                })
             })
             .collect();
         let sign = |library: &mut Library, name: &str, parts: Vec<(f32, usize, f32, MaterialId)>| {
@@ -243,10 +227,10 @@ impl Furniture {
                 }
             })
         };
-        let give_way =
-            sign(library, "give way", vec![(0.5, 3, 0.75, m.sign_red), (0.33, 3, 0.75, m.sign_white)]);
-        let stop =
-            sign(library, "stop", vec![(0.40, 8, 0.0625, m.sign_white), (0.37, 8, 0.0625, m.sign_red)]);
+        signs.extend([
+            sign(library, "give way", vec![(0.5, 3, 0.75, m.sign_red), (0.33, 3, 0.75, m.sign_white)]),
+            sign(library, "stop", vec![(0.40, 8, 0.0625, m.sign_white), (0.37, 8, 0.0625, m.sign_red)]),
+        ]);
         let priority =
             sign(library, "priority", vec![(0.42, 4, 0.0, m.sign_white), (0.31, 4, 0.0, m.sign_yellow)]);
         let crossing = made(library, "crossing sign", 30.0, &SMALL, |s, level| {
@@ -275,19 +259,7 @@ impl Furniture {
                 model.glows = channels.into_iter().map(|(z, c)| ([x, 0.0, z], c)).collect();
             }
         }
-        Self {
-            lamp,
-            bench,
-            bin,
-            shelter,
-            limits,
-            give_way,
-            stop,
-            priority,
-            crossing,
-            signal,
-            pedestrian_signal,
-        }
+        Self { lamp, bench, bin, shelter, signs, priority, crossing, signal, pedestrian_signal }
     }
 }
 

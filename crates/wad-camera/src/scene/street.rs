@@ -182,10 +182,9 @@ pub(super) fn signs(site: &mut Site<'_>) {
             })
         };
         let say = |site: &mut Site<'_>, sign: Sign, s: f64| {
-            let (model, radius) = site.furniture.sign(sign);
-            if let Some(mut pose) = put(site, model, s) {
+            if let Some(mut pose) = put(site, site.furniture.signs[sign.index()], s) {
                 pose.position.z += f64::from(SIGN);
-                site.signs.push(PlacedSign { sign, pose, radius: f64::from(radius) });
+                site.signs.push(PlacedSign { sign, pose });
             }
         };
         // Where the limit differs from that of a road which leads here, and now and then otherwise.
@@ -196,9 +195,7 @@ pub(super) fn signs(site: &mut Site<'_>) {
             })
         });
         if length > 40.0 && (changed || number % 4 == 0) {
-            let kmh = (road.speed_limit * 3.6).round() as u32;
-            let shown = LIMITS.into_iter().min_by_key(|limit| limit.abs_diff(kmh)).unwrap_or(kmh);
-            say(site, Sign::Limit(shown), 14.0);
+            say(site, Sign::limit((road.speed_limit * 3.6).round() as u32), 14.0);
         }
         let links: Vec<_> = road.outgoing.iter().map(|&l| network.link(l)).collect();
         let signalled = links.iter().any(|l| l.signal.is_some());
@@ -220,11 +217,9 @@ pub(super) fn signs(site: &mut Site<'_>) {
         }
         if site.look.many_signs {
             for s in (1..).map(|n| APART * f64::from(n)).take_while(|s| *s < length - 8.0) {
-                let sign = match dice.next() as usize % (LIMITS.len() + 2) {
-                    0 => Sign::GiveWay,
-                    1 => Sign::Stop,
-                    n => Sign::Limit(LIMITS[n - 2]),
-                };
+                // So that 0 gives way, as in the towns that the bundled eyes have learned from.
+                let drawn = dice.next() as usize % Sign::KINDS;
+                let sign = Sign::of((drawn + LIMITS.len()) % Sign::KINDS);
                 say(site, sign, s + dice.between(-6.0, 6.0));
             }
         }

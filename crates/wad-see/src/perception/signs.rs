@@ -2,38 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 use sumo_network::geometry::{Point, Pose, Vector, wrap_angle};
-use wad_camera::model::{LIMITS, PlacedSign, Sign};
+use wad_camera::model::{PlacedSign, SIGN_RADIUS, Sign};
 use wad_camera::{Frame, View};
-
-/// Kinds of signs: the limits, give way, stop.
-pub const SIGNS: usize = LIMITS.len() + 2;
-
-/// A sign's number among [`SIGNS`].
-pub fn sign_index(sign: Sign) -> usize {
-    match sign {
-        Sign::Limit(kmh) => LIMITS.iter().position(|limit| *limit == kmh).unwrap_or(0),
-        Sign::GiveWay => LIMITS.len(),
-        Sign::Stop => LIMITS.len() + 1,
-    }
-}
-
-/// The sign with a number below [`SIGNS`].
-pub fn sign_of(index: usize) -> Sign {
-    match LIMITS.get(index) {
-        Some(limit) => Sign::Limit(*limit),
-        None if index == LIMITS.len() => Sign::GiveWay,
-        None => Sign::Stop,
-    }
-}
-
-/// What a sign says, in a word.
-pub fn says(sign: Sign) -> String {
-    match sign {
-        Sign::Limit(kmh) => kmh.to_string(),
-        Sign::GiveWay => "give way".to_string(),
-        Sign::Stop => "stop".to_string(),
-    }
-}
 
 /// A sign in a picture: a label.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -64,7 +34,7 @@ impl SignTruth {
             let Some(([u, v], distance)) = view.pixel(&one.pose.position).filter(|_| turn < SEEN_TURN) else {
                 continue;
             };
-            let radius = view.focal * one.radius as f32 / distance;
+            let radius = view.focal * SIGN_RADIUS / distance;
             let (w, h) = (frame.width as f32, frame.height as f32);
             if 2.0 * radius < LEAST || !(0.0..w).contains(&u) || !(0.0..h).contains(&v) {
                 continue;
@@ -118,7 +88,7 @@ struct Track {
     weight: f64,
     /// The ego's heading when it was last seen (rad).
     heading: f64,
-    votes: [f32; SIGNS],
+    votes: [f32; Sign::KINDS],
 }
 
 /// Places of a sign in two pictures lie within this, and this share of its distance (m).
@@ -147,22 +117,19 @@ impl SeenLimit {
             let at = pose.to_world(Vector::new(x, y));
             let near = SAME.0 + SAME.1 * x;
             let weight = f64::from(sign.certainty) / (x * x).max(1.0);
-            let away = |track: &Track| (track.at - at).norm();
-            let nearest = self.tracks.iter_mut().filter(|track| away(track) < near);
-            let track = match nearest.min_by(|a, b| away(a).total_cmp(&away(b))) {
-                Some(track) => track,
-                None => {
-                    self.tracks.push(Track { at, weight: 0.0, heading: pose.heading, votes: [0.0; SIGNS] });
-                    let Some(track) = self.tracks.last_mut() else { continue };
-                    track
-                }
-            };
+            let distances = self.tracks.iter().map(|track| (track.at - at).norm()).enumerate();
+            let nearest = distances.filter(|(_, away)| *away < near).min_by(|a, b| a.1.total_cmp(&b.1));
+            let number = nearest.map_or(self.tracks.len(), |(number, _)| number);
+            if number == self.tracks.len() {
+                self.tracks.push(Track { at, weight: 0.0, heading: pose.heading, votes: [0.0; Sign::KINDS] });
+            }
+            let track = &mut self.tracks[number];
             track.weight += weight;
             track.at += (at - track.at) * (weight / track.weight);
             track.heading = pose.heading;
             // Digits are two pixels high at 25 m.
             let read = (CLEAR / x.max(1.0)).powi(2).min(1.0) as f32;
-            track.votes[sign_index(sign.sign)] += sign.certainty * read;
+            track.votes[sign.sign.index()] += sign.certainty * read;
         }
         let mut passed: Option<u32> = None;
         self.tracks.retain(|track| {
@@ -172,8 +139,8 @@ impl SeenLimit {
             }
             let is_his = place.y.abs() < ASIDE && wrap_angle(track.heading - pose.heading).abs() < TURN;
             let all: f32 = track.votes.iter().sum();
-            let best = (0..SIGNS).max_by(|&a, &b| track.votes[a].total_cmp(&track.votes[b]));
-            if let (true, Some(Sign::Limit(kmh))) = (is_his && all >= SURE, best.map(sign_of)) {
+            let best = (0..Sign::KINDS).max_by(|&a, &b| track.votes[a].total_cmp(&track.votes[b]));
+            if let (true, Some(Sign::Limit(kmh))) = (is_his && all >= SURE, best.map(Sign::of)) {
                 passed = Some(kmh);
             }
             false
@@ -193,8 +160,8 @@ mod tests {
 
     #[test]
     fn every_sign_has_a_number() {
-        for index in 0..SIGNS {
-            assert_eq!(sign_index(sign_of(index)), index);
+        for index in 0..Sign::KINDS {
+            assert_eq!(Sign::of(index).index(), index);
         }
     }
 

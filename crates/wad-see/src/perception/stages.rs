@@ -2,7 +2,7 @@
 
 use super::coco::class_name;
 use super::paint::{BLUE, GREEN, RED, is_obstacle};
-use super::{Detection, GroundPlane, Percept, TRANSFORMED_SIZE, TransformedImage, colour, says};
+use super::{Detection, GroundPlane, Percept, TRANSFORMED_SIZE, TransformedImage, colour};
 use wad_camera::model::ObjectClass;
 use wad_camera::{Frame, Picture};
 
@@ -58,7 +58,7 @@ pub fn seen(frame: &Frame, percept: &Percept, ground: &GroundPlane) -> Picture {
 fn label_signs(picture: &mut Picture, percept: &Percept) {
     for sign in &percept.signs {
         let [x, y] = sign.pixel.map(|v| v.max(0.0) as usize);
-        let words = format!("{} {:.0}", says(sign.sign), 100.0 * sign.certainty);
+        let words = format!("{} {:.0}", sign.sign, 100.0 * sign.certainty);
         picture.label(&words, x, y.saturating_sub(20), 1);
     }
     if let Some(limit) = percept.limit {

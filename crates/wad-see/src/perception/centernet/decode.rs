@@ -3,12 +3,13 @@
 //! Light: 4 channels of 80 x 128 cells of 4 pixels: whether a head of the ego is here that shows red, yellow, green (before the
 //! sigmoid, as the heatmaps of objects); ln(1 + the stop line's distance / m). Lanes: left and right boundary, each 20 rows from
 //! the horizon down, each 65 numbers before their softmax: columns of 8 pixels, then none. Signs: 14 channels of 40 x 128 cells of 4
-//! pixels, round the horizon: whether a sign is here that says each of [`sign_of`] (before the sigmoid); ln(1 + distance / m).
+//! pixels, round the horizon: whether a sign is here that says each of [`Sign`] (before the sigmoid); ln(1 + distance / m).
 
 use super::kind::{Backbone, STRIDE};
-use crate::perception::{GroundPlane, LaneBoundary, LaneEstimate, SIGNS, Seen, SeenLight, SeenSign, sign_of};
+use crate::perception::{GroundPlane, LaneBoundary, LaneEstimate, Seen, SeenLight, SeenSign};
 use nalgebra::{Matrix4, Vector4};
 use sumo_network::world::SignalState;
+use wad_camera::model::Sign;
 
 /// Pixels of the picture per cell of the lanes' map.
 pub(super) const CELL: usize = 8;
@@ -27,12 +28,12 @@ pub(super) const LAMPS: usize = COLOURS.len();
 const COLOURS: [SignalState; 3] = [SignalState::Red, SignalState::Yellow, SignalState::GreenMajor];
 
 /// Channels of the signs' map.
-pub(super) const SIGN_CHANNELS: i64 = 1 + SIGNS as i64;
+pub(super) const SIGN_CHANNELS: i64 = 1 + Sign::KINDS as i64;
 /// The rows of cells in which signs are looked for (of those that the network sees): 112 pixels above the horizon to 48 below.
 pub(super) const SIGN_ROWS: [usize; 2] = [12, 52];
 
-/// The first of these rows in the picture (pixels): the network sees it from row 96 on.
-pub(super) const SIGN_TOP: usize = 96 + SIGN_ROWS[0] * STRIDE;
+/// The first of these rows in the picture (pixels).
+pub(super) const SIGN_TOP: usize = Backbone::Light.rows(2 * HORIZON).0 + SIGN_ROWS[0] * STRIDE;
 
 /// The middle of a row in the picture (pixels).
 pub(super) fn row_y(row: usize) -> f32 {
@@ -59,7 +60,7 @@ const APART: usize = 3;
 
 fn decode_signs(map: &[f32], ground: &GroundPlane) -> [Option<SeenSign>; 4] {
     let cells = map.len() / SIGN_CHANNELS as usize;
-    let (heat, distances) = map.split_at(SIGNS * cells);
+    let (heat, distances) = map.split_at(Sign::KINDS * cells);
     let least = (LEAST_SIGN / (1.0 - LEAST_SIGN)).ln();
     let sure = heat.iter().enumerate().filter(|(_, x)| **x >= least);
     let mut sure: Vec<(f32, usize, usize)> = sure.map(|(at, x)| (*x, at / cells, at % cells)).collect();
@@ -75,7 +76,7 @@ fn decode_signs(map: &[f32], ground: &GroundPlane) -> [Option<SeenSign>; 4] {
         let pixel = at.map(|cell| (cell * STRIDE + STRIDE / 2) as f32);
         let depth = distances[cell].clamp(0.0, 5.0).exp_m1();
         *place = Some(SeenSign {
-            sign: sign_of(index),
+            sign: Sign::of(index),
             at: ground.ahead(pixel[0], depth),
             pixel: [pixel[0], pixel[1] + SIGN_TOP as f32],
             certainty: sigmoid(x),

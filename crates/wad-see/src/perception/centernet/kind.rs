@@ -32,7 +32,7 @@ impl Backbone {
     ///
     /// The light one leaves out the sky and the bonnet: objects more than 32 degrees above or below are
     /// nearer than 6 m or higher than 8 m.
-    pub fn rows(self, height: usize) -> (usize, usize) {
+    pub const fn rows(self, height: usize) -> (usize, usize) {
         match self {
             Self::Light if height.is_multiple_of(512) => (height * 3 / 16, height * 5 / 8),
             _ => (0, height),

@@ -7,8 +7,9 @@ use super::loss::focal;
 use super::road::{RoadAnswer, WHOLE};
 use super::targets::{NO_MATTER, Wanted, encode};
 use crate::perception::road_truth::y_at;
-use crate::perception::{GroundPlane, RoadWanted, SIGNS, sign_index};
+use crate::perception::{GroundPlane, RoadWanted};
 use tch::{Device, Kind, TchError, Tensor};
+use wad_camera::model::Sign;
 
 /// Deviation of a boundary's column in the target (cells).
 const SPREAD: f32 = 0.7;
@@ -87,7 +88,7 @@ impl RoadTargets {
     fn add_signs(&mut self, n: usize, wanted: Option<&RoadWanted>) {
         let [w, h] = SIGN_MAP;
         let signs = wanted.and_then(|wanted| wanted.signs.as_deref());
-        let planes = SIGNS * w * h;
+        let planes = Sign::KINDS * w * h;
         self.signs.resize((n + 1) * planes, if signs.is_some() { 0.0 } else { NO_MATTER });
         let Some(signs) = signs else { return };
         let (mut boxes, mut distances) = (Vec::new(), Vec::new());
@@ -97,10 +98,10 @@ impl RoadTargets {
             let middle = 0.5 * (bounds[1] + bounds[3]);
             let one = |class, ignored| Wanted { class, bounds, ignored };
             if sign.is_plain && (0.0..(h * STRIDE) as f32).contains(&middle) {
-                boxes.push(one(sign_index(sign.sign), false));
+                boxes.push(one(sign.sign.index(), false));
                 distances.push(sign.distance.max(0.0).ln_1p());
             } else {
-                boxes.extend((0..SIGNS).map(|class| one(class, true)));
+                boxes.extend((0..Sign::KINDS).map(|class| one(class, true)));
             }
         }
         // Centres come in the order of the boxes that count.
@@ -189,7 +190,6 @@ mod tests {
     use crate::perception::{Seen, SignTruth};
     use sumo_network::world::SignalState;
     use wad_camera::CameraConfig;
-    use wad_camera::model::Sign;
 
     fn ground() -> GroundPlane {
         GroundPlane::new(&CameraConfig::default())
@@ -225,11 +225,11 @@ mod tests {
         }
         assert_eq!(targets.cells.len(), 2);
         let [w, h] = SIGN_MAP;
-        let mut signs = vec![-9.0; (SIGNS + 1) * w * h];
+        let mut signs = vec![-9.0; (Sign::KINDS + 1) * w * h];
         for (out, heat) in signs.iter_mut().zip(&targets.signs) {
             *out = if *heat == 1.0 { 3.0 } else { -9.0 };
         }
-        signs[SIGNS * w * h + targets.sign_cells[0] as usize] = targets.sign_distances[0];
+        signs[Sign::KINDS * w * h + targets.sign_cells[0] as usize] = targets.sign_distances[0];
         let seen = decode(&[light, lanes, signs], &ground());
         let [Some(sign), None, ..] = seen.signs else { panic!("{:?}", seen.signs) };
         assert!(sign.sign == Sign::Limit(50) && (sign.pixel[0] - 356.0).abs() <= 2.0, "{sign:?}");
