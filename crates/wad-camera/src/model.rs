@@ -313,6 +313,15 @@ impl Sign {
         }
     }
 
+    /// From the middle of its plate to its rim, a triangle's corners (m).
+    pub const fn radius(self) -> f32 {
+        match self {
+            Self::Limit(_) => 0.33,
+            Self::GiveWay => 0.5,
+            Self::Stop => 0.4,
+        }
+    }
+
     /// The limit that is nearest to one (km/h).
     pub fn limit(kmh: u32) -> Self {
         Self::Limit(LIMITS.into_iter().min_by_key(|limit| limit.abs_diff(kmh)).unwrap_or(kmh))
@@ -328,9 +337,6 @@ impl fmt::Display for Sign {
         }
     }
 }
-
-/// The radius of a sign's plate (m): a limit's; the others are somewhat larger.
-pub const SIGN_RADIUS: f32 = 0.33;
 
 /// A sign at the roadside.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,7 +1,7 @@
 //! Street lamps, benches, bins, bus shelters, signs: small things that are placed many times.
 
 use super::materials::Materials;
-use crate::model::{Channel, LIMITS, Level, Library, MaterialId, Model, ModelId, SIGN_RADIUS};
+use crate::model::{Channel, LIMITS, Level, Library, MaterialId, Model, ModelId, Sign};
 use crate::shape::{Shaper, V3, bounds_of};
 use std::f32::consts::TAU;
 
@@ -195,9 +195,9 @@ impl Furniture {
             .map(|limit: u32| {
                 made(library, "speed limit", 30.0, &SMALL, |s, level| {
                     post(s, m, level);
-                    let n = [20, 8][level];
-                    disc(s, 0.0, SIGN, SIGN_RADIUS, n, 0.0, m.sign_red);
-                    disc_back(s, 0.015, SIGN, SIGN_RADIUS, n, 0.0, m.sign_back);
+                    let (n, radius) = ([20, 8][level], Sign::Limit(limit).radius());
+                    disc(s, 0.0, SIGN, radius, n, 0.0, m.sign_red);
+                    disc_back(s, 0.015, SIGN, radius, n, 0.0, m.sign_back);
                     disc(s, -0.008, SIGN, 0.25, n, 0.0, m.sign_white);
                     let text = limit.to_string();
                     let (w, gap) = (0.115, 0.045);
@@ -228,8 +228,16 @@ impl Furniture {
             })
         };
         signs.extend([
-            sign(library, "give way", vec![(0.5, 3, 0.75, m.sign_red), (0.33, 3, 0.75, m.sign_white)]),
-            sign(library, "stop", vec![(0.40, 8, 0.0625, m.sign_white), (0.37, 8, 0.0625, m.sign_red)]),
+            sign(
+                library,
+                "give way",
+                vec![(Sign::GiveWay.radius(), 3, 0.75, m.sign_red), (0.33, 3, 0.75, m.sign_white)],
+            ),
+            sign(
+                library,
+                "stop",
+                vec![(Sign::Stop.radius(), 8, 0.0625, m.sign_white), (0.37, 8, 0.0625, m.sign_red)],
+            ),
         ]);
         let priority =
             sign(library, "priority", vec![(0.42, 4, 0.0, m.sign_white), (0.31, 4, 0.0, m.sign_yellow)]);

@@ -161,7 +161,7 @@ impl Side<'_> {
 }
 
 /// Between signs, where there are many (m).
-const APART: f64 = 22.0;
+const APART: f64 = 7.0;
 
 /// Signs at every road; before anything else, so that they find their places.
 pub(super) fn signs(site: &mut Site<'_>) {
@@ -220,7 +220,7 @@ pub(super) fn signs(site: &mut Site<'_>) {
                 // So that 0 gives way, as in the towns that the bundled eyes have learned from.
                 let drawn = dice.next() as usize % Sign::KINDS;
                 let sign = Sign::of((drawn + LIMITS.len()) % Sign::KINDS);
-                say(site, sign, s + dice.between(-6.0, 6.0));
+                say(site, sign, s + dice.between(-2.0, 2.0));
             }
         }
     }

@@ -5,7 +5,7 @@
 //! often. After it comes validation: COCO's mAP@0.5 of boxes 24 px high or more, on shards that were not
 //! trained on. The best network so far is exported in half precision, and a checkpoint written.
 
-use super::detector_data::{SIDE, Sample, Show, epoch, samples, steps};
+use super::detector_data::{Plate, SIDE, Sample, Show, epoch, plates, samples, steps};
 pub use super::run::TrainError;
 use super::run::{self, Pass, Training};
 use crate::dataset::Dataset;
@@ -18,7 +18,7 @@ use std::time::Instant;
 use sumo_network::seeds;
 use tch::{Device, Kind, Tensor};
 use wad_see::perception::centernet::loss::loss;
-use wad_see::perception::centernet::road_targets::{road_loss, signs_loss};
+use wad_see::perception::centernet::road_targets::{reading_loss, road_loss, signs_loss};
 use wad_see::perception::centernet::{Backbone, CenterNet, CenterNetDetector, Sees, Watcher};
 use wad_see::perception::coco::{class_index, class_name};
 use wad_see::perception::metrics::{Found, Scored, average_precision, mean};
@@ -205,6 +205,8 @@ struct Trainer<'a> {
     adam: AdamW,
     reached: Reached,
     training: Vec<Sample>,
+    /// Of signs in them, where nothing but signs is learned.
+    plates: Vec<Plate>,
     /// Batches per epoch.
     epoch_steps: u64,
     validation: Vec<Sample>,
@@ -315,6 +317,7 @@ impl<'a> Trainer<'a> {
         };
         let made_of = datasets.iter().map(said).collect::<Vec<_>>().join("; and ");
         let epoch_steps = steps(&training, options.only_signs, options.batch, options.epoch_steps) as u64;
+        let plates = if options.only_signs { plates(&training)? } else { Vec::new() };
         let began = Instant::now();
         Ok(Self {
             options,
@@ -323,6 +326,7 @@ impl<'a> Trainer<'a> {
             adam,
             reached,
             training,
+            plates,
             epoch_steps,
             validation,
             made_of,
@@ -370,7 +374,7 @@ impl Training for Trainer<'_> {
         let number = self.reached.walk.epoch;
         let began = Instant::now();
         let steps = self.steps();
-        let samples = std::mem::take(&mut self.training);
+        let (samples, plates) = (std::mem::take(&mut self.training), std::mem::take(&mut self.plates));
         let (mut sum, mut looks, mut interrupted, mut shown) = (0.0, 0_u64, false, 0_u64);
         let result = epoch(
             Show {
@@ -379,6 +383,7 @@ impl Training for Trainer<'_> {
                 window: options.window,
                 vary: options.vary,
                 only_signs: options.only_signs,
+                plates: &plates,
             },
             &samples,
             self.epoch_steps as usize,
@@ -393,7 +398,7 @@ impl Training for Trainer<'_> {
                 let precision = if options.bfloat16 { Kind::BFloat16 } else { Kind::Float };
                 let pictures = pictures.f_to_kind(precision)?;
                 let answer = self.network.forward(&pictures, true)?;
-                let total = match (&answer.road, batch.road()) {
+                let mut total = match (&answer.road, batch.road()) {
                     (Some(answer), Some(targets)) if options.only_signs => {
                         signs_loss(answer, targets, self.device)?
                     }
@@ -402,6 +407,12 @@ impl Training for Trainer<'_> {
                     }
                     _ => loss(&answer, &target)?.total()?,
                 };
+                if let Some(road) = &answer.road
+                    && let Some((plates, said)) = batch.plates(&road.signs, self.device)?
+                    && let Some(answer) = self.network.read_signs(&plates)?
+                {
+                    total = total.f_add(&reading_loss(&answer, &said, self.device)?)?;
+                }
                 let rate = self.rate();
                 let is_good = self.adam.step(&total, rate, LONGEST)?;
                 let (value, step) = (total.f_double_value(&[])?, self.reached.walk.step);
@@ -417,7 +428,7 @@ impl Training for Trainer<'_> {
                 Ok(self.options.time_limit.is_none_or(|limit| self.seconds() < limit))
             },
         );
-        self.training = samples;
+        (self.training, self.plates) = (samples, plates);
         result?;
         if interrupted {
             return Ok(None);

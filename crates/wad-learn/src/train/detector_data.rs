@@ -8,14 +8,16 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use sumo_network::seeds;
 use tch::{Device, Kind, TchError, Tensor};
 use wad_camera::CameraConfig;
-use wad_camera::model::ObjectClass;
+use wad_camera::model::{ObjectClass, Sign};
+use wad_see::perception::centernet::decode::decode_signs;
+use wad_see::perception::centernet::reader::{self, PLATE};
 use wad_see::perception::centernet::road_targets::RoadTargets;
 use wad_see::perception::centernet::targets::{Centre, Wanted, Window, encode};
 use wad_see::perception::centernet::{Backbone, kind::STRIDE, loss::Target};
 use wad_see::perception::coco::class_index;
 use wad_see::perception::metrics::{Scored, Truth};
 use wad_see::perception::score::{LEAST_VISIBLE, visible_share};
-use wad_see::perception::{GroundPlane, RoadWanted};
+use wad_see::perception::{GroundPlane, RoadWanted, SignTruth};
 
 /// Lowest box that is trained on (pixels): lower ones count neither as object nor as background.
 const LEAST_HEIGHT: f32 = 8.0;
@@ -76,7 +78,7 @@ impl Sample {
 
     /// Whether signs are in it that are to be read.
     fn has_signs(&self) -> bool {
-        self.road.iter().flat_map(|road| &road.signs).flatten().any(|sign| sign.is_plain)
+        plain(self.road.as_ref()).next().is_some()
     }
 
     /// The ground truth to score a detector by; its detections are to be added.
@@ -88,6 +90,11 @@ impl Sample {
         });
         Scored { truths: truths.collect(), found: Vec::new() }
     }
+}
+
+/// The signs that are to be read.
+fn plain(road: Option<&RoadWanted>) -> impl Iterator<Item = &SignTruth> {
+    road.into_iter().flat_map(|road| &road.signs).flatten().filter(|sign| sign.is_plain)
 }
 
 fn is_hidden(object: &BoxRecord) -> bool {
@@ -179,7 +186,7 @@ fn order(repeats: &[f64], seed: u64, epoch: u64) -> Vec<usize> {
 /// empty road. The last steps use whole pictures, fewer at a time, so that batch norm ends with the
 /// statistics of whole pictures.
 #[derive(Clone, Copy, Debug)]
-pub struct Show {
+pub struct Show<'a> {
     /// The feature extractor.
     pub backbone: Backbone,
     /// Pictures per step with small windows.
@@ -190,6 +197,8 @@ pub struct Show {
     pub vary: bool,
     /// Nothing but the head for signs learns: frames with signs that are to be read, and a quarter of the others.
     pub only_signs: bool,
+    /// Signs that are copied into whole pictures; for training nothing but signs, since they hide what is there.
+    pub plates: &'a [Plate],
 }
 
 /// Share of an epoch's steps that use whole pictures.
@@ -199,7 +208,7 @@ const ANYWHERE: f64 = 0.2;
 /// Small windows cut from a picture once it is decoded, which costs a tenth as much as a training step.
 const WINDOWS: usize = 2;
 
-impl Show {
+impl Show<'_> {
     /// Windows per picked sample, for windows of this size.
     fn per_sample(&self, size: (usize, usize)) -> usize {
         if size.1 < self.whole().height { WINDOWS } else { 1 }
@@ -257,12 +266,15 @@ pub struct Batch {
     centres: Vec<(usize, Centre)>,
     /// For whole pictures.
     road: Option<RoadTargets>,
+    /// Of whole pictures: the signs in each, and the plates (3 x 24 x 24) of those that are to be read with what they say.
+    signs: Vec<Vec<SignTruth>>,
+    plates: (Vec<f32>, Vec<i64>),
 }
 
 impl Batch {
     /// `count` windows of the picked samples, mirrored at random, their weather varied.
     fn new(
-        show: &Show,
+        show: &Show<'_>,
         samples: &[Sample],
         (picked, count): (&[usize], usize),
         size: (usize, usize),
@@ -278,11 +290,12 @@ impl Batch {
             heat: vec![0.0; count * cells],
             centres: Vec::new(),
             road: None,
+            signs: Vec::new(),
+            plates: Default::default(),
         };
         let cuts_rows = height < show.whole().height;
         let is_whole = (width, height) == (SIDE, show.whole().height);
-        let ground = GroundPlane::new(&CameraConfig::default());
-        let mut roads = is_whole.then(RoadTargets::default);
+        let mut roads = Vec::with_capacity(count);
         let mut rgb = Vec::new();
         let mut decoded = None;
         for n in 0..count {
@@ -296,13 +309,18 @@ impl Batch {
             for y in window.top..window.top + height {
                 batch.pixels.extend(&rgb[(y * SIDE + window.left) * 3..][..width * 3]);
             }
+            let mut road = samples[index].road.clone().filter(|_| is_whole);
+            let signs = road.as_mut().and_then(|road| road.signs.as_mut());
+            if let Some(signs) = signs.filter(|_| !show.plates.is_empty()) {
+                copied_signs::copy(show.plates, &mut batch.pixels[start..], window.top, signs, rng);
+            }
             if show.vary {
                 let Window { left, top, .. } = window;
                 let view = View { left, top, width, objects: &samples[index].objects };
                 weathering::weather(&mut batch.pixels[start..], view, rng);
             }
             // In a mirror nobody can read.
-            let mirrored = rng.random::<bool>() && !samples[index].has_signs();
+            let mirrored = rng.random::<bool>() && plain(road.as_ref()).next().is_none();
             if mirrored {
                 for row in batch.pixels[start..].chunks_exact_mut(3 * width) {
                     row.as_chunks_mut::<3>().0.reverse();
@@ -318,13 +336,20 @@ impl Batch {
             let shown: Vec<Wanted> = shown.collect();
             let centres = encode(&shown, shape, &mut batch.heat[n * cells..][..cells]);
             batch.centres.extend(centres.into_iter().map(|c| (n, c)));
-            if let Some(roads) = &mut roads {
-                let road = samples[index].road.clone();
-                let road = road.map(|road| if mirrored { road.mirrored(width as f32) } else { road });
-                roads.add(road.as_ref(), &ground);
+            roads.push(road.map(|road| if mirrored { road.mirrored(width as f32) } else { road }));
+        }
+        if is_whole {
+            let ground = GroundPlane::new(&CameraConfig::default());
+            let targets = batch.road.insert(RoadTargets::default());
+            roads.iter().for_each(|road| targets.add(road.as_ref(), &ground));
+            for (road, picture) in roads.iter().zip(batch.pixels.chunks_exact(bytes)) {
+                batch.signs.push(road.iter().flat_map(|road| road.signs.iter().flatten().copied()).collect());
+                for sign in plain(road.as_ref()) {
+                    batch.plates.0.extend(plate_of(sign, picture, show.whole().top, rng));
+                    batch.plates.1.push(sign.sign.index() as i64);
+                }
             }
         }
-        batch.road = roads;
         Ok(batch)
     }
 
@@ -336,6 +361,42 @@ impl Batch {
     /// The road's targets, of whole pictures.
     pub fn road(&self) -> Option<&RoadTargets> {
         self.road.as_ref()
+    }
+
+    /// The plates of signs (n, 3, 24, 24), and what they say (n), with what the head for signs (n, 14, h, w) found where
+    /// none is; None where there are none.
+    ///
+    /// # Errors
+    /// torch fails.
+    pub fn plates(&self, found: &Tensor, device: Device) -> Result<Option<(Tensor, Vec<i64>)>, TchError> {
+        let (mut plates, mut said) = self.plates.clone();
+        let ground = GroundPlane::new(&CameraConfig::default());
+        let found = found.f_detach()?.f_to_device(Device::Cpu)?.f_contiguous()?;
+        let mut map = vec![0.0; found.numel() / self.count.max(1)];
+        let top = Backbone::Light.rows(SIDE).0;
+        let pictures = self.pixels.chunks_exact(self.pixels.len() / self.count.max(1));
+        for (n, (picture, signs)) in pictures.zip(&self.signs).enumerate() {
+            let one = found.f_get(n as i64)?;
+            one.f_copy_data(&mut map, one.numel())?;
+            for sign in decode_signs(&map, &ground).into_iter().flatten() {
+                let [x, y] = sign.pixel;
+                let is_near = |truth: &SignTruth| {
+                    let [l, t, r, b] = truth.bounds;
+                    let most = NEAR + 0.5 * (r - l);
+                    (x - 0.5 * (l + r)).abs() < most && (y - 0.5 * (t + b)).abs() < most
+                };
+                if !signs.iter().any(is_near) {
+                    plates.extend(reader::plate(picture, SIDE, [x, y - top as f32], sign.radius));
+                    said.push(Sign::KINDS as i64);
+                }
+            }
+        }
+        if said.is_empty() {
+            return Ok(None);
+        }
+        let side = PLATE as i64;
+        let plates = Tensor::f_from_slice(&plates)?.f_view([-1, 3, side, side])?.f_to_device(device)?;
+        Ok(Some((plates, said)))
     }
 
     /// Pictures (n, 3, height, width) from 0 to 1, and their targets.
@@ -361,13 +422,26 @@ impl Batch {
     }
 }
 
+/// What is found this far beyond a sign's plate may be meant for it (pixels).
+const NEAR: f32 = 6.0;
+/// How far a sign is found from where it is (pixels), and how far from as large as it is (its share).
+const FOUND: (f32, f32) = (2.2, 0.12);
+
+/// The picture of a sign's plate as one who found it sees it, in a picture that begins with row `top` of the camera's.
+fn plate_of(sign: &SignTruth, picture: &[u8], top: usize, rng: &mut impl RngExt) -> Vec<f32> {
+    let [l, t, r, b] = sign.bounds;
+    let mut off = |most: f32| rng.random_range(-most..=most);
+    let middle = [0.5 * (l + r) + off(FOUND.0), 0.5 * (t + b) - top as f32 + off(FOUND.0)];
+    reader::plate(picture, SIDE, middle, 0.5 * (r - l) * (1.0 + off(FOUND.1)))
+}
+
 /// Makes the batches of an epoch on `workers` threads and passes each to `take`, in an order that does not
 /// depend on their number. `take` says whether to go on.
 ///
 /// # Errors
 /// A picture is damaged, or `take` fails.
 pub fn epoch<E: From<DatasetError>>(
-    show: Show,
+    show: Show<'_>,
     samples: &[Sample],
     steps: usize,
     (seed, epoch): (u64, u64),
@@ -417,6 +491,9 @@ pub fn steps(samples: &[Sample], only_signs: bool, batch: usize, most: usize) ->
     let shown: f64 = repeats(samples, only_signs).iter().sum();
     ((shown as usize / batch.max(1)).max(1)).min(most)
 }
+
+mod copied_signs;
+pub use copied_signs::{Plate, plates};
 
 #[cfg(test)]
 mod tests;

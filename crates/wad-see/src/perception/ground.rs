@@ -42,6 +42,11 @@ impl GroundPlane {
         [eye.x as f32 + ray[0] * depth, eye.y as f32 + ray[1] * depth]
     }
 
+    /// How large (pixels) something of this size (m) is that is `depth` (m) before the camera along its axis.
+    pub fn pixels(&self, size: f32, depth: f32) -> f32 {
+        self.view.focal * size / depth.max(0.1)
+    }
+
     /// Change of distance (m) per pixel up or down, for a point on the ground at `x` (m ahead).
     pub fn metres_per_row(&self, x: f32) -> f32 {
         let ahead = (x - self.view.eye.x as f32).max(0.5);

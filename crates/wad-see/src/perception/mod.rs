@@ -44,7 +44,7 @@ pub use light::{AT_INTERSECTION, LightAhead, SeenLights, StopLight};
 pub use onnx::OnnxDetector;
 pub use pipeline::{Percept, Perception};
 pub use road_truth::{Heads, RoadTruth, RoadWanted, colour};
-pub use signs::{SeenLimit, SeenSign, SignTruth};
+pub use signs::{IN_TOWNS, SeenLimit, SeenSign, SignTruth};
 pub use truth::{Faults, TruthDetector};
 
 use sumo_network::world::SignalState;

@@ -7,8 +7,8 @@ use super::light::{LightAhead, SeenLights, StopLight};
 use super::paint::Painter;
 use super::sight_score::{LightCounts, LimitCounts};
 use super::{
-    Detection, Detector, GroundPlane, LaneDetector, LaneEstimate, PerceptionError, SeenLimit, SeenSign,
-    TransformedImage,
+    Detection, Detector, GroundPlane, IN_TOWNS, LaneDetector, LaneEstimate, PerceptionError, SeenLimit,
+    SeenSign, TransformedImage,
 };
 use crate::observation::{LeadState, RawState};
 use wad_camera::{CameraConfig, Frame, Outputs};
@@ -26,7 +26,8 @@ pub struct Percept {
     pub light_red: bool,
     /// Signs in the picture; none where the detector sees none.
     pub signs: Vec<SeenSign>,
-    /// The speed limit that the last sign set (km/h); None before the first, and where the detector sees none.
+    /// The speed limit that the last sign set, before the first that [within towns](super::IN_TOWNS) (km/h); None
+    /// where the detector sees no signs.
     pub limit: Option<u32>,
     /// The road user in the ego's path. The nearer of it and `crossing` is the raw state's vehicle in
     /// front.
@@ -164,8 +165,11 @@ impl Perception {
                 self.light_counts.note(facts, there.as_ref(), believed.as_ref());
                 self.percept.signs.clear();
                 self.percept.signs.extend(seen.signs.iter().flatten());
-                self.percept.limit = self.seen_limit.update(&self.percept.signs, &facts.on_route.state.pose);
-                self.limit_counts.note(facts, self.percept.limit);
+                let signed = self.seen_limit.update(&self.percept.signs, &facts.on_route.state.pose);
+                let limit = signed.unwrap_or(IN_TOWNS);
+                tracing::debug!("limit: {:?} seen, {signed:?} by signs", self.percept.signs);
+                self.percept.limit = Some(limit);
+                self.limit_counts.note(facts, limit, signed.is_some());
                 believed
             }
             None => LightAhead::find(facts),

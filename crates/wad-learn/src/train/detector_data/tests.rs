@@ -17,8 +17,8 @@ pub(in crate::train) fn sample(class: ObjectClass, bounds: [u32; 4]) -> Sample {
     Sample { picture: Picture::Bytes(png), objects: vec![object], road: None }
 }
 
-fn show(window: Option<(usize, usize)>) -> Show {
-    Show { backbone: Backbone::Light, batch: 16, window, vary: false, only_signs: false }
+fn show(window: Option<(usize, usize)>) -> Show<'static> {
+    Show { backbone: Backbone::Light, batch: 16, window, vary: false, only_signs: false, plates: &[] }
 }
 
 #[test]

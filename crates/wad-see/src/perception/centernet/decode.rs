@@ -32,8 +32,11 @@ pub(super) const SIGN_CHANNELS: i64 = 1 + Sign::KINDS as i64;
 /// The rows of cells in which signs are looked for (of those that the network sees): 112 pixels above the horizon to 48 below.
 pub(super) const SIGN_ROWS: [usize; 2] = [12, 52];
 
-/// The first of these rows in the picture (pixels).
-pub(super) const SIGN_TOP: usize = Backbone::Light.rows(2 * HORIZON).0 + SIGN_ROWS[0] * STRIDE;
+/// The first of these rows in the picture, and the one behind the last (pixels).
+pub const SIGN_BAND: [usize; 2] = {
+    let top = Backbone::Light.rows(2 * HORIZON).0;
+    [top + SIGN_ROWS[0] * STRIDE, top + SIGN_ROWS[1] * STRIDE]
+};
 
 /// The middle of a row in the picture (pixels).
 pub(super) fn row_y(row: usize) -> f32 {
@@ -58,16 +61,31 @@ fn sigmoid(x: f32) -> f32 {
 /// Two signs are at least this many cells apart.
 const APART: usize = 3;
 
-fn decode_signs(map: &[f32], ground: &GroundPlane) -> [Option<SeenSign>; 4] {
+/// The signs of one picture by the answers of their head, the surest first.
+pub fn decode_signs(map: &[f32], ground: &GroundPlane) -> [Option<SeenSign>; 4] {
     let cells = map.len() / SIGN_CHANNELS as usize;
     let (heat, distances) = map.split_at(Sign::KINDS * cells);
-    let least = (LEAST_SIGN / (1.0 - LEAST_SIGN)).ln();
-    let sure = heat.iter().enumerate().filter(|(_, x)| **x >= least);
-    let mut sure: Vec<(f32, usize, usize)> = sure.map(|(at, x)| (*x, at / cells, at % cells)).collect();
+    // For each cell that may be one: that it is any, and which it is most likely.
+    let mut best: Vec<(f32, usize)> = vec![(f32::MIN, 0); cells];
+    for (index, plane) in heat.chunks_exact(cells.max(1)).enumerate() {
+        for (best, x) in best.iter_mut().zip(plane) {
+            if *x > best.0 {
+                *best = (*x, index);
+            }
+        }
+    }
+    let least = LEAST_SIGN / Sign::KINDS as f32;
+    let least = (least / (1.0 - least)).ln();
+    let likely = best.iter().enumerate().filter(|(_, (x, _))| *x >= least);
+    let any =
+        |cell: usize| 1.0 - heat[cell..].iter().step_by(cells).map(|x| 1.0 - sigmoid(*x)).product::<f32>();
+    let mut sure: Vec<(f32, usize, usize)> =
+        likely.map(|(cell, (_, index))| (any(cell), *index, cell)).collect();
+    sure.retain(|(certainty, ..)| *certainty >= LEAST_SIGN);
     sure.sort_by(|a, b| b.0.total_cmp(&a.0));
     let mut found = [None; 4];
     let mut taken: Vec<[usize; 2]> = Vec::new();
-    for (x, index, cell) in sure {
+    for (certainty, index, cell) in sure {
         let at = [cell % MAP_WIDTH, cell / MAP_WIDTH];
         if taken.iter().any(|other| (0..2).all(|k| other[k].abs_diff(at[k]) < APART)) {
             continue;
@@ -78,8 +96,9 @@ fn decode_signs(map: &[f32], ground: &GroundPlane) -> [Option<SeenSign>; 4] {
         *place = Some(SeenSign {
             sign: Sign::of(index),
             at: ground.ahead(pixel[0], depth),
-            pixel: [pixel[0], pixel[1] + SIGN_TOP as f32],
-            certainty: sigmoid(x),
+            pixel: [pixel[0], pixel[1] + SIGN_BAND[0] as f32],
+            radius: ground.pixels(Sign::of(index).radius(), depth),
+            certainty,
         });
         taken.push(at);
     }

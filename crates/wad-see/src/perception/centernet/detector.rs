@@ -5,9 +5,10 @@ use super::graph::{self, Numbers, PICTURE, Ranges};
 use super::kind::{self, Backbone, CLASSES, STRIDE, Sees};
 #[cfg(feature = "learn")]
 use super::network::CenterNet;
+use super::reader::{self, SignReader};
 use crate::inference::{self, InferenceError};
 use crate::perception::heads::{self, Head, Tensor as Output};
-use crate::perception::{Detection, Detector, GroundPlane, PerceptionError, Seen};
+use crate::perception::{Detection, Detector, GroundPlane, PerceptionError, Seen, SeenSign};
 use crate::weights::{Weights, WeightsError};
 use std::path::Path;
 #[cfg(feature = "learn")]
@@ -23,6 +24,8 @@ pub struct CenterNetDetector {
     min_score: f32,
     outputs: Outputs,
     ground: GroundPlane,
+    /// Where it sees signs.
+    reader: Option<SignReader>,
     seen: Option<Seen>,
 }
 
@@ -127,7 +130,10 @@ impl CenterNetDetector {
                 let numbers = ranges.as_ref().map_or(Numbers::Single, Numbers::Whole);
                 let ir = graph::graph(weights, sees, numbers)?;
                 let engine = Engine::OpenVino { network: inference::Network::new(&ir, &SHAPE)?, sees };
-                Ok(Self::of(name, Backbone::Light, engine, min_score))
+                let reader = (sees == Sees::Road)
+                    .then(|| SignReader::new(|name, shape| weights.floats(name, shape)))
+                    .transpose()?;
+                Ok(Self::of(name, Backbone::Light, engine, reader, min_score))
             }
         }
     }
@@ -144,13 +150,19 @@ impl CenterNetDetector {
         min_score: f32,
     ) -> Result<Self, TchError> {
         network.fold()?;
-        let backbone = network.backbone;
-        Ok(Self::of(name, backbone, Engine::Torch { network: Box::new(network), device }, min_score))
+        let (backbone, reader) = (network.backbone, network.sign_reader()?);
+        Ok(Self::of(name, backbone, Engine::Torch { network: Box::new(network), device }, reader, min_score))
     }
 
-    fn of(name: String, backbone: Backbone, engine: Engine, min_score: f32) -> Self {
+    fn of(
+        name: String,
+        backbone: Backbone,
+        engine: Engine,
+        reader: Option<SignReader>,
+        min_score: f32,
+    ) -> Self {
         let ground = GroundPlane::new(&CameraConfig::default());
-        Self { name, backbone, engine, min_score, outputs: Outputs::default(), ground, seen: None }
+        Self { name, backbone, engine, min_score, outputs: Outputs::default(), ground, reader, seen: None }
     }
 
     /// The backbone.
@@ -195,6 +207,16 @@ impl CenterNetDetector {
         })?;
         let Outputs { shape: [h, w], maps: [heat, sizes, offsets, road @ ..], sees_road } = &self.outputs;
         self.seen = sees_road.then(|| decode::decode(road, &self.ground));
+        if let (Some(seen), Some(reader)) = (&mut self.seen, &self.reader) {
+            for place in &mut seen.signs {
+                *place = place.and_then(|found| {
+                    let plate = reader::plate(rgb, width, found.pixel, found.radius);
+                    let (sign, likely) = reader.read(&plate)?;
+                    let certainty = found.certainty * likely;
+                    (certainty >= LEAST_READ).then_some(SeenSign { sign, certainty, ..found })
+                });
+            }
+        }
         let tensors = [
             Output { name: "heat", shape: &[CLASSES as usize, *h, *w], values: heat },
             Output { name: "size", shape: &[2, *h, *w], values: sizes },
@@ -212,6 +234,9 @@ impl CenterNetDetector {
         Ok(found)
     }
 }
+
+/// Least certainty that a sign is there and says what was read.
+const LEAST_READ: f32 = 0.6;
 
 /// The shape of OpenVINO's input.
 const SHAPE: [usize; 4] = [1, PICTURE[0], PICTURE[1], 3];
@@ -330,8 +355,8 @@ impl Watcher {
         Ok(())
     }
 
-    /// The same weights with the ranges: the means over the pictures. The first of them are those of `before`, of which
-    /// the network was made and which computes alike as far as they reach.
+    /// The same weights with the ranges: the means over the pictures. Those that are not of the head for signs are those of
+    /// `before`, of which the network was made and which differs in that head alone.
     ///
     /// # Errors
     /// Those of `before` cannot be read.
@@ -339,7 +364,8 @@ impl Watcher {
         let ranges = self.ranges.iter().map(|sum| (sum / self.pictures.max(1) as f32).max(1e-6));
         let mut ranges: Ranges = ranges.collect();
         let kept = before.map(graph::ranges).transpose()?.flatten().unwrap_or_default();
-        for (range, kept) in ranges.iter_mut().zip(kept) {
+        let others = ranges.len() - graph::SIGN_RANGES.min(ranges.len());
+        for (range, kept) in ranges[..others].iter_mut().zip(kept) {
             *range = kept;
         }
         graph::set_ranges(&mut weights, &ranges);

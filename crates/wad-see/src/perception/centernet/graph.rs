@@ -23,6 +23,9 @@ pub(super) const HIDDEN: i64 = 32;
 pub(super) const COLOURS: i64 = 8;
 /// Channels of what the head for signs sees of the picture itself, at stride 2.
 pub(super) const SIGN_STEM: i64 = 16;
+/// Channels of the network that reads a sign's plate: of its convolutions, and between its last layers.
+pub(super) const READ: [i64; 2] = [16, 32];
+pub(super) const READ_HIDDEN: i64 = 64;
 /// Batch norm keeps its root from 0.
 pub(super) const EPSILON: f64 = 1e-5;
 
@@ -35,6 +38,9 @@ pub const RANGES: &str = "ranges";
 
 /// The largest number at each place of the network that is rounded, in the order in which the network meets them.
 pub type Ranges = Vec<f32>;
+
+/// The last of them belong to the head for signs.
+pub(super) const SIGN_RANGES: usize = 3;
 
 /// The numbers that the network computes with.
 #[derive(Clone, Copy, Debug)]

@@ -12,6 +12,7 @@ pub mod light;
 pub mod loss;
 #[cfg(feature = "learn")]
 pub mod network;
+pub mod reader;
 #[cfg(feature = "learn")]
 pub mod resnet;
 #[cfg(feature = "learn")]

@@ -5,6 +5,7 @@ use super::graph::OUT;
 use super::kind::{self, Backbone, CLASSES, Sees};
 use super::layer::{Conv, Kernel};
 use super::light::Light;
+use super::reader::SignReader;
 use super::resnet::{self, Resnet50V2};
 use super::road::{RoadAnswer, RoadHeads};
 use crate::weights::{Stored, Weights, WeightsError, half};
@@ -120,6 +121,27 @@ impl CenterNet {
         let looked = |road: &RoadHeads| road.forward(&x, &pictures, train, train_signs);
         let road = self.road.as_ref().map(looked).transpose()?.flatten();
         Ok(Answer { heat: head(heat)?, size: head(size)?, offset: head(offset)?, road })
+    }
+
+    /// What the plates of signs (n, 3, 24, 24) say (n, 14: signs, none), before the softmax; None where it sees no signs.
+    ///
+    /// # Errors
+    /// torch fails.
+    pub fn read_signs(&self, plates: &Tensor) -> Result<Option<Tensor>, TchError> {
+        self.road.as_ref().map(|road| road.read(plates)).transpose()
+    }
+
+    /// The same network without torch.
+    ///
+    /// # Errors
+    /// torch fails.
+    pub fn sign_reader(&self) -> Result<Option<SignReader>, TchError> {
+        let variables = self.store.variables();
+        let floats = |name: &str, _: &[i64]| match variables.get(name) {
+            Some(tensor) => Vec::try_from(tensor.f_to_device(Device::Cpu)?.f_flatten(0, -1)?),
+            None => Err(TchError::Torch(format!("no `{name}`"))),
+        };
+        self.road.as_ref().map(|_| SignReader::new(floats)).transpose()
     }
 
     /// Folds batch norm for inference: faster, but the network cannot be trained after that.

@@ -12,12 +12,13 @@
 //! A lamp 40 m away is one pixel, whose colour the backbone's strides blur: the light's head also sees the strongest of
 //! some colours in each cell of the picture itself, and where in the picture the cell is (Liu et al. 2018, "CoordConv"):
 //! which heads are the ego's depends on both. Digits are smaller than the backbone's cells, so the head for signs has
-//! convolutions of its own over the picture.
+//! convolutions of its own over the picture; what it finds is [read](super::reader) from a picture of the plate alone.
 
 use super::decode::{LIGHT, ROWS, SIGN_CHANNELS, SIGN_ROWS};
 use super::graph::{COLOURS, HIDDEN, MAP, SIGN_STEM, place};
 use super::kind::STRIDE;
 use super::layer::{Conv, Kernel};
+use super::reader;
 use tch::nn::Path;
 use tch::{Kind, TchError, Tensor};
 
@@ -41,6 +42,8 @@ pub struct RoadHeads {
     signs_features: Conv,
     signs_hidden: Conv,
     signs: Conv,
+    /// Over plates: see [`super::reader`].
+    read: [Conv; 4],
 }
 
 /// Their output before softmax and sigmoid.
@@ -66,6 +69,10 @@ impl RoadHeads {
         light_colours.begin_at(0.01, 0.0)?;
         let mut signs = Conv::new(&(path / "signs"), HIDDEN, SIGN_CHANNELS, Kernel::plain(1));
         signs.begin_at(0.01, super::network::FIRST_ANSWER)?;
+        let [first, second, third, last] = reader::layers();
+        let layer = |(name, [to, from, side, _]): (&str, [i64; 4])| {
+            Conv::new(&(path / name), from, to, Kernel::plain(side))
+        };
         let [w, h] = WHOLE;
         let place = Tensor::f_from_slice(&place())?.f_view([1, 2, h, w])?.f_to_device(path.device())?;
         Ok(Self {
@@ -84,7 +91,22 @@ impl RoadHeads {
             signs_features: Conv::new(&(path / "signs_features"), channels, HIDDEN, Kernel::normed(3, 1)),
             signs_hidden: Conv::new(&(path / "signs_hidden"), HIDDEN, HIDDEN, Kernel::normed(3, 1)),
             signs,
+            read: [layer(first), layer(second), layer(third), layer(last)],
         })
+    }
+
+    /// What plates (n, 3, 24, 24) say (n, 14: signs, none), before the softmax.
+    ///
+    /// # Errors
+    /// torch fails.
+    pub fn read(&self, plates: &Tensor) -> Result<Tensor, TchError> {
+        let [first, second, third, last] = &self.read;
+        let looked = |conv: &Conv, x: &Tensor| {
+            conv.forward(x, false)?.f_relu()?.f_max_pool2d([2, 2], [2, 2], [0, 0], [1, 1], false)
+        };
+        let x = looked(second, &looked(first, plates)?)?;
+        let x = x.f_view([x.size()[0], -1, 1, 1])?;
+        last.forward(&third.forward(&x, false)?.f_relu()?, false)?.f_view([-1, reader::ANSWERS as i64])
     }
 
     /// Features (n, channels, h, w) of whole pictures (n, 3, 4 h, 4 w); None for parts of pictures. `train` says whether it learns,

@@ -1,6 +1,6 @@
 //! The targets and the loss of the road's heads.
 
-use super::decode::{ANSWERS, CELL, COLUMNS, HORIZON, LAMPS, ROWS, SIGN_ROWS, SIGN_TOP, row_y};
+use super::decode::{ANSWERS, CELL, COLUMNS, HORIZON, LAMPS, ROWS, SIGN_BAND, SIGN_ROWS, row_y};
 use super::graph::PICTURE;
 use super::kind::{Backbone, STRIDE};
 use super::loss::focal;
@@ -8,7 +8,7 @@ use super::road::{RoadAnswer, WHOLE};
 use super::targets::{NO_MATTER, Wanted, encode};
 use crate::perception::road_truth::y_at;
 use crate::perception::{GroundPlane, RoadWanted};
-use tch::{Device, Kind, TchError, Tensor};
+use tch::{Device, Kind, Reduction, TchError, Tensor};
 use wad_camera::model::Sign;
 
 /// Deviation of a boundary's column in the target (cells).
@@ -94,7 +94,7 @@ impl RoadTargets {
         let (mut boxes, mut distances) = (Vec::new(), Vec::new());
         for sign in signs {
             let [l, t, r, b] = sign.bounds;
-            let bounds = [l, t - SIGN_TOP as f32, r, b - SIGN_TOP as f32];
+            let bounds = [l, t - SIGN_BAND[0] as f32, r, b - SIGN_BAND[0] as f32];
             let middle = 0.5 * (bounds[1] + bounds[3]);
             let one = |class, ignored| Wanted { class, bounds, ignored };
             if sign.is_plain && (0.0..(h * STRIDE) as f32).contains(&middle) {
@@ -181,6 +181,21 @@ pub fn road_loss(answer: &RoadAnswer, targets: &RoadTargets, device: Device) -> 
 pub fn signs_loss(answer: &RoadAnswer, targets: &RoadTargets, device: Device) -> Result<Tensor, TchError> {
     let centres = (targets.sign_cells.as_slice(), targets.sign_distances.as_slice());
     places_loss(&answer.signs, &targets.signs, centres, device)
+}
+
+/// The loss of reading: cross entropy of `answer` (n, 14) and what the plates say, by [`Sign::index`], or that they
+/// are none.
+///
+/// # Errors
+/// torch fails.
+pub fn reading_loss(answer: &Tensor, said: &[i64], device: Device) -> Result<Tensor, TchError> {
+    answer.f_cross_entropy_loss::<Tensor>(
+        &Tensor::f_from_slice(said)?.f_to_device(device)?,
+        None,
+        Reduction::Mean,
+        -100,
+        0.0,
+    )
 }
 
 #[cfg(test)]

@@ -15,19 +15,20 @@ pub struct LimitCounts {
     pub ticks: usize,
     /// Those in which a sign had set a limit.
     pub known: usize,
-    /// Those in which it was the map's.
+    /// Those in which what was believed was the map's.
     pub right: usize,
 }
 
 impl LimitCounts {
-    /// Counts a tick: `believed` in km/h.
-    pub(in crate::perception) fn note(&mut self, facts: &EgoFacts<'_>, believed: Option<u32>) {
+    /// Counts a tick: `believed` in km/h, and whether a sign said so.
+    pub(in crate::perception) fn note(&mut self, facts: &EgoFacts<'_>, believed: u32, is_signed: bool) {
         let Some(lane) = ego_lane(facts).map(|id| facts.network.lane(id)) else { return };
         let kmh = (lane.speed_limit * 3.6).round() as u32;
         if lane.shape.project(facts.on_route.state.pose.xy()).s >= FROM && LIMITS.contains(&kmh) {
+            tracing::debug!("limit: {believed} believed, {kmh} there");
             self.ticks += 1;
-            self.known += usize::from(believed.is_some());
-            self.right += usize::from(believed == Some(kmh));
+            self.known += usize::from(is_signed);
+            self.right += usize::from(believed == kmh);
         }
     }
 
@@ -42,6 +43,7 @@ impl LimitCounts {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::perception::signs::IN_TOWNS;
     use crate::perception::testing::Road;
 
     #[test]
@@ -53,15 +55,16 @@ mod tests {
         }
         let stop = road.route.links[0].stop_s;
         let mut ticks = LimitCounts::default();
-        let mut tick =
-            |before: f64, believed| ticks.note(&road.facts(stop - before, 0.0, 0.0, 5.0), believed);
-        tick(100.0, None);
-        tick(90.0, Some(50));
-        tick(80.0, Some(30));
+        let mut tick = |before: f64, believed, is_signed| {
+            ticks.note(&road.facts(stop - before, 0.0, 0.0, 5.0), believed, is_signed)
+        };
+        tick(100.0, IN_TOWNS, false);
+        tick(90.0, 50, true);
+        tick(80.0, 30, true);
         // Inside the junction.
-        tick(-3.0, Some(50));
-        assert_eq!(ticks, LimitCounts { ticks: 3, known: 2, right: 1 });
-        ticks.note(&Road::new("GGG").facts(stop - 50.0, 0.0, 0.0, 5.0), Some(50));
+        tick(-3.0, 50, true);
+        assert_eq!(ticks, LimitCounts { ticks: 3, known: 2, right: 2 });
+        ticks.note(&Road::new("GGG").facts(stop - 50.0, 0.0, 0.0, 5.0), 50, true);
         assert_eq!(ticks.ticks, 3, "no sign shows 36 km/h");
     }
 }
