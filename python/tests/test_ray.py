@@ -165,7 +165,7 @@ def test_a_worker_that_hangs_before_its_first_episode_is_started_again(cluster, 
             return unpickle, ()
 
     wanted = wanted_by("tasks", [AGENT], **PART, **NO_MORE, detector=_native.DEFAULT_DETECTOR, out=out, keep="all")
-    evaluation.evaluate(wanted, Hangs(), address=cluster.address, limit=5)
+    evaluation.evaluate(wanted, Hangs(), address=cluster.address, limit=20)
     assert mark.exists()
     assert_same(out, one_machine)
 
