@@ -381,9 +381,7 @@ impl Batch {
             for sign in decode_signs(&map, &ground).into_iter().flatten() {
                 let [x, y] = sign.pixel;
                 let is_near = |truth: &SignTruth| {
-                    let [l, t, r, b] = truth.bounds;
-                    let most = NEAR + 0.5 * (r - l);
-                    (x - 0.5 * (l + r)).abs() < most && (y - 0.5 * (t + b)).abs() < most
+                    truth.away(sign.pixel) < NEAR + 0.5 * (truth.bounds[2] - truth.bounds[0])
                 };
                 if !signs.iter().any(is_near) {
                     plates.extend(reader::plate(picture, SIDE, [x, y - top as f32], sign.radius));

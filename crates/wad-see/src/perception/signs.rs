@@ -26,6 +26,12 @@ const SEEN_TURN: f64 = 1.2;
 const READ_TURN: f64 = 0.6;
 
 impl SignTruth {
+    /// How far a place in the picture is from its middle, across or down (pixels).
+    pub fn away(&self, [x, y]: [f32; 2]) -> f32 {
+        let [l, t, r, b] = self.bounds;
+        (x - 0.5 * (l + r)).abs().max((y - 0.5 * (t + b)).abs())
+    }
+
     /// Those of a town's `signs` that a frame with depth shows from `view`.
     pub fn find(signs: &[PlacedSign], view: &View, frame: &Frame) -> Vec<Self> {
         let mut found = Vec::new();

@@ -6,6 +6,7 @@ use crate::dataset::DatasetError;
 use rand::RngExt;
 use wad_see::perception::SignTruth;
 use wad_see::perception::centernet::decode::SIGN_BAND;
+use wad_see::perception::centernet::reader::between;
 
 /// Copies that are tried in each picture; one that would touch another sign is left out.
 const COPIES: usize = 10;
@@ -36,32 +37,19 @@ impl Plate {
         Some(Self { sign: *sign, side, rgb: rows.collect::<Option<Vec<_>>>()?.concat() })
     }
 
-    /// Its colour (0..255) at a place of it (pixels), between four of its pixels.
-    fn at(&self, x: f32, y: f32, channel: usize) -> f32 {
-        let most = (self.side - 1) as f32;
-        let (x, y) = (x.clamp(0.0, most), y.clamp(0.0, most));
-        let pixel = |x: f32, y: f32| {
-            f32::from(self.rgb[3 * (y.min(most) as usize * self.side + x.min(most) as usize) + channel])
-        };
-        let (dx, dy) = (x.fract(), y.fract());
-        let row = |y: f32| pixel(x, y) * (1.0 - dx) + pixel(x + 1.0, y) * dx;
-        row(y) * (1.0 - dy) + row(y + 1.0) * dy
-    }
-
     /// Paints its disc, `wide` pixels across, round (x, y) of the camera's picture, and says what is then there.
     fn paint(&self, picture: &mut [u8], top: usize, (x, y): (f32, f32), wide: f32) -> SignTruth {
         let radius = 0.5 * wide;
         let scale = self.side as f32 / wide;
+        let middle = 0.5 * self.side as f32 - 0.5;
         for row in (y - radius) as usize..=(y + radius) as usize {
             for column in (x - radius) as usize..=(x + radius) as usize {
                 let (dx, dy) = (column as f32 + 0.5 - x, row as f32 + 0.5 - y);
-                let middle = 0.5 * self.side as f32 - 0.5;
                 let place = row.checked_sub(top).map(|row| 3 * (row * SIDE + column));
                 let pixel = place.and_then(|at| picture.get_mut(at..at + 3));
                 if let Some(pixel) = pixel.filter(|_| dx.hypot(dy) <= radius) {
-                    for (channel, value) in pixel.iter_mut().enumerate() {
-                        *value = self.at(middle + dx * scale, middle + dy * scale, channel) as u8;
-                    }
+                    let at = [middle + dx * scale, middle + dy * scale];
+                    pixel.copy_from_slice(&between(&self.rgb, self.side, at).map(|value| value as u8));
                 }
             }
         }

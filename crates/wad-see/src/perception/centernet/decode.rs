@@ -65,22 +65,19 @@ const APART: usize = 3;
 pub fn decode_signs(map: &[f32], ground: &GroundPlane) -> [Option<SeenSign>; 4] {
     let cells = map.len() / SIGN_CHANNELS as usize;
     let (heat, distances) = map.split_at(Sign::KINDS * cells);
-    // For each cell that may be one: that it is any, and which it is most likely.
-    let mut best: Vec<(f32, usize)> = vec![(f32::MIN, 0); cells];
-    for (index, plane) in heat.chunks_exact(cells.max(1)).enumerate() {
-        for (best, x) in best.iter_mut().zip(plane) {
-            if *x > best.0 {
-                *best = (*x, index);
-            }
-        }
+    let mut most = vec![f32::MIN; cells];
+    for plane in heat.chunks_exact(cells.max(1)) {
+        most.iter_mut().zip(plane).for_each(|(most, x)| *most = x.max(*most));
     }
+    // For each cell that may be one: that it is any, and which it is most likely.
     let least = LEAST_SIGN / Sign::KINDS as f32;
     let least = (least / (1.0 - least)).ln();
-    let likely = best.iter().enumerate().filter(|(_, (x, _))| *x >= least);
-    let any =
-        |cell: usize| 1.0 - heat[cell..].iter().step_by(cells).map(|x| 1.0 - sigmoid(*x)).product::<f32>();
+    let likely = most.iter().enumerate().filter(|(_, most)| **most >= least);
+    let kinds = |cell: usize| heat[cell..].iter().step_by(cells);
+    let any = |cell: usize| 1.0 - kinds(cell).map(|x| 1.0 - sigmoid(*x)).product::<f32>();
+    let best = |cell: usize, most: f32| kinds(cell).position(|x| *x == most).unwrap_or(0);
     let mut sure: Vec<(f32, usize, usize)> =
-        likely.map(|(cell, (_, index))| (any(cell), *index, cell)).collect();
+        likely.map(|(cell, most)| (any(cell), best(cell, *most), cell)).collect();
     sure.retain(|(certainty, ..)| *certainty >= LEAST_SIGN);
     sure.sort_by(|a, b| b.0.total_cmp(&a.0));
     let mut found = [None; 4];

@@ -209,7 +209,8 @@ impl CenterNetDetector {
         self.seen = sees_road.then(|| decode::decode(road, &self.ground));
         if let (Some(seen), Some(reader)) = (&mut self.seen, &self.reader) {
             for place in &mut seen.signs {
-                *place = place.and_then(|found| {
+                // What is less sure than that cannot be read surely.
+                *place = place.filter(|found| found.certainty >= LEAST_READ).and_then(|found| {
                     let plate = reader::plate(rgb, width, found.pixel, found.radius);
                     let (sign, likely) = reader.read(&plate)?;
                     let certainty = found.certainty * likely;

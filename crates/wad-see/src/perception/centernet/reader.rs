@@ -17,29 +17,33 @@ pub const ANSWERS: usize = Sign::KINDS + 1;
 /// Half of what it shows, in radii of the plate.
 const SHOWN: f32 = 1.4;
 
-/// A plate's picture (3 x 24 x 24; its mean 0, its deviation about 1): what is round (x, y) of an RGB picture, where the plate
-/// has this radius (pixels).
-pub fn plate(rgb: &[u8], width: usize, [x, y]: [f32; 2], radius: f32) -> Vec<f32> {
+/// The colour (0..255) of an RGB picture at (x, y) between the middles of its pixels; its border's beyond them.
+pub fn between(rgb: &[u8], width: usize, [x, y]: [f32; 2]) -> [f32; 3] {
     let height = rgb.len() / (3 * width).max(1);
-    let most = [width, height].map(|side| side.saturating_sub(1));
-    let step = 2.0 * SHOWN * radius / PLATE as f32;
-    // Between pixels: the two next to it, and the second one's share.
-    let along = |middle: f32, cell: usize, most: usize| {
-        let at = middle + (cell as f32 + 0.5 - 0.5 * PLATE as f32) * step - 0.5;
+    // The two pixels next to it, and the second one's share.
+    let along = |at: f32, side: usize| {
+        let most = side.saturating_sub(1);
         let at = at.clamp(0.0, most as f32);
         (at as usize, (at as usize + 1).min(most), at.fract())
     };
+    let ((left, right, over), (top, bottom, down)) = (along(x, width), along(y, height));
+    std::array::from_fn(|channel| {
+        let pixel = |row: usize, column: usize| f32::from(rgb[3 * (row * width + column) + channel]);
+        let row = |row: usize| pixel(row, left) * (1.0 - over) + pixel(row, right) * over;
+        row(top) * (1.0 - down) + row(bottom) * down
+    })
+}
+
+/// A plate's picture (3 x 24 x 24; its mean 0, its deviation about 1): what is round (x, y) of an RGB picture, where the plate
+/// has this radius (pixels).
+pub fn plate(rgb: &[u8], width: usize, [x, y]: [f32; 2], radius: f32) -> Vec<f32> {
+    let step = 2.0 * SHOWN * radius / PLATE as f32;
+    let along = |middle: f32, cell: usize| middle + (cell as f32 + 0.5 - 0.5 * PLATE as f32) * step - 0.5;
     let mut plate = vec![0.0; 3 * PLATE * PLATE];
-    for row in 0..PLATE {
-        let (top, bottom, down) = along(y, row, most[1]);
-        for column in 0..PLATE {
-            let (left, right, over) = along(x, column, most[0]);
-            for channel in 0..3 {
-                let pixel = |row: usize, column: usize| f32::from(rgb[3 * (row * width + column) + channel]);
-                let between = |row: usize| pixel(row, left) * (1.0 - over) + pixel(row, right) * over;
-                plate[(channel * PLATE + row) * PLATE + column] =
-                    between(top) * (1.0 - down) + between(bottom) * down;
-            }
+    for cell in 0..PLATE * PLATE {
+        let colour = between(rgb, width, [along(x, cell % PLATE), along(y, cell / PLATE)]);
+        for (channel, value) in colour.into_iter().enumerate() {
+            plate[channel * PLATE * PLATE + cell] = value;
         }
     }
     let count = plate.len() as f32;

@@ -124,9 +124,7 @@ impl RoadScore {
 
     fn add_signs(&mut self, wanted: &[SignTruth], seen: &Seen) {
         let is_there = |sign: &SignTruth, seen: &SeenSign| {
-            let [l, t, r, b] = sign.bounds;
-            let [x, y] = seen.pixel;
-            (x - 0.5 * (l + r)).abs().max((y - 0.5 * (t + b)).abs()) <= (0.5 * (r - l)).max(NEAR_SIGN)
+            sign.away(seen.pixel) <= (0.5 * (sign.bounds[2] - sign.bounds[0])).max(NEAR_SIGN)
         };
         let seen = || seen.signs.iter().flatten();
         for sign in wanted.iter().filter(|sign| sign.is_plain) {
