@@ -496,13 +496,19 @@ impl Worker {
     }
 }
 
-/// The tables of evaluations' folders as Markdown.
+/// The tables of evaluations' folders as Markdown; agents of a pool (its name, and they) share a column.
 #[pyfunction]
-pub fn report_of(py: Python<'_>, folders: Vec<PathBuf>) -> PyResult<String> {
+pub fn report_of(
+    py: Python<'_>,
+    folders: Vec<PathBuf>,
+    pools: Vec<(String, Vec<String>)>,
+) -> PyResult<String> {
+    let pools: Vec<report::Pool> =
+        pools.into_iter().map(|(name, agents)| report::Pool { name, agents }).collect();
     let text = py.detach(|| {
         let results: Result<Vec<_>, _> = folders.iter().map(|folder| Results::open(folder)).collect();
         let report =
-            report::Report::gather(results.map_err(|e| e.to_string())?).map_err(|e| e.to_string())?;
+            report::Report::gather(results.map_err(|e| e.to_string())?, &pools).map_err(|e| e.to_string())?;
         let mut text = String::new();
         for section in &report.sections {
             text += &format!("## {}\n\n", section.suite.title);

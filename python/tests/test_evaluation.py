@@ -56,6 +56,9 @@ def test_a_function_is_judged(tmp_path, observation):
     with pytest.raises(wad_cosim.InputError, match="holds results already"):
         wad_cosim.evaluate("tasks", crawl, observation=observation, detector="outlines", **PART, out=out)
     assert "crawl" in wad_cosim.report(out)
+    assert "| slow |" in wad_cosim.report(out, pools={"slow": ["crawl"]})
+    with pytest.raises(wad_cosim.InputError, match="no run has the agent fast; there are crawl"):
+        wad_cosim.report(out, pools={"slow": ["fast"]})
 
 
 def test_a_policy_that_predicts_is_judged():

@@ -264,9 +264,13 @@ def save_agent(
     _native.save_agent(path, text, sizes, np.concatenate([np.zeros(0, np.float32), *numbers]))
 
 
-def report(*folders: str | os.PathLike[str]) -> str:
-    """The tables of evaluations' folders as Markdown; ``wad-cosim report`` writes pages with figures and maps too."""
-    return _native.report_of([os.fspath(folder) for folder in folders])
+def report(*folders: str | os.PathLike[str], pools: Mapping[str, Sequence[str]] | None = None) -> str:
+    """The tables of evaluations' folders as Markdown; ``wad-cosim report`` writes pages with figures and maps too.
+
+    ``pools``: agents that share a column, such as trainings with other seeds, by the column's name.
+    """
+    named = [(name, list(agents)) for name, agents in (pools or {}).items()]
+    return _native.report_of([os.fspath(folder) for folder in folders], named)
 
 
 def _list(given: str | Iterable[str]) -> list[str]:

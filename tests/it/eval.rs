@@ -245,6 +245,44 @@ fn a_failure_is_replayed_to_the_bit_and_reported() {
     assert!(read(&run.join("report/report.csv")).contains("Small: success"));
 }
 
+#[test]
+fn detectors_have_columns_of_their_own_and_a_pool_has_one() {
+    let small = Small::new(30, 2);
+    let agent = |name: &str, throttle: &str| {
+        let script = small.out(name);
+        let answer = format!("{{\"throttle\": {throttle}, \"steer\": 0, \"brake\": 0}}");
+        let text = format!("echo '{{}}'; while read -r line; do echo '{answer}'; done");
+        std::fs::write(&script, text).unwrap();
+        format!("exec:sh {}", script.display())
+    };
+    let (slow, fast) = (agent("slow", "0.2"), agent("fast", "0.4"));
+    let agents = ["--agent", &slow, "--agent", &fast, "--agent", "autopilot"];
+    ok(&mut small.eval("truth", &[&agents[..], &["--detector", "truth"]].concat()));
+    ok(&mut small.eval("outlines", &[&agents[..4], &["--detector", "outlines"]].concat()));
+    let report = |pool: &str| {
+        let mut command = wad(&["report", "--pool", pool]);
+        command.arg(small.out("truth")).arg(small.out("outlines")).output().unwrap()
+    };
+    let output = report(&format!("both={slow},{fast}"));
+    assert!(output.status.success(), "{}", stderr(&output));
+    let table = read(&small.out("truth/report/report.md"));
+    assert!(table.contains("| task | wet: both, truth | wet: both, outlines | wet: autopilot |"), "{table}");
+    let success = table.lines().find(|line| line.starts_with("| busy |")).unwrap();
+    assert_eq!(success.matches(" ± ").count(), 2, "the pools' alone have a deviation: {success}");
+    assert_eq!((success.matches("n 4").count(), success.matches("n 2").count()), (2, 1), "{success}");
+    assert!(
+        table.contains("trainings, whose deviation is given: both, truth of 2; both, outlines of 2"),
+        "{table}"
+    );
+    let output = report("both=wad-t");
+    assert_eq!(output.status.code(), Some(2));
+    assert!(
+        stderr(&output).contains("no run has the agent wad-t; there are autopilot, exec:"),
+        "{}",
+        stderr(&output)
+    );
+}
+
 /// A SUMO that dies says nothing about the recording: before, the verdict was that the episode "ended earlier".
 #[test]
 fn a_sumo_that_dies_while_an_episode_is_verified_is_no_difference() {

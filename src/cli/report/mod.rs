@@ -10,12 +10,15 @@ mod reward;
 use super::Exit;
 use clap::{Subcommand, ValueHint};
 use std::path::PathBuf;
+use wad_cosim::eval::report::Pool;
 
 const EXAMPLES: &str = "\
 Examples:
   wad-cosim report runs/nocrash                               runs/nocrash/report/index.html, .md, .csv, .tex
   wad-cosim report runs/nocrash runs/corl --out report        several suites on one page
-  wad-cosim report runs/* --out report --markdown docs/results.md";
+  wad-cosim report runs/* --out report --markdown docs/results.md
+  wad-cosim report runs/truth runs/eyes --out report          one suite behind two detectors: a column each
+  wad-cosim report runs/seeds --pool wad-t=t1.safetensors,t2.safetensors,t3.safetensors";
 
 /// Make a report of evaluations, or pictures of trainings, of an encoder or of the reward.
 #[derive(clap::Args, Debug)]
@@ -32,6 +35,9 @@ pub struct Args {
     /// Also write the Markdown tables to this file.
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     markdown: Option<PathBuf>,
+    /// Agents that share a column, such as trainings with other seeds; may be given several times.
+    #[arg(long = "pool", value_name = "NAME=AGENT,AGENT")]
+    pools: Vec<Pool>,
     /// Pictures of failures per suite.
     #[arg(long, value_name = "N", default_value_t = 24)]
     thumbnails: usize,
@@ -68,6 +74,7 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
             args.out.as_deref(),
             args.markdown.as_deref(),
             args.thumbnails,
+            &args.pools,
             args.json,
         ),
     }

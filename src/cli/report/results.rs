@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use wad_cosim::driver::DriverSpec;
 use wad_cosim::eval::Results;
-use wad_cosim::eval::report::{self, Page, Report, Table};
+use wad_cosim::eval::report::{self, Page, Pool, Report, Table};
 
 /// Writes the report of `runs` into the folder `out`: `index.html`, `report.md`, `report.csv`, `report.tex`;
 /// with `markdown` the Markdown there too.
@@ -15,12 +15,13 @@ pub fn run(
     out: Option<&Path>,
     markdown: Option<&Path>,
     thumbnails: usize,
+    pools: &[Pool],
     json: bool,
 ) -> anyhow::Result<Exit> {
     let results = runs.iter().map(|run| Results::open(run)).collect::<Result<Vec<_>, _>>();
     let results = results.map_err(|e| Exit::Input.because(e))?;
     results.iter().flat_map(Results::remarks).for_each(crate::cli::note);
-    let report = Report::gather(results).map_err(|e| Exit::Input.because(e))?;
+    let report = Report::gather(results, pools).map_err(|e| Exit::Input.because(e))?;
     let first = runs.first().map(PathBuf::as_path).unwrap_or(Path::new("."));
     let folder = out.map_or_else(|| first.join("report"), Path::to_path_buf);
     std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
@@ -98,13 +99,6 @@ fn page_of_markdown(report: &Report, tables: &[Vec<Table>]) -> String {
     text
 }
 
-/// The shipped WAD-T, and how it drove with the shipped detector, which the runs with `truth` do not tell.
-const WITH_CENTERNET: (&str, &str) = (
-    "weights 6adb70d2",
-    " Behind the shipped CenterNet, which sees the picture, WAD-T finished 16 of 20 composites where it finished 20 of \
-     the same 20 behind `truth` ([agents.md](agents.md#behind-a-detector-that-sees-the-picture)).",
-);
-
 /// The paragraph that names the detectors of the runs.
 fn detectors(report: &Report) -> String {
     let manifests = || report.sections.iter().flat_map(|section| &section.runs).map(|(_, manifest)| manifest);
@@ -120,13 +114,13 @@ fn detectors(report: &Report) -> String {
         }
         Some(_) => {
             let all: Vec<String> = names.iter().map(named).collect();
-            format!("the runs of this page were driven with {}; each run names its own.", all.join("; "))
+            format!(
+                "the runs of this page were driven with {}; tables with several name each column's.",
+                all.join("; ")
+            )
         }
     };
-    let is_shipped = |id: &String| id.starts_with(WITH_CENTERNET.0);
-    let shipped =
-        names.len() == 1 && names.contains("truth") && manifests().any(|m| m.agents.values().any(is_shipped));
-    format!("**Detector:** {text}{}\n\n", if shipped { WITH_CENTERNET.1 } else { "" })
+    format!("**Detector:** {text}\n\n")
 }
 
 /// The paragraph on how the agents of the runs were made, as far as their files say; and which are blind.

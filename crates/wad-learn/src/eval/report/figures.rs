@@ -1,7 +1,7 @@
 //! A section's figures.
 
+use super::Section;
 use super::svg::{Svg, distribution, stacked};
-use super::{Section, short};
 use crate::env::{Assets, End};
 use crate::eval::{Histogram, Score};
 use sumo_network::network::{LinkId, Network};
@@ -29,17 +29,15 @@ pub fn ends(section: &Section) -> String {
     let mut rows = Vec::new();
     for condition in section.conditions() {
         for task in &section.suite.tasks {
-            for agent in section.agents() {
-                let group = section.of(|e| {
-                    let case = &e.case;
-                    case.condition == condition && case.task == task.name && case.agent.to_string() == agent
-                });
+            for driver in section.drivers() {
+                let group =
+                    section.by(&driver, |e| e.case.condition == condition && e.case.task == task.name);
                 if group.is_empty() {
                     continue;
                 }
                 let score = Score::of(&group);
                 let counts = End::ALL.map(|end| score.ends.get(&end).copied().unwrap_or(0));
-                rows.push((format!("{}, {}, {}", task.name, condition, short(&agent)), counts.to_vec()));
+                rows.push((format!("{}, {}, {driver}", task.name, condition), counts.to_vec()));
             }
         }
     }
@@ -49,12 +47,9 @@ pub fn ends(section: &Section) -> String {
 /// Speeds, and gaps to the vehicle in front, by agent.
 pub fn distributions(section: &Section) -> [String; 2] {
     let of = |pick: &dyn Fn(Score) -> Histogram| -> Vec<(String, Vec<u64>)> {
-        let agents = section.agents().into_iter();
-        agents
-            .map(|agent| {
-                let group = section.of(|e| e.case.agent.to_string() == agent);
-                (short(&agent), pick(Score::of(&group)).0)
-            })
+        let drivers = section.drivers().into_iter();
+        drivers
+            .map(|driver| (driver.to_string(), pick(Score::of(&section.by(&driver, |_| true))).0))
             .collect()
     };
     let (speeds, gaps) = (of(&|s| s.speeds), of(&|s| s.gaps));
@@ -67,9 +62,9 @@ pub fn distributions(section: &Section) -> [String; 2] {
 /// A map per town: its roads, and where episodes ended. None if the net is missing.
 pub fn maps(section: &Section) -> Vec<(String, Option<String>)> {
     let mut towns: Vec<String> = Vec::new();
-    for (_, episode) in &section.episodes {
-        if !towns.contains(&episode.case.town) {
-            towns.push(episode.case.town.clone());
+    for episode in &section.episodes {
+        if !towns.contains(&episode.record.case.town) {
+            towns.push(episode.record.case.town.clone());
         }
     }
     let map = |town: String| {
@@ -108,16 +103,13 @@ fn map(section: &Section, town: &str, network: &Network) -> String {
     }
     // Successes below, so that none hides a failure.
     for success in [true, false] {
-        for (_, e) in
-            section.episodes.iter().filter(|(_, e)| e.case.town == town && e.ending.success == success)
-        {
-            let words = format!(
-                "{}: {} ({}); {}",
-                short(&e.case.agent.to_string()),
-                e.ending.end,
-                e.ending.cause,
-                e.case.name()
-            );
+        for driven in &section.episodes {
+            let e = &driven.record;
+            if e.case.town != town || e.ending.success != success {
+                continue;
+            }
+            let words =
+                format!("{}: {} ({}); {}", driven.driver, e.ending.end, e.ending.cause, e.case.name());
             let [x, y] = e.end_at;
             svg.dot(at(x, y), if success { 3.0 } else { 5.0 }, colour(e.ending.end), &words);
         }

@@ -5,6 +5,7 @@
 //!                               --page----> one HTML file with figures, maps, pictures of failures
 //! ```
 
+mod driver;
 mod figures;
 mod page;
 mod pictures;
@@ -13,6 +14,7 @@ mod svg;
 mod table;
 mod tables;
 
+pub use driver::{Driver, Pool, short};
 pub use page::{Page, page};
 pub use pictures::{Thumbnail, thumbnails};
 pub use svg::{Chart, Line};
@@ -20,6 +22,8 @@ pub use table::{Table, csv, latex, markdown};
 pub use tables::tables;
 
 use super::{EpisodeRecord, Manifest, Results, Suite};
+use crate::env::EnvOptions;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 /// Why a report cannot be made.
@@ -30,6 +34,14 @@ pub enum ReportError {
     Empty {
         /// The file or folder.
         path: PathBuf,
+    },
+    /// A pool has an agent that no run has.
+    #[error("no run has the agent {agent}; there are {}", found.join(", "))]
+    Unknown {
+        /// The agent.
+        agent: String,
+        /// The agents of all runs.
+        found: Vec<String>,
     },
     /// Two runs of the same suite differ in their settings.
     #[error(
@@ -53,8 +65,19 @@ pub struct Section {
     pub suite: Suite,
     /// The settings of the runs.
     pub runs: Vec<(PathBuf, Manifest)>,
-    /// The episodes, each with the folder of its run.
-    pub episodes: Vec<(PathBuf, EpisodeRecord)>,
+    /// The episodes.
+    pub episodes: Vec<Entry>,
+}
+
+/// An episode of a section.
+#[derive(Clone, Debug)]
+pub struct Entry {
+    /// The folder of its run.
+    pub run: PathBuf,
+    /// The column in which it counts.
+    pub driver: Driver,
+    /// What happened.
+    pub record: EpisodeRecord,
 }
 
 /// The runs of a report.
@@ -65,12 +88,22 @@ pub struct Report {
 }
 
 impl Report {
-    /// Gathers runs: runs of the same suite make one section.
+    /// Gathers runs: runs of the same suite make one section, in which agents of a pool share a column, and each
+    /// detector has its own.
     ///
     /// # Errors
-    /// A run is empty, or two of the same suite were made by other builds, settings, nets or weights.
-    pub fn gather(runs: Vec<Results>) -> Result<Self, ReportError> {
+    /// A run is empty, two of the same suite were made by other builds, settings, nets or weights, or a pool has an
+    /// agent that no run has.
+    pub fn gather(runs: Vec<Results>, pools: &[Pool]) -> Result<Self, ReportError> {
         let mut report = Self::default();
+        let found: BTreeSet<String> =
+            runs.iter().flat_map(|run| &run.episodes).map(|e| e.case.agent.to_string()).collect();
+        for agent in pools.iter().flat_map(|pool| &pool.agents) {
+            if !found.contains(agent) {
+                let (agent, found) = (agent.clone(), found.into_iter().collect());
+                return Err(ReportError::Unknown { agent, found });
+            }
+        }
         for run in runs {
             if run.episodes.is_empty() {
                 return Err(ReportError::Empty { path: run.path });
@@ -88,14 +121,22 @@ impl Report {
                     let other = run.manifest.agents.get(name).filter(|other| *other != id)?;
                     Some(format!("agents.{name}: expected {id}, found {other}"))
                 });
-                let differences: Vec<String> = differences.into_iter().chain(weights).collect();
+                let same = manifest.options.detector == run.manifest.options.detector;
+                let eyes = (same && manifest.detector != run.manifest.detector)
+                    .then(|| "detector: other weights".into());
+                let differences: Vec<String> = differences.into_iter().chain(weights).chain(eyes).collect();
                 if !differences.is_empty() {
                     let (first, second) = (path.clone(), run.path.clone());
                     return Err(ReportError::Mixed { first, second, differences });
                 }
             }
+            let detector = run.manifest.options.detector.clone();
             section.runs.push((run.path.clone(), run.manifest));
-            section.episodes.extend(run.episodes.into_iter().map(|episode| (run.path.clone(), episode)));
+            section.episodes.extend(run.episodes.into_iter().map(|record| Entry {
+                run: run.path.clone(),
+                driver: Driver::of(&record.case.agent, &detector, pools),
+                record,
+            }));
         }
         for section in &mut report.sections {
             section.settle();
@@ -104,9 +145,11 @@ impl Report {
     }
 }
 
-/// The settings that must be equal in gathered runs: all but the selection.
+/// The settings that must be equal in gathered runs: all but the selection and the detector.
 fn comparable(manifest: &Manifest) -> Manifest {
     Manifest {
+        options: EnvOptions { detector: String::new(), ..manifest.options.clone() },
+        detector: None,
         selection: Default::default(),
         agents: Default::default(),
         nets: Default::default(),
@@ -128,22 +171,44 @@ impl Section {
             let names = (c.town.clone(), c.spec.weather.name(), c.spec.traffic().to_string());
             (rank(condition), rank(task), names, c.seed, c.episode)
         };
-        let agents = self.agents();
-        let agent = |e: &EpisodeRecord| agents.iter().position(|a| *a == e.case.agent.to_string());
-        let mut by_case = std::collections::BTreeMap::new();
-        for (run, episode) in self.episodes.drain(..) {
-            by_case.insert((agent(&episode), place(&episode)), (run, episode));
+        // Where all have one detector, it needs no name.
+        let looking = self.episodes.iter().filter_map(|e| e.driver.detector.clone());
+        if looking.collect::<BTreeSet<_>>().len() < 2 {
+            self.episodes.iter_mut().for_each(|e| e.driver.detector = None);
+        }
+        let drivers = self.drivers();
+        let driver = |e: &Entry| drivers.iter().position(|driver| *driver == e.driver);
+        let mut by_case = BTreeMap::new();
+        for episode in self.episodes.drain(..) {
+            let agent = episode.record.case.agent.to_string();
+            by_case.insert((driver(&episode), agent, place(&episode.record)), episode);
         }
         self.episodes = by_case.into_values().collect();
+    }
+
+    /// The columns: agents in the order of the command line, each behind its detectors in the order of the runs.
+    pub fn drivers(&self) -> Vec<Driver> {
+        let mut drivers: Vec<Driver> = Vec::new();
+        for agent in self.agents() {
+            for (run, _) in &self.runs {
+                let own = self.episodes.iter().filter(|e| e.run == *run);
+                for e in own.filter(|e| e.record.case.agent.to_string() == agent) {
+                    if !drivers.contains(&e.driver) {
+                        drivers.push(e.driver.clone());
+                    }
+                }
+            }
+        }
+        drivers
     }
 
     /// The agents in the order of the command line.
     pub fn agents(&self) -> Vec<String> {
         let mut agents: Vec<String> = Vec::new();
         let asked = self.runs.iter().flat_map(|(_, m)| m.selection.agents.iter().map(ToString::to_string));
-        for agent in asked.chain(self.episodes.iter().map(|(_, e)| e.case.agent.to_string())) {
+        for agent in asked.chain(self.episodes.iter().map(|e| e.record.case.agent.to_string())) {
             if !agents.contains(&agent)
-                && self.episodes.iter().any(|(_, e)| e.case.agent.to_string() == agent)
+                && self.episodes.iter().any(|e| e.record.case.agent.to_string() == agent)
             {
                 agents.push(agent);
             }
@@ -155,21 +220,22 @@ impl Section {
     pub fn conditions(&self) -> Vec<String> {
         let own = self.suite.conditions.iter().map(|c| c.name.clone());
         own.chain(["other".to_string()])
-            .filter(|name| self.episodes.iter().any(|(_, e)| e.case.condition == *name))
+            .filter(|name| self.episodes.iter().any(|e| e.record.case.condition == *name))
             .collect()
     }
 
     /// The episodes for which `wanted` is true.
     pub fn of(&self, wanted: impl Fn(&EpisodeRecord) -> bool) -> Vec<&EpisodeRecord> {
-        self.episodes.iter().map(|(_, e)| e).filter(|e| wanted(e)).collect()
+        self.episodes.iter().map(|e| &e.record).filter(|e| wanted(e)).collect()
     }
-}
 
-/// An agent's name for tables: a file's name without its folder, an external one's command cut short.
-pub fn short(agent: &str) -> String {
-    let text = match agent.strip_prefix("exec:") {
-        Some(command) => format!("exec:{}", command.rsplit('/').next().unwrap_or(command)),
-        None => agent.rsplit('/').next().unwrap_or(agent).trim_end_matches(".safetensors").to_string(),
-    };
-    if text.chars().count() <= 24 { text } else { text.chars().take(22).collect::<String>() + ".." }
+    /// A driver's episodes for which `wanted` is true.
+    pub fn by(&self, driver: &Driver, wanted: impl Fn(&EpisodeRecord) -> bool) -> Vec<&EpisodeRecord> {
+        self.episodes
+            .iter()
+            .filter(|e| e.driver == *driver)
+            .map(|e| &e.record)
+            .filter(|e| wanted(e))
+            .collect()
+    }
 }

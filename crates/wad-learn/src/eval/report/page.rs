@@ -102,7 +102,7 @@ fn provenance(section: &Section) -> String {
     }
     for (path, manifest) in &section.runs {
         let agents: Vec<String> = manifest.agents.iter().map(|(name, id)| format!("{name}: {id}")).collect();
-        let here = section.episodes.iter().filter(|(run, _)| run == path).count();
+        let here = section.episodes.iter().filter(|e| e.run == *path).count();
         html += &format!(
             "<p class=\"small\">{here} episodes from <code>{}</code>, driven by wad-cosim {} with SUMO {}, detector {}, {} ms a tick{}{}</p>\n",
             escape(&path.display().to_string()),

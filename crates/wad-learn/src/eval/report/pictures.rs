@@ -1,11 +1,11 @@
 //! Pictures of how failures ended.
 
-use super::{Section, short};
+use super::{Entry, Section};
 use crate::agent::external::base64;
 use crate::env::Assets;
-use crate::eval::{EpisodeRecord, RecordingFolder};
+use crate::eval::RecordingFolder;
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use wad_camera::{Camera, CameraConfig, CameraError, Outputs, Picture, Town, Weather};
 use wad_sim::replay::Recording;
 
@@ -32,18 +32,19 @@ const BEFORE: usize = 8;
 /// # Errors
 /// The camera cannot be made. A recording that cannot be read is left out, with a warning.
 pub fn thumbnails(section: &Section, most: usize) -> Result<Vec<Thumbnail>, CameraError> {
-    let kept: Vec<(&Path, &EpisodeRecord, &RecordingFolder)> = section
+    let kept: Vec<(&Entry, &RecordingFolder)> = section
         .episodes
         .iter()
-        .filter(|(_, e)| !e.ending.success)
-        .filter_map(|(run, e)| Some((run.as_path(), e, e.recording.as_ref()?)))
+        .filter(|e| !e.record.ending.success)
+        .filter_map(|e| Some((e, e.record.recording.as_ref()?)))
         .collect();
     let step = kept.len().div_ceil(most.max(1)).max(1);
     let mut towns: BTreeMap<String, Option<Town>> = BTreeMap::new();
     let mut camera = Camera::new(CameraConfig::chase(SIZE.0, SIZE.1))?;
     let mut all = Vec::new();
-    for (run, episode, recording) in kept.into_iter().step_by(step).take(most) {
-        let folder = recording.within(run);
+    for (driven, recording) in kept.into_iter().step_by(step).take(most) {
+        let folder = recording.within(&driven.run);
+        let episode = &driven.record;
         let states = match Recording::open(&folder) {
             Ok(states) => states,
             Err(error) => {
@@ -70,7 +71,7 @@ pub fn thumbnails(section: &Section, most: usize) -> Result<Vec<Thumbnail>, Came
         all.push(Thumbnail {
             title: format!(
                 "{}, {}, {}, {}, episode {}",
-                short(&case.agent.to_string()),
+                driven.driver,
                 case.town,
                 case.task,
                 case.spec.weather.name(),

@@ -1,9 +1,9 @@
 //! A section's tables.
 
 use super::published::published;
-use super::{Section, Table, short};
+use super::{Driver, Section, Table};
 use crate::env::End;
-use crate::eval::{DriverSpec, EpisodeRecord, EventCounts, Score, grouped};
+use crate::eval::{EpisodeRecord, EventCounts, Score, grouped};
 use wad_camera::Preset;
 
 /// The weathers that encoder, detector and agents were trained in.
@@ -21,13 +21,17 @@ pub fn tables(section: &Section) -> Vec<Table> {
     all
 }
 
-/// `96.0 ± 1.9 %  [91.2–98.3], n 150`.
+/// `96.0 ± 1.9 %  [91.2–98.3], n 150`; the deviation is that of trainings where there are several.
 fn rate(group: &[&EpisodeRecord]) -> String {
     let score = Score::of(group);
     if score.episodes == 0 {
         return "-".to_string();
     }
-    let cells = grouped(group.iter().copied(), |e| (e.case.spec.weather.name(), e.case.seed));
+    let pooled = group.iter().any(|e| e.case.agent != group[0].case.agent);
+    let training = |e: &EpisodeRecord| e.case.agent.to_string();
+    let cells = grouped(group.iter().copied(), |e| {
+        if pooled { (training(e), "", 0) } else { (String::new(), e.case.spec.weather.name(), e.case.seed) }
+    });
     let rates: Vec<f64> = cells.iter().map(|cell| Score::of(cell).success_rate).collect();
     let spread = deviation(&rates).map_or(String::new(), |sd| format!(" ± {:.1}", 100.0 * sd));
     format!(
@@ -55,23 +59,20 @@ fn percent_of(part: u64, all: u64) -> String {
 }
 
 fn success(section: &Section) -> Table {
-    let (agents, conditions) = (section.agents(), section.conditions());
+    let (drivers, conditions) = (section.drivers(), section.conditions());
     let mut head = vec!["task".to_string()];
     let mut groups = vec![(String::new(), 1)];
     for condition in &conditions {
-        groups.push((condition.clone(), agents.len()));
-        head.extend(agents.iter().map(|agent| short(agent)));
+        groups.push((condition.clone(), drivers.len()));
+        head.extend(drivers.iter().map(Driver::to_string));
     }
     let tasks = section.suite.tasks.iter().map(|task| task.name.clone());
-    let tasks = tasks.filter(|task| section.episodes.iter().any(|(_, e)| e.case.task == *task));
+    let tasks = tasks.filter(|task| section.episodes.iter().any(|e| e.record.case.task == *task));
     let row = |task: String| {
         let cells =
-            conditions.iter().flat_map(|condition| agents.iter().map(move |agent| (condition, agent)));
-        let cells = cells.map(|(condition, agent)| {
-            rate(&section.of(|e| {
-                let case = &e.case;
-                case.task == task && case.condition == *condition && case.agent.to_string() == *agent
-            }))
+            conditions.iter().flat_map(|condition| drivers.iter().map(move |driver| (condition, driver)));
+        let cells = cells.map(|(condition, driver)| {
+            rate(&section.by(driver, |e| e.case.task == task && e.case.condition == *condition))
         });
         std::iter::once(task.clone()).chain(cells).collect()
     };
@@ -79,8 +80,15 @@ fn success(section: &Section) -> Table {
         "Success rate, its standard deviation over weathers and seeds, Wilson's 95 % interval, number of episodes."
             .to_string(),
     ];
-    let blind = |agent: &String| agent.parse::<DriverSpec>().is_ok_and(|spec| !spec.looks());
-    let blind: Vec<String> = agents.iter().filter(|agent| blind(agent)).cloned().collect();
+    let pools = drivers.iter().filter_map(|driver| {
+        let trainings = grouped(section.by(driver, |_| true).into_iter(), |e| e.case.agent.to_string()).len();
+        (trainings > 1).then(|| format!("{driver} of {trainings}"))
+    });
+    let pools: Vec<String> = pools.collect();
+    if !pools.is_empty() {
+        notes.push(format!("Over several trainings, whose deviation is given: {}.", pools.join("; ")));
+    }
+    let blind: Vec<String> = drivers.iter().filter(|driver| !driver.looks).map(Driver::to_string).collect();
     if !blind.is_empty() && section.suite.conditions.iter().any(|c| c.weathers.len() > 1) {
         notes.push(format!(
             "Blind agents drive the same in every weather: the intervals of {} count each episode once per weather, \
@@ -125,17 +133,15 @@ fn odd_weathers(section: &Section, condition: &str, trained: bool) -> Vec<&'stat
 
 /// Groups by agent, condition and task, in that order, with their names.
 fn lines(section: &Section) -> Vec<(Vec<String>, Vec<&EpisodeRecord>)> {
-    let (agents, conditions) = (section.agents(), section.conditions());
+    let (drivers, conditions) = (section.drivers(), section.conditions());
     let mut all = Vec::new();
-    for agent in &agents {
+    for driver in &drivers {
         for condition in &conditions {
             for task in &section.suite.tasks {
-                let group = section.of(|e| {
-                    let case = &e.case;
-                    case.task == task.name && case.condition == *condition && case.agent.to_string() == *agent
-                });
+                let group =
+                    section.by(driver, |e| e.case.task == task.name && e.case.condition == *condition);
                 if !group.is_empty() {
-                    all.push((vec![short(agent), condition.clone(), task.name.clone()], group));
+                    all.push((vec![driver.to_string(), condition.clone(), task.name.clone()], group));
                 }
             }
         }
@@ -194,7 +200,7 @@ fn driving(section: &Section) -> Table {
 }
 
 fn infractions(section: &Section) -> Table {
-    let among = section.episodes.iter().any(|(_, episode)| episode.events.collisions_ego > 0);
+    let among = section.episodes.iter().any(|e| e.record.events.collisions_ego > 0);
     let shown = |name: &str| among || name != EventCounts::WITH_EGOS;
     let kinds = EventCounts::default().named().into_iter().map(|(name, _)| name).filter(|name| shown(name));
     let row = |(mut cells, group): (Vec<String>, Vec<&EpisodeRecord>)| {
@@ -276,31 +282,29 @@ fn ends(section: &Section) -> Table {
 }
 
 fn weathers(section: &Section) -> Table {
-    let (agents, conditions) = (section.agents(), section.conditions());
+    let (drivers, conditions) = (section.drivers(), section.conditions());
     let mut rows = Vec::new();
     for condition in &conditions {
         let mut weathers: Vec<Preset> = Vec::new();
-        for (_, e) in section.episodes.iter().filter(|(_, e)| e.case.condition == *condition) {
+        for e in section.of(|e| e.case.condition == *condition) {
             if !weathers.contains(&e.case.spec.weather) {
                 weathers.push(e.case.spec.weather);
             }
         }
         for weather in weathers {
             let mark = if TRAINED_IN.contains(&weather) { "" } else { " †" };
-            let cells = agents.iter().map(|agent| {
-                rate(&section.of(|e| {
-                    let case = &e.case;
-                    case.condition == *condition
-                        && case.spec.weather == weather
-                        && case.agent.to_string() == *agent
-                }))
+            let cells = drivers.iter().map(|driver| {
+                rate(
+                    &section.by(driver, |e| e.case.condition == *condition && e.case.spec.weather == weather),
+                )
             });
             rows.push(
                 [condition.clone(), format!("{}{mark}", weather.name())].into_iter().chain(cells).collect(),
             );
         }
     }
-    let head = ["condition", "weather"].map(String::from).into_iter().chain(agents.iter().map(|a| short(a)));
+    let head =
+        ["condition", "weather"].map(String::from).into_iter().chain(drivers.iter().map(Driver::to_string));
     Table {
         title: format!("{}: success by weather", section.suite.title),
         head: head.collect(),
