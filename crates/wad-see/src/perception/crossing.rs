@@ -1,10 +1,10 @@
-//! Vehicles that will be in the ego's path: tracks of detections on the ground, and their prediction.
+//! Road users who will be in the ego's path: tracks of detections on the ground, and their prediction.
 //!
-//! One picture does not show whether a vehicle moves or waits. So a Kalman filter tracks place and velocity
-//! of each detected vehicle on the ground, and a straight line predicts its way. Where the ego has to give way,
-//! and the prediction meets its route while the ego can be there, that vehicle counts as the vehicle in front.
-//! So an ego that turns left stops for oncoming vehicles. Nothing here comes from SUMO except the ego's route
-//! and its right of way.
+//! One picture does not show whether somebody moves or waits. So a Kalman filter tracks place and velocity
+//! of each detected vehicle and person on the ground, and a straight line predicts the way. Where the ego has to give
+//! way, and the prediction meets its route while the ego can be there, that road user counts as the vehicle in front.
+//! So an ego that turns left stops for oncoming vehicles, and one that turns right for who walks across. Nothing here
+//! comes from SUMO except the ego's route and its right of way.
 
 use super::{Detection, EgoFacts, GroundPlane};
 use crate::observation::LeadState;
@@ -20,17 +20,18 @@ const STEP: f64 = 0.25;
 const MARGIN: f64 = 1.0;
 /// The ego's possible acceleration on its way there (m/s2).
 const EGO_ACCELERATION: f64 = 1.5;
-/// Slower ones are taken to stand (m/s).
-const SLOWEST: f64 = 1.5;
+/// A crossing reaches this far to each side of its middle (m).
+const CROSSING: f64 = 3.0;
 /// Detections before a velocity is used, and ticks without one until a track is dropped.
 const BELIEVED: u32 = 4;
 const COAST: u32 = 3;
 
-/// The kinds of vehicles that are tracked separately.
+/// The kinds of road users that are tracked separately.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     Vehicle,
     TwoWheeler,
+    Person,
 }
 
 impl Kind {
@@ -38,7 +39,8 @@ impl Kind {
         match class {
             ObjectClass::Car | ObjectClass::Truck | ObjectClass::Bus => Some(Self::Vehicle),
             ObjectClass::Motorcycle | ObjectClass::Bicycle => Some(Self::TwoWheeler),
-            ObjectClass::Person | ObjectClass::TrafficLight | ObjectClass::Bench => None,
+            ObjectClass::Person => Some(Self::Person),
+            ObjectClass::TrafficLight | ObjectClass::Bench => None,
         }
     }
     /// Standard deviations of the acceleration (m/s2) and of a new track's speed (m/s).
@@ -46,6 +48,14 @@ impl Kind {
         match self {
             Self::Vehicle => (2.0, 8.0),
             Self::TwoWheeler => (1.5, 5.0),
+            Self::Person => (0.7, 1.5),
+        }
+    }
+    /// Slower ones are taken to stand (m/s).
+    fn slowest(self) -> f64 {
+        match self {
+            Self::Vehicle | Self::TwoWheeler => 1.5,
+            Self::Person => 0.5,
         }
     }
     /// Half its length and half its breadth (m).
@@ -53,6 +63,7 @@ impl Kind {
         match self {
             Self::Vehicle => [2.2, 0.9],
             Self::TwoWheeler => [0.9, 0.3],
+            Self::Person => [0.3, 0.3],
         }
     }
     /// How far (m) a detection may be from where one was expected.
@@ -60,11 +71,12 @@ impl Kind {
         match self {
             Self::Vehicle => 3.0,
             Self::TwoWheeler => 2.0,
+            Self::Person => 1.0,
         }
     }
 }
 
-/// A vehicle on the ground, in the world's frame.
+/// A road user on the ground, in the world's frame.
 #[derive(Clone, Copy, Debug)]
 struct Mover {
     kind: Kind,
@@ -84,7 +96,7 @@ struct Sighting {
     noise: Matrix2<f64>,
 }
 
-/// Follows vehicles over the ticks.
+/// Follows road users over the ticks.
 #[derive(Clone, Debug, Default)]
 pub struct CrossingTracker {
     movers: Vec<Mover>,
@@ -193,15 +205,20 @@ impl Mover {
     /// Where it is or will be in the ego's path while the ego can be there, as a vehicle in front.
     fn meets(&self, facts: &EgoFacts<'_>) -> Option<LeadState> {
         let speed = self.velocity.norm();
-        let doubt = (0.5 * (self.p[(2, 2)] + self.p[(3, 3)])).sqrt();
-        if self.seen < BELIEVED || speed < SLOWEST || speed < 2.0 * doubt {
+        if self.seen < BELIEVED || speed < self.kind.slowest() {
+            return None;
+        }
+        // Along its own way: how far off somebody is, is known less well than where beside the ray.
+        let way = self.velocity / speed;
+        let doubt = (way.transpose() * self.p.fixed_view::<2, 2>(2, 2) * way).x.max(0.0).sqrt();
+        if speed < 2.0 * doubt {
             return None;
         }
         let on_route = &facts.on_route;
         let steps = (HORIZON / STEP) as usize;
-        // When it is in the path, and where that begins.
+        // When it is in the path, and where that begins and ends.
         let mut times: Option<(f64, f64)> = None;
-        let (mut begin, mut course) = (f64::INFINITY, Vector::zeros());
+        let (mut begin, mut end, mut course) = (f64::INFINITY, f64::NEG_INFINITY, Vector::zeros());
         for k in 0..=steps {
             let t = k as f64 * STEP;
             let place = Point::from(self.place + self.velocity * t);
@@ -223,14 +240,17 @@ impl Mover {
             }
             let first = times.map_or(t, |(first, _)| first);
             times = Some((first, t));
-            let near = on.s - (along * long + across * broad);
+            let half = along * long + across * broad;
+            let near = on.s - half;
+            end = end.max(on.s + half);
             if near < begin {
                 (begin, course) = (near, way);
             }
         }
         let (first, last) = times?;
         let gap = begin - on_route.front_s;
-        if !(-1.0..=SIGHT).contains(&gap) {
+        // Whose front is beyond the middle of where they meet does better to go on.
+        if gap > SIGHT || on_route.front_s > 0.5 * (begin + end) {
             return None;
         }
         // To the ego it stands where it will cross, unless it goes the ego's way.
@@ -238,7 +258,18 @@ impl Mover {
         // Only where the ego has to give way: elsewhere oncoming vehicles would seem to cross in each bend.
         let link =
             facts.route.links.iter().find(|link| begin > link.stop_s - 3.0 && begin < link.end_s + 3.0)?;
-        if facts.network.link(link.link).must_yield_to.is_empty() {
+        let link = facts.network.link(link.link);
+        let has_to_yield = match self.kind {
+            Kind::Vehicle | Kind::TwoWheeler => !link.must_yield_to.is_empty(),
+            Kind::Person => {
+                let place = facts.route.at(begin).pose.xy();
+                link.yields_to_crossings.iter().any(|&crossing| {
+                    let middle = &facts.network.lane(facts.network.crossing(crossing).lane).shape;
+                    middle.project(place).distance < CROSSING
+                })
+            }
+        };
+        if !has_to_yield {
             return None;
         }
         // The ego there: as early as it can, and at its present pace.
@@ -255,6 +286,7 @@ impl Mover {
 mod tests {
     use super::*;
     use crate::perception::testing::{LENGTH, Road, seen};
+    use sumo_network::network::{CrossingId, testing};
     use wad_camera::CameraConfig;
 
     /// The prediction of each tick for an ego that drives at `speed` from `s` on, and a vehicle that moves
@@ -302,6 +334,41 @@ mod tests {
     }
 
     #[test]
+    fn who_has_rolled_into_the_way_stands_until_the_other_has_passed() {
+        let road = Road::turning_left();
+        let comes = |beyond: f64| {
+            let ego = (road.route.links[0].stop_s + beyond - 0.5 * LENGTH, 0.5);
+            let told = foretold(&road, ego, ObjectClass::Car, ([335.0, 1.6], [-10.0, 0.0]));
+            told[10..].iter().all(|lead| lead.is_some_and(|lead| lead.gap == 0.0))
+        };
+        assert!(comes(3.5) && comes(5.0), "its front is in the way");
+        assert!(!comes(9.0), "its front is beyond: it does better to go on");
+    }
+
+    #[test]
+    fn who_walks_over_a_crossing_counts_where_the_ego_has_to_yield() {
+        let text = testing::text("").replace(
+            "</net>",
+            r#"<edge id=":B_c0" function="crossing" crossingEdges="bc">
+               <lane id=":B_c0_0" index="0" allow="pedestrian" speed="1" length="14" width="4" shape="306,4 306,-10"/></edge></net>"#,
+        );
+        let mut road = Road::of(testing::parsed(&text).unwrap(), "ab_0", "bc_0", "GGG");
+        let ego = (road.route.links[0].stop_s - 16.0, 6.0);
+        let walks = |road: &Road| foretold(road, ego, ObjectClass::Person, ([306.0, 1.0], [0.0, -1.3]));
+        assert!(walks(&road).iter().all(Option::is_none), "where cars go first, who walks waits");
+        let link = road.route.links[0].link;
+        road.network.links[link.index()].yields_to_crossings.push(CrossingId(0));
+        let (tick, lead) = first(&walks(&road));
+        let gap = 16.0 + 16.0 - 6.0 * tick * TICK - 0.5 * LENGTH;
+        assert!((lead.gap - gap).abs() < 1.5 && tick < 8.0, "{tick}: {lead:?}, {gap}");
+        assert!((lead.closing_speed - 6.0).abs() < 0.3, "to the ego it stands there: {lead:?}");
+        let away = foretold(&road, ego, ObjectClass::Person, ([306.0, -8.0], [0.0, -1.3]));
+        assert!(away.iter().all(Option::is_none), "it has crossed");
+        let stands = foretold(&road, ego, ObjectClass::Person, ([306.0, 1.0], [0.0, 0.0]));
+        assert!(stands.iter().all(Option::is_none), "it waits");
+    }
+
+    #[test]
     fn who_stands_is_past_or_gives_way_is_not_in_the_way() {
         let nobody = |road: &Road, before: f64, speed: f64, place: [f64; 2], velocity: [f64; 2]| {
             let ego = (road.route.links[0].stop_s - before, speed);
@@ -310,9 +377,6 @@ mod tests {
         let left = Road::turning_left();
         assert!(nobody(&left, 20.0, 6.0, [318.0, 1.6], [0.0, 0.0]), "it stands");
         assert!(nobody(&left, 35.0, 3.0, [305.0, 1.6], [-14.0, 0.0]), "it has passed before the ego comes");
-        let ego = (left.route.links[0].stop_s - 20.0, 6.0);
-        let person = foretold(&left, ego, ObjectClass::Person, ([326.0, 1.6], [-10.0, 0.0]));
-        assert!(person.iter().all(Option::is_none), "no vehicle");
         assert!(nobody(&Road::new("GGG"), 25.0, 6.0, [302.0, 14.0], [0.0, -3.0]), "the ego goes first");
     }
 

@@ -10,6 +10,8 @@ use wad_camera::model::ObjectClass;
 pub const SIGHT: f64 = 50.0;
 /// Half the breadth of the way that must be free (m): the ego's half and a hand's breadth.
 pub const HALF_WAY: f64 = 1.2;
+/// Length of a flank that a box may show (m).
+const FLANK: f32 = 4.5;
 /// Ticks without a detection until the vehicle in front is dropped.
 const COAST: u32 = 2;
 
@@ -66,19 +68,30 @@ fn locate(
     // Its place on the route: the middle and both ends of its visible width.
     let state = &facts.on_route.state;
     let reach = f64::from(near) + 10.0;
-    let offset = |y: f32| {
-        let place = state.pose.to_world(Point::new(f64::from(near), f64::from(y)).coords);
+    let offset = |x: f32, y: f32| {
+        let place = state.pose.to_world(Point::new(f64::from(x), f64::from(y)).coords);
         facts.route.project_near(place, facts.on_route.s, 0.0, reach)
     };
     // A vehicle beside the path shows its flank too: no more than its class's breadth counts, from the
     // side that is away from the path.
-    let middle = offset(0.5 * (y_left + y_right));
+    let middle = offset(near, 0.5 * (y_left + y_right));
     let half = 0.5 * (y_left - y_right).abs().min(breadth);
-    let (a, b) = (offset(y_left), offset(y_right));
-    let outer = if a.d.abs() > b.d.abs() { a.d } else { b.d };
+    let (a, b) = (offset(near, y_left), offset(near, y_right));
+    let (outer, inner_column) = if a.d.abs() > b.d.abs() { (a.d, right) } else { (b.d, left) };
     let inner = outer - f64::from(2.0 * half).copysign(outer);
-    let crosses = inner.signum() != outer.signum() || inner.abs() < HALF_WAY;
-    let within = crosses || middle.d.abs() < HALF_WAY;
+    let reaches = |d: f64| d.signum() != outer.signum() || d.abs() < HALF_WAY;
+    // One that pulls out shows more than its breadth too. The box's side towards the path is seen on a ray: if that is
+    // in the path as far as the flank can reach, so is the vehicle.
+    let pulls_out = || {
+        [0.0, 0.5, 1.0].iter().all(|share| {
+            let [eye, _] = ground.ahead(inner_column, 0.0);
+            let [x, y] = ground.ahead(inner_column, near - eye + share * FLANK);
+            let on = offset(x, y);
+            // Beyond a turn of the route the other side means nothing.
+            reaches(on.d) && on.d.abs() < f64::from(FLANK) && on.distance - on.d.abs() < 0.1
+        })
+    };
+    let within = reaches(inner) || middle.d.abs() < HALF_WAY || pulls_out();
     let gap = (middle.s - facts.on_route.front_s - f64::from(behind)).max(0.0);
     let ahead = f64::from(near - behind);
     (within && gap <= SIGHT).then_some(Candidate { detection: index, class, gap, ahead })
@@ -225,6 +238,22 @@ mod tests {
         assert!(gap(&[seen(ObjectClass::Car, 25.0, -5.0, 1.8, 1.5)], 60.0, 0.0, 0.2).is_some());
         // Half of it in the way.
         assert!(gap(&[seen(ObjectClass::Car, 15.0, 1.8, 1.8, 1.5)], 60.0, 0.0, 0.0).is_some());
+    }
+
+    #[test]
+    fn who_pulls_out_is_in_the_path_and_a_flank_beside_it_is_not() {
+        // The box of a car that stands askew, its near corner in the path and its tail at the kerb.
+        let askew = seen(ObjectClass::Car, 12.0, -1.5, 4.0, 1.5);
+        assert!(gap(&[askew], 60.0, 0.0, 0.0).is_some());
+        // One in the next lane: its box reaches from the far end of its flank to its back.
+        let ground = GroundPlane::new(&CameraConfig::default());
+        for near in [4.0_f32, 8.0, 16.0, 30.0] {
+            let [l, _] = ground.pixel([near + FLANK, -2.4]).unwrap();
+            let [r, b] = ground.pixel([near, -4.2]).unwrap();
+            let beside =
+                Detection { class: ObjectClass::Car, bounds: [l, b - 400.0 / near, r, b], score: 1.0 };
+            assert!(gap(&[beside], 60.0, 0.0, 0.0).is_none(), "{near}");
+        }
     }
 
     #[test]

@@ -34,7 +34,11 @@ impl Road {
     }
 
     fn between(from: &str, to: &str, state: &str) -> Self {
-        let network = net();
+        Self::of(net(), from, to, state)
+    }
+
+    /// From lane to lane of a net.
+    pub fn of(network: Network, from: &str, to: &str, state: &str) -> Self {
         let (from, to) = (place(&network, from, 20.0), place(&network, to, 200.0));
         let route = network.route(from, to, VehicleClass::Passenger).unwrap();
         Self { network, route, signals: vec![Some(Arc::from(state))] }
