@@ -7,8 +7,13 @@ use super::{EdgeId, LaneId, LanePosition, LinkDirection, LinkId, Network, Vehicl
 use crate::geometry::{Point, Polyline, Pose, Projection, wrap_angle};
 use serde::{Deserialize, Serialize};
 
-/// The road option of a link holds from here before its stop line on (m).
+/// The road option of a link holds from here before its stop line on (m), where no one may drive faster than
+/// [`TOWN_SPEED`].
 pub const APPROACH: f64 = 15.0;
+/// 50 km/h (m/s).
+const TOWN_SPEED: f64 = 13.89;
+/// Where one may drive faster, the option comes early enough to brake to that with this (m/s2).
+const BRAKING: f64 = 3.0;
 
 /// The longest route that is built (m).
 const LONGEST: f64 = 500_000.0;
@@ -310,7 +315,8 @@ impl Route {
         if option == RoadOption::LaneFollow || !lane_follow {
             return;
         }
-        let begin = stop - APPROACH;
+        let limit = section.speed_limit.max(TOWN_SPEED);
+        let begin = stop - APPROACH - (limit * limit - TOWN_SPEED * TOWN_SPEED) / (2.0 * BRAKING);
         if section.s_start >= begin {
             section.option = option;
         } else {

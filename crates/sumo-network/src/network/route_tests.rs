@@ -38,6 +38,19 @@ fn a_turn_is_announced_before_its_stop_line() {
 }
 
 #[test]
+fn on_a_fast_road_a_turn_is_announced_early_enough_to_brake_for_it() {
+    let fast = text("")
+        .replace(r#"<lane id="ab_1" index="1" speed="10""#, r#"<lane id="ab_1" index="1" speed="25""#);
+    let network = parsed(&fast).unwrap();
+    let route = go(&network, ("ab_1", 20.0), ("bl_0", 30.0)).unwrap();
+    let stop = route.links[0].stop_s;
+    // (25 m/s)^2 less (13.89 m/s)^2 by twice 3 m/s2, and 15 m.
+    assert!((stop - route.sections[1].s_start - 87.0).abs() < 0.1, "{}", route.sections[1].s_start);
+    assert_eq!(route.at(stop - 86.0).option, RoadOption::Left);
+    assert_eq!(route.at(stop - 88.0).option, RoadOption::LaneFollow);
+}
+
+#[test]
 fn a_road_without_a_choice_is_followed() {
     let network = net();
     let route = go(&network, ("bc_0", 100.0), ("ab_0", 100.0)).unwrap();

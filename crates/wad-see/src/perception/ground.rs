@@ -42,6 +42,11 @@ impl GroundPlane {
         [eye.x as f32 + ray[0] * depth, eye.y as f32 + ray[1] * depth]
     }
 
+    /// The picture's width (pixels).
+    pub fn width(&self) -> f32 {
+        2.0 * self.view.centre[0]
+    }
+
     /// How large (pixels) something of this size (m) is that is `depth` (m) before the camera along its axis.
     pub fn pixels(&self, size: f32, depth: f32) -> f32 {
         self.view.focal * size / depth.max(0.1)

@@ -10,8 +10,8 @@ use wad_camera::model::ObjectClass;
 pub const SIGHT: f64 = 50.0;
 /// Half the breadth of the way that must be free (m): the ego's half and a hand's breadth.
 pub const HALF_WAY: f64 = 1.2;
-/// Length of a flank that a box may show (m).
-const FLANK: f32 = 4.5;
+/// Places further than this from the route (m) are beside another part of it.
+const BEND: f64 = 4.5;
 /// Ticks without a detection until the vehicle in front is dropped.
 const COAST: u32 = 2;
 
@@ -28,15 +28,15 @@ pub struct Candidate {
     pub ahead: f64,
 }
 
-/// Width of the objects of a class from behind (m), and how far the lowest seen point (the wheels) is
-/// behind the nearest (the bumper, m).
-fn build(class: ObjectClass) -> (f32, f32) {
+/// Width of the objects of a class from behind (m), how far the lowest seen point (the wheels) is
+/// behind the nearest (the bumper, m), and how far back the flank reaches that a box may show (m).
+fn build(class: ObjectClass) -> (f32, f32, f32) {
     match class {
-        ObjectClass::Car => (1.8, 0.7),
-        ObjectClass::Truck | ObjectClass::Bus => (2.5, 0.9),
-        ObjectClass::Motorcycle | ObjectClass::Bicycle => (0.7, 0.0),
-        ObjectClass::Person => (0.5, 0.0),
-        ObjectClass::Bench | ObjectClass::TrafficLight => (1.5, 0.0),
+        ObjectClass::Car => (1.8, 0.7, 4.5),
+        ObjectClass::Truck | ObjectClass::Bus => (2.5, 0.9, 10.0),
+        ObjectClass::Motorcycle | ObjectClass::Bicycle => (0.7, 0.0, 1.8),
+        ObjectClass::Person => (0.5, 0.0, 0.3),
+        ObjectClass::Bench | ObjectClass::TrafficLight => (1.5, 0.0, 0.5),
     }
 }
 
@@ -61,7 +61,7 @@ fn locate(
     let [left, _, right, bottom] = detection.bounds;
     let [near, y_left] = ground.point([left, bottom])?;
     let [_, y_right] = ground.point([right, bottom])?;
-    let (breadth, behind) = build(class);
+    let (breadth, behind, flank) = build(class);
     if f64::from(near) > SIGHT + facts.length {
         return None;
     }
@@ -77,7 +77,8 @@ fn locate(
     let middle = offset(near, 0.5 * (y_left + y_right));
     let half = 0.5 * (y_left - y_right).abs().min(breadth);
     let (a, b) = (offset(near, y_left), offset(near, y_right));
-    let (outer, inner_column) = if a.d.abs() > b.d.abs() { (a.d, right) } else { (b.d, left) };
+    let on_left = a.d.abs() > b.d.abs();
+    let (outer, inner_column) = if on_left { (a.d, right) } else { (b.d, left) };
     let inner = outer - f64::from(2.0 * half).copysign(outer);
     let reaches = |d: f64| d.signum() != outer.signum() || d.abs() < HALF_WAY;
     // One that pulls out shows more than its breadth too. The box's side towards the path is seen on a ray: if that is
@@ -85,13 +86,16 @@ fn locate(
     let pulls_out = || {
         [0.0, 0.5, 1.0].iter().all(|share| {
             let [eye, _] = ground.ahead(inner_column, 0.0);
-            let [x, y] = ground.ahead(inner_column, near - eye + share * FLANK);
+            let [x, y] = ground.ahead(inner_column, near - eye + share * flank);
             let on = offset(x, y);
             // Beyond a turn of the route the other side means nothing.
-            reaches(on.d) && on.d.abs() < f64::from(FLANK) && on.distance - on.d.abs() < 0.1
+            reaches(on.d) && on.d.abs() < BEND && on.distance - on.d.abs() < 0.1
         })
     };
-    let within = reaches(inner) || middle.d.abs() < HALF_WAY || pulls_out();
+    // Whose outer side the picture's border cuts has no breadth to count: one that is passed would be in the path.
+    let is_cut = if on_left { left < 1.0 } else { right > ground.width() - 1.0 };
+    let spans = a.d.signum() != b.d.signum() && (a.d - b.d).abs() < 2.0 * BEND;
+    let within = spans || pulls_out() || !is_cut && (reaches(inner) || middle.d.abs() < HALF_WAY);
     let gap = (middle.s - facts.on_route.front_s - f64::from(behind)).max(0.0);
     let ahead = f64::from(near - behind);
     (within && gap <= SIGHT).then_some(Candidate { detection: index, class, gap, ahead })
@@ -248,12 +252,21 @@ mod tests {
         // One in the next lane: its box reaches from the far end of its flank to its back.
         let ground = GroundPlane::new(&CameraConfig::default());
         for near in [4.0_f32, 8.0, 16.0, 30.0] {
-            let [l, _] = ground.pixel([near + FLANK, -2.4]).unwrap();
+            let [l, _] = ground.pixel([near + 4.5, -2.4]).unwrap();
             let [r, b] = ground.pixel([near, -4.2]).unwrap();
             let beside =
                 Detection { class: ObjectClass::Car, bounds: [l, b - 400.0 / near, r, b], score: 1.0 };
             assert!(gap(&[beside], 60.0, 0.0, 0.0).is_none(), "{near}");
         }
+        // One that the ego passes: the picture's borders cut all of it but its far end.
+        let passed = |inner: f32| Detection {
+            class: ObjectClass::Car,
+            bounds: [0.0, 247.0, inner, 512.0],
+            score: 1.0,
+        };
+        assert!(gap(&[passed(81.0)], 60.0, 0.0, 0.0).is_none());
+        assert!(gap(&[passed(250.0)], 60.0, 0.0, 0.0).is_some(), "its corner is in front of the ego");
+        assert!(gap(&[passed(512.0)], 60.0, 0.0, 0.0).is_some(), "it fills the picture");
     }
 
     #[test]
