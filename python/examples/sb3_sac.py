@@ -16,7 +16,7 @@ import wad_cosim
 from wad_cosim.sb3 import DrivingVecEnv
 
 parser = argparse.ArgumentParser()
-parser.add_argument("--steps", type=int, default=15_000)
+parser.add_argument("--steps", type=int, default=25_000)
 parser.add_argument("--environments", type=int, default=1)
 parser.add_argument("--episodes", type=int, default=25)
 parser.add_argument("--seed", type=int, default=1)

@@ -41,6 +41,6 @@ def test_the_example_learns_to_arrive(tmp_path):
     example = pathlib.Path(__file__).parents[1] / "examples" / "sb3_sac.py"
     done = subprocess.run([sys.executable, example], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("15000 steps in ")
+    assert done.stdout.startswith("25000 steps in ")
     successes, episodes = map(int, re.search(r"success in (\d+) of (\d+) episodes", done.stdout).groups())
     assert episodes == 25 and successes >= 20, done.stdout

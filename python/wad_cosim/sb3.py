@@ -4,7 +4,7 @@
     from wad_cosim.sb3 import DrivingVecEnv
 
     env = DrivingVecEnv("wad_cosim/Straight-v0", 4, action="pedal", mode="training")
-    SAC("MlpPolicy", env).learn(15_000)
+    SAC("MlpPolicy", env).learn(25_000)
 
 It needs the package stable-baselines3.
 """

@@ -143,3 +143,17 @@ fn requests_of_viewers() {
 fn answers_of_external_agents() {
     fuzz("pipe", 4000);
 }
+
+#[test]
+fn each_target_is_guided_by_coverage_too() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let read = |file: &str| std::fs::read_to_string(root.join(file)).expect("a file");
+    let (manifest, script) = (read("fuzz/Cargo.toml"), read("scripts/fuzz"));
+    let list =
+        script.lines().find_map(|line| line.strip_prefix("targets=(")?.strip_suffix(')')).expect("a list");
+    for target in std::fs::read_dir(root.join("tests/data/fuzz")).expect("seeds") {
+        let name = target.expect("a target").file_name().into_string().expect("a name");
+        assert!(manifest.contains(&format!("name = \"{name}\"\npath")), "fuzz/Cargo.toml lacks {name}");
+        assert!(list.split(' ').any(|listed| listed == name), "scripts/fuzz lacks {name}");
+    }
+}

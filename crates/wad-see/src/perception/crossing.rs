@@ -112,7 +112,6 @@ impl CrossingTracker {
     pub fn update(
         &mut self,
         detections: &[Detection],
-        picture: [f32; 2],
         ground: &GroundPlane,
         facts: &EgoFacts<'_>,
     ) -> Option<LeadState> {
@@ -120,7 +119,7 @@ impl CrossingTracker {
             mover.predict(facts.tick);
         }
         let mut sightings: Vec<Sighting> =
-            detections.iter().filter_map(|detection| sight(detection, picture, ground, facts)).collect();
+            detections.iter().filter_map(|detection| sight(detection, ground, facts)).collect();
         for mover in &mut self.movers {
             let distance = |sighting: &Sighting| (sighting.place - mover.place).norm();
             let mine = |sighting: &Sighting| {
@@ -144,14 +143,10 @@ impl CrossingTracker {
 }
 
 /// Where a detection stands, unless the picture's border cuts it.
-fn sight(
-    detection: &Detection,
-    picture: [f32; 2],
-    ground: &GroundPlane,
-    facts: &EgoFacts<'_>,
-) -> Option<Sighting> {
+fn sight(detection: &Detection, ground: &GroundPlane, facts: &EgoFacts<'_>) -> Option<Sighting> {
     let kind = Kind::of(detection.class)?;
     let [left, _, right, bottom] = detection.bounds;
+    let picture = ground.picture();
     if left < 1.0 || right > picture[0] - 1.0 || bottom > picture[1] - 1.0 {
         return None;
     }
@@ -298,7 +293,7 @@ mod tests {
         (place, velocity): ([f64; 2], [f64; 2]),
     ) -> Vec<Option<LeadState>> {
         let camera = CameraConfig::default();
-        let (ground, picture) = (GroundPlane::new(&camera), [camera.width as f32, camera.height as f32]);
+        let ground = GroundPlane::new(&camera);
         let mut tracker = CrossingTracker::default();
         let tick = |tick: u32| {
             let t = f64::from(tick) * TICK;
@@ -306,7 +301,7 @@ mod tests {
             let place = Point::new(place[0] + velocity[0] * t, place[1] + velocity[1] * t);
             let at = facts.on_route.state.pose.to_local(place);
             let detection = seen(class, at.x as f32, at.y as f32, 1.8, 1.6);
-            tracker.update(&[detection], picture, &ground, &facts)
+            tracker.update(&[detection], &ground, &facts)
         };
         (0..12).map(tick).collect()
     }
@@ -385,7 +380,7 @@ mod tests {
         let mut tracker = CrossingTracker::default();
         let (road, ground) = (Road::new("GGG"), GroundPlane::new(&CameraConfig::default()));
         let facts = road.facts(60.0, 0.0, 0.0, 8.0);
-        tracker.update(&[seen(ObjectClass::Car, 20.0, 0.0, 1.8, 1.5)], [512.0, 512.0], &ground, &facts);
+        tracker.update(&[seen(ObjectClass::Car, 20.0, 0.0, 1.8, 1.5)], &ground, &facts);
         assert_eq!(tracker.movers.len(), 1);
         tracker.reset();
         assert!(tracker.movers.is_empty());

@@ -42,9 +42,9 @@ impl GroundPlane {
         [eye.x as f32 + ray[0] * depth, eye.y as f32 + ray[1] * depth]
     }
 
-    /// The picture's width (pixels).
-    pub fn width(&self) -> f32 {
-        2.0 * self.view.centre[0]
+    /// The picture's width and height (pixels).
+    pub fn picture(&self) -> [f32; 2] {
+        self.view.centre.map(|half| 2.0 * half)
     }
 
     /// How large (pixels) something of this size (m) is that is `depth` (m) before the camera along its axis.

@@ -93,7 +93,7 @@ fn locate(
         })
     };
     // Whose outer side the picture's border cuts has no breadth to count: one that is passed would be in the path.
-    let is_cut = if on_left { left < 1.0 } else { right > ground.width() - 1.0 };
+    let is_cut = if on_left { left < 1.0 } else { right > ground.picture()[0] - 1.0 };
     let spans = a.d.signum() != b.d.signum() && (a.d - b.d).abs() < 2.0 * BEND;
     let within = spans || pulls_out() || !is_cut && (reaches(inner) || middle.d.abs() < HALF_WAY);
     let gap = (middle.s - facts.on_route.front_s - f64::from(behind)).max(0.0);

@@ -178,8 +178,7 @@ impl Perception {
         self.percept.light_red = light.is_some_and(|light| light.is_red_here());
         let nearest = lead::nearest(&self.percept.detections, &self.ground, facts);
         let lead = self.lead.update(nearest.as_ref(), &self.ground, facts);
-        let picture = [self.camera.width as f32, self.camera.height as f32];
-        let crossing = self.crossing.update(&self.percept.detections, picture, &self.ground, facts);
+        let crossing = self.crossing.update(&self.percept.detections, &self.ground, facts);
         (self.percept.lead, self.percept.crossing) = (lead, crossing);
         let lead = lead.into_iter().chain(crossing).min_by(|a, b| a.gap.total_cmp(&b.gap));
         let speed = facts.on_route.state.speed;
