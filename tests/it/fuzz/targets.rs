@@ -25,6 +25,8 @@ struct Memory {
 
 /// Tens of bytes for each of the input's, and buffers of a fixed size.
 const USUAL: Memory = Memory { times: 10, base: 1 << 20 };
+/// Text of a few bytes becomes points and rows of tables, or paths of 24 bytes and their text.
+const TABLES: Memory = Memory { times: 100, base: 1 << 20 };
 
 /// A reader, what it may hold, and inputs to begin with.
 pub struct Target {
@@ -39,12 +41,12 @@ impl Target {
     /// accepted, but for those that earlier runs found (`found-...`): a seed that is refused at once leads nowhere.
     pub fn new(name: &str, root: &str) -> Self {
         let (memory, read) = match name {
-            "net" => (Memory { times: 100, base: 4 << 20 }, networks()),
+            "net" => (Memory { base: 4 << 20, ..TABLES }, networks()),
             "onnx" => (USUAL, onnx_files()),
             "pipe" => (USUAL, answers_of_external_agents()),
-            "recording" => (Memory { times: 100, base: 1 << 20 }, recordings()),
+            "recording" => (TABLES, recordings()),
             "shard" => (USUAL, shards()),
-            "sumocfg" => (Memory { times: 100, base: 1 << 20 }, configurations()),
+            "sumocfg" => (TABLES, configurations()),
             "traci" => (USUAL, traci_answers()),
             "view" => (USUAL, requests_of_viewers()),
             "weights" => (USUAL, weights()),
@@ -129,7 +131,6 @@ fn traci_answers() -> Read {
     })
 }
 
-/// A network is tables for search over its lanes, whose points are text of a few bytes.
 fn networks() -> Read {
     Box::new(|input| {
         let text = String::from_utf8_lossy(input);
@@ -159,7 +160,6 @@ fn exercise(network: &Network) {
     }
 }
 
-/// A list of names of few letters becomes paths of 24 bytes and their text.
 fn configurations() -> Read {
     let install = SumoInstall::find().expect("SUMO");
     let schema = OptionSchema::cached(&install, false).expect("SUMO's options");

@@ -145,11 +145,10 @@ impl CrossingTracker {
 /// Where a detection stands, unless the picture's border cuts it.
 fn sight(detection: &Detection, ground: &GroundPlane, facts: &EgoFacts<'_>) -> Option<Sighting> {
     let kind = Kind::of(detection.class)?;
-    let [left, _, right, bottom] = detection.bounds;
-    let picture = ground.picture();
-    if left < 1.0 || right > picture[0] - 1.0 || bottom > picture[1] - 1.0 {
+    if ground.cuts(detection.bounds).contains(&true) {
         return None;
     }
+    let [left, _, right, bottom] = detection.bounds;
     let [x, y] = ground.point([0.5 * (left + right), bottom])?;
     if f64::from(x) > SIGHT + facts.length {
         return None;

@@ -42,9 +42,10 @@ impl GroundPlane {
         [eye.x as f32 + ray[0] * depth, eye.y as f32 + ray[1] * depth]
     }
 
-    /// The picture's width and height (pixels).
-    pub fn picture(&self) -> [f32; 2] {
-        self.view.centre.map(|half| 2.0 * half)
+    /// Which sides of a box (left, top, right, bottom; pixels) the picture's border cuts: left, right, bottom.
+    pub fn cuts(&self, [left, _, right, bottom]: [f32; 4]) -> [bool; 3] {
+        let [width, height] = self.view.centre.map(|half| 2.0 * half);
+        [left < 1.0, right > width - 1.0, bottom > height - 1.0]
     }
 
     /// How large (pixels) something of this size (m) is that is `depth` (m) before the camera along its axis.

@@ -84,8 +84,8 @@ fn locate(
     // One that pulls out shows more than its breadth too. The box's side towards the path is seen on a ray: if that is
     // in the path as far as the flank can reach, so is the vehicle.
     let pulls_out = || {
+        let [eye, _] = ground.ahead(inner_column, 0.0);
         [0.0, 0.5, 1.0].iter().all(|share| {
-            let [eye, _] = ground.ahead(inner_column, 0.0);
             let [x, y] = ground.ahead(inner_column, near - eye + share * flank);
             let on = offset(x, y);
             // Beyond a turn of the route the other side means nothing.
@@ -93,9 +93,10 @@ fn locate(
         })
     };
     // Whose outer side the picture's border cuts has no breadth to count: one that is passed would be in the path.
-    let is_cut = if on_left { left < 1.0 } else { right > ground.picture()[0] - 1.0 };
+    let [left_is_cut, right_is_cut, _] = ground.cuts(detection.bounds);
+    let is_cut = if on_left { left_is_cut } else { right_is_cut };
     let spans = a.d.signum() != b.d.signum() && (a.d - b.d).abs() < 2.0 * BEND;
-    let within = spans || pulls_out() || !is_cut && (reaches(inner) || middle.d.abs() < HALF_WAY);
+    let within = spans || !is_cut && (reaches(inner) || middle.d.abs() < HALF_WAY) || pulls_out();
     let gap = (middle.s - facts.on_route.front_s - f64::from(behind)).max(0.0);
     let ahead = f64::from(near - behind);
     (within && gap <= SIGHT).then_some(Candidate { detection: index, class, gap, ahead })

@@ -29,9 +29,8 @@ pub fn ends(section: &Section) -> String {
     let mut rows = Vec::new();
     for condition in section.conditions() {
         for task in &section.suite.tasks {
-            for driver in section.drivers() {
-                let group =
-                    section.by(&driver, |e| e.case.condition == condition && e.case.task == task.name);
+            for driver in &section.drivers {
+                let group = section.by(driver, |e| e.case.condition == condition && e.case.task == task.name);
                 if group.is_empty() {
                     continue;
                 }
@@ -47,10 +46,8 @@ pub fn ends(section: &Section) -> String {
 /// Speeds, and gaps to the vehicle in front, by agent.
 pub fn distributions(section: &Section) -> [String; 2] {
     let of = |pick: &dyn Fn(Score) -> Histogram| -> Vec<(String, Vec<u64>)> {
-        let drivers = section.drivers().into_iter();
-        drivers
-            .map(|driver| (driver.to_string(), pick(Score::of(&section.by(&driver, |_| true))).0))
-            .collect()
+        let of = |driver| pick(Score::of(&section.by(driver, |_| true))).0;
+        section.drivers.iter().map(|driver| (driver.to_string(), of(driver))).collect()
     };
     let (speeds, gaps) = (of(&|s| s.speeds), of(&|s| s.gaps));
     [
@@ -103,13 +100,12 @@ fn map(section: &Section, town: &str, network: &Network) -> String {
     }
     // Successes below, so that none hides a failure.
     for success in [true, false] {
-        for driven in &section.episodes {
-            let e = &driven.record;
+        for entry in &section.episodes {
+            let e = &entry.record;
             if e.case.town != town || e.ending.success != success {
                 continue;
             }
-            let words =
-                format!("{}: {} ({}); {}", driven.driver, e.ending.end, e.ending.cause, e.case.name());
+            let words = format!("{}: {} ({}); {}", entry.driver, e.ending.end, e.ending.cause, e.case.name());
             let [x, y] = e.end_at;
             svg.dot(at(x, y), if success { 3.0 } else { 5.0 }, colour(e.ending.end), &words);
         }

@@ -65,6 +65,8 @@ pub struct Section {
     pub suite: Suite,
     /// The settings of the runs.
     pub runs: Vec<(PathBuf, Manifest)>,
+    /// The columns: agents in the order of the command line, each behind its detectors in the order of the runs.
+    pub drivers: Vec<Driver>,
     /// The episodes.
     pub episodes: Vec<Entry>,
 }
@@ -112,7 +114,12 @@ impl Report {
             let index = at.unwrap_or(report.sections.len());
             if index == report.sections.len() {
                 let suite = run.manifest.suite.clone();
-                report.sections.push(Section { suite, runs: Vec::new(), episodes: Vec::new() });
+                report.sections.push(Section {
+                    suite,
+                    runs: Vec::new(),
+                    drivers: Vec::new(),
+                    episodes: Vec::new(),
+                });
             }
             let section = &mut report.sections[index];
             for (path, manifest) in &section.runs {
@@ -176,7 +183,19 @@ impl Section {
         if looking.collect::<BTreeSet<_>>().len() < 2 {
             self.episodes.iter_mut().for_each(|e| e.driver.detector = None);
         }
-        let drivers = self.drivers();
+        let mut drivers: Vec<(usize, Driver)> = Vec::new();
+        let agents = self.agents();
+        for e in &self.episodes {
+            let agent = e.record.case.agent.to_string();
+            let rank = agents.iter().position(|a| *a == agent).unwrap_or(agents.len());
+            match drivers.iter_mut().find(|(_, driver)| *driver == e.driver) {
+                Some((first, _)) => *first = rank.min(*first),
+                None => drivers.push((rank, e.driver.clone())),
+            }
+        }
+        drivers.sort_by_key(|(rank, _)| *rank);
+        self.drivers = drivers.into_iter().map(|(_, driver)| driver).collect();
+        let drivers = &self.drivers;
         let driver = |e: &Entry| drivers.iter().position(|driver| *driver == e.driver);
         let mut by_case = BTreeMap::new();
         for episode in self.episodes.drain(..) {
@@ -184,22 +203,6 @@ impl Section {
             by_case.insert((driver(&episode), agent, place(&episode.record)), episode);
         }
         self.episodes = by_case.into_values().collect();
-    }
-
-    /// The columns: agents in the order of the command line, each behind its detectors in the order of the runs.
-    pub fn drivers(&self) -> Vec<Driver> {
-        let mut drivers: Vec<Driver> = Vec::new();
-        for agent in self.agents() {
-            for (run, _) in &self.runs {
-                let own = self.episodes.iter().filter(|e| e.run == *run);
-                for e in own.filter(|e| e.record.case.agent.to_string() == agent) {
-                    if !drivers.contains(&e.driver) {
-                        drivers.push(e.driver.clone());
-                    }
-                }
-            }
-        }
-        drivers
     }
 
     /// The agents in the order of the command line.

@@ -42,9 +42,9 @@ pub fn thumbnails(section: &Section, most: usize) -> Result<Vec<Thumbnail>, Came
     let mut towns: BTreeMap<String, Option<Town>> = BTreeMap::new();
     let mut camera = Camera::new(CameraConfig::chase(SIZE.0, SIZE.1))?;
     let mut all = Vec::new();
-    for (driven, recording) in kept.into_iter().step_by(step).take(most) {
-        let folder = recording.within(&driven.run);
-        let episode = &driven.record;
+    for (entry, recording) in kept.into_iter().step_by(step).take(most) {
+        let folder = recording.within(&entry.run);
+        let episode = &entry.record;
         let states = match Recording::open(&folder) {
             Ok(states) => states,
             Err(error) => {
@@ -71,7 +71,7 @@ pub fn thumbnails(section: &Section, most: usize) -> Result<Vec<Thumbnail>, Came
         all.push(Thumbnail {
             title: format!(
                 "{}, {}, {}, {}, episode {}",
-                driven.driver,
+                entry.driver,
                 case.town,
                 case.task,
                 case.spec.weather.name(),

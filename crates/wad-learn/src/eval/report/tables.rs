@@ -59,7 +59,7 @@ fn percent_of(part: u64, all: u64) -> String {
 }
 
 fn success(section: &Section) -> Table {
-    let (drivers, conditions) = (section.drivers(), section.conditions());
+    let (drivers, conditions) = (&section.drivers, section.conditions());
     let mut head = vec!["task".to_string()];
     let mut groups = vec![(String::new(), 1)];
     for condition in &conditions {
@@ -133,9 +133,9 @@ fn odd_weathers(section: &Section, condition: &str, trained: bool) -> Vec<&'stat
 
 /// Groups by agent, condition and task, in that order, with their names.
 fn lines(section: &Section) -> Vec<(Vec<String>, Vec<&EpisodeRecord>)> {
-    let (drivers, conditions) = (section.drivers(), section.conditions());
+    let (drivers, conditions) = (&section.drivers, section.conditions());
     let mut all = Vec::new();
-    for driver in &drivers {
+    for driver in drivers {
         for condition in &conditions {
             for task in &section.suite.tasks {
                 let group =
@@ -282,7 +282,7 @@ fn ends(section: &Section) -> Table {
 }
 
 fn weathers(section: &Section) -> Table {
-    let (drivers, conditions) = (section.drivers(), section.conditions());
+    let (drivers, conditions) = (&section.drivers, section.conditions());
     let mut rows = Vec::new();
     for condition in &conditions {
         let mut weathers: Vec<Preset> = Vec::new();
