@@ -96,6 +96,9 @@ pub struct Args {
     /// 0].
     #[arg(long, value_name = "N")]
     critics_first: Option<u64>,
+    /// Updates over which the actor that is validated and written is averaged (beyond the paper); 0: the newest actor.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    actor_average: u64,
     /// Adam's initial learning rate for --clone; it falls linearly to a tenth.
     #[arg(long, value_name = "X", default_value_t = 1e-3)]
     clone_rate: f64,
@@ -312,6 +315,7 @@ fn config(args: &Args) -> anyhow::Result<TrainConfig> {
                 Critic::Sigmoid => CriticEnd::Sigmoid { low: args.critic_range.0, high: args.critic_range.1 },
             },
             critics_first,
+            actor_average: args.actor_average,
             imitation,
             ..Td3Params::default()
         }),
@@ -321,6 +325,7 @@ fn config(args: &Args) -> anyhow::Result<TrainConfig> {
             alpha: args.alpha.unwrap_or(SacParams::default().alpha),
             autotune: args.alpha.is_none(),
             critics_first,
+            actor_average: args.actor_average,
             imitation,
             ..SacParams::default()
         }),

@@ -2,7 +2,7 @@
 
 use super::action::{ACTION_SIZE, Action};
 use super::batch::{Batch, InputScale, Metrics, Scale};
-use super::networks::{ActorT, Dims, Params, PolicyS};
+use super::networks::{ActorT, Dims, Params, PolicyS, flat_values};
 pub use super::params::{Algorithm, Misfit};
 use super::sac::Sac;
 use super::td3::Td3;
@@ -10,15 +10,47 @@ use crate::optim::Adam;
 use std::collections::BTreeMap;
 use tch::{Device, Tensor, no_grad};
 
-/// TD3 or SAC.
+/// TD3 or SAC, and the average of its actor.
 #[derive(Debug)]
-pub enum Learner {
+pub struct Learner {
+    networks: Networks,
+    average: Average,
+}
+
+#[derive(Debug)]
+enum Networks {
     /// WAD-T.
     Td3(Box<Td3>),
     /// WAD-S.
     Sac(Box<Sac>),
 }
 
+/// The mean of the actor's parameters over its last updates, exponentially weighted (Polyak and Juditsky 1992): the
+/// actor of one update is a matter of chance, their mean much less so.
+#[derive(Debug)]
+struct Average {
+    /// Updates over which the weight of an actor falls to 1/e; 0: the newest actor alone counts.
+    updates: u64,
+    /// The flat parameters; None while it is the actor itself.
+    values: Option<Tensor>,
+}
+
+impl Average {
+    /// Takes in the actor after `done` updates of it. The first ones count alike.
+    fn add(&mut self, actor: &Tensor, done: u64) {
+        if self.updates == 0 {
+            return;
+        }
+        let share = 1.0 / done.clamp(1, self.updates) as f64;
+        no_grad(|| match &mut self.values {
+            Some(values) => _ = values.lerp_(actor, share),
+            none => *none = Some(actor.detach().copy()),
+        });
+    }
+}
+
+/// The average's name in a checkpoint.
+const AVERAGE: &str = "actor_average";
 /// Updates between two that are measured.
 const MEASURE_EVERY: u64 = 16;
 
@@ -27,17 +59,24 @@ impl Learner {
     pub fn new(algorithm: &Algorithm, dims: Dims, seed: u64, device: Device) -> Self {
         wad_see::torch::one_thread();
         let mut rng = sumo_network::seeds::rng(seed, "networks");
-        match algorithm {
-            Algorithm::Td3(params) => Self::Td3(Box::new(Td3::new(params.clone(), dims, &mut rng, device))),
-            Algorithm::Sac(params) => Self::Sac(Box::new(Sac::new(params.clone(), dims, &mut rng, device))),
-        }
+        let (networks, updates) = match algorithm {
+            Algorithm::Td3(params) => {
+                let td3 = Td3::new(params.clone(), dims, &mut rng, device);
+                (Networks::Td3(Box::new(td3)), params.actor_average)
+            }
+            Algorithm::Sac(params) => {
+                let sac = Sac::new(params.clone(), dims, &mut rng, device);
+                (Networks::Sac(Box::new(sac)), params.actor_average)
+            }
+        };
+        Self { networks, average: Average { updates, values: None } }
     }
 
     /// Updates so far.
     pub fn updates(&self) -> u64 {
-        match self {
-            Self::Td3(td3) => td3.updates,
-            Self::Sac(sac) => sac.updates,
+        match &self.networks {
+            Networks::Td3(td3) => td3.updates,
+            Networks::Sac(sac) => sac.updates,
         }
     }
 
@@ -45,10 +84,11 @@ impl Learner {
     pub fn update(&mut self, batch: &Batch, metrics: &mut Metrics) {
         // Measured updates must meet those of the actor.
         let metrics = (self.updates() % MEASURE_EVERY == MEASURE_EVERY - 1).then_some(metrics);
-        match self {
-            Self::Td3(td3) => td3.update(batch, metrics),
-            Self::Sac(sac) => sac.update(batch, metrics),
+        match &mut self.networks {
+            Networks::Td3(td3) => td3.update(batch, metrics),
+            Networks::Sac(sac) => sac.update(batch, metrics),
         }
+        self.average.add(actor_params(&self.networks).flat(), self.updates());
     }
 
     /// The discounted return that the critics expect of `action` after the scaled `observation` (scaled rewards);
@@ -57,9 +97,9 @@ impl Learner {
         no_grad(|| {
             let observation = observation.unsqueeze(0);
             let action = Tensor::from_slice(action).unsqueeze(0).to_device(observation.device());
-            let value = match self {
-                Self::Td3(td3) => td3.value(&observation, &action),
-                Self::Sac(sac) => sac.critics.forward(&observation, &action).amin([0i64].as_slice(), false),
+            let value = match &self.networks {
+                Networks::Td3(td3) => td3.value(&observation, &action),
+                Networks::Sac(sac) => sac.critics.forward(&observation, &action).amin([0i64].as_slice(), false),
             };
             value.double_value(&[0])
         })
@@ -67,16 +107,9 @@ impl Learner {
 
     /// One step of behaviour cloning: trains only the actor; it does not count as an update.
     pub fn clone_expert(&mut self, batch: &Batch, learning_rate: f64) {
-        match self {
-            Self::Td3(td3) => td3.clone_expert(batch, learning_rate),
-            Self::Sac(sac) => sac.clone_expert(batch, learning_rate),
-        }
-    }
-
-    fn actor_params(&self) -> &Params {
-        match self {
-            Self::Td3(td3) => &td3.actor.params,
-            Self::Sac(sac) => &sac.policy.params,
+        match &mut self.networks {
+            Networks::Td3(td3) => td3.clone_expert(batch, learning_rate),
+            Networks::Sac(sac) => sac.clone_expert(batch, learning_rate),
         }
     }
 
@@ -85,24 +118,30 @@ impl Learner {
     /// # Errors
     /// The number of parameters differs.
     pub fn set_actor(&mut self, values: &[f32]) -> Result<(), Misfit> {
-        match self {
-            Self::Td3(td3) => {
+        self.average.values = None;
+        match &mut self.networks {
+            Networks::Td3(td3) => {
                 fill(&mut td3.actor.params, values)?;
                 fill(&mut td3.actor_target.params, values)
             }
-            Self::Sac(sac) => fill(&mut sac.policy.params, values),
+            Networks::Sac(sac) => fill(&mut sac.policy.params, values),
         }
     }
 
-    /// The actor's parameters, on the CPU.
+    /// The newest actor's parameters, on the CPU: it explores.
     pub fn actor_values(&self) -> Vec<f32> {
-        self.actor_params().values()
+        actor_params(&self.networks).values()
+    }
+
+    /// The parameters of the actor that is kept and validated, on the CPU: the average, where one is asked for.
+    pub fn kept_actor_values(&self) -> Vec<f32> {
+        self.average.values.as_ref().map_or_else(|| self.actor_values(), flat_values)
     }
 
     /// Every tensor of the state by name, flat, on its device; without counters.
     pub fn tensors(&mut self) -> Vec<(&'static str, &mut Tensor)> {
-        match self {
-            Self::Td3(td3) => vec![
+        let mut tensors = match &mut self.networks {
+            Networks::Td3(td3) => vec![
                 ("actor", td3.actor.params.flat_mut()),
                 ("actor_target", td3.actor_target.params.flat_mut()),
                 ("critics", td3.critics.params.flat_mut()),
@@ -112,7 +151,7 @@ impl Learner {
                 ("critics_adam.m", &mut td3.critics_adam.m),
                 ("critics_adam.v", &mut td3.critics_adam.v),
             ],
-            Self::Sac(sac) => vec![
+            Networks::Sac(sac) => vec![
                 ("policy", sac.policy.params.flat_mut()),
                 ("critics", sac.critics.params.flat_mut()),
                 ("value", sac.value.params.flat_mut()),
@@ -127,7 +166,9 @@ impl Learner {
                 ("alpha_adam.m", &mut sac.alpha_adam.m),
                 ("alpha_adam.v", &mut sac.alpha_adam.v),
             ],
-        }
+        };
+        tensors.extend(self.average.values.as_mut().map(|values| (AVERAGE, values)));
+        tensors
     }
 
     /// Updates, and the steps of each optimiser.
@@ -137,9 +178,9 @@ impl Learner {
     }
 
     fn adams(&mut self) -> Vec<&mut Adam> {
-        match self {
-            Self::Td3(td3) => vec![&mut td3.actor_adam, &mut td3.critics_adam],
-            Self::Sac(sac) => {
+        match &mut self.networks {
+            Networks::Td3(td3) => vec![&mut td3.actor_adam, &mut td3.critics_adam],
+            Networks::Sac(sac) => {
                 vec![&mut sac.policy_adam, &mut sac.critics_adam, &mut sac.value_adam, &mut sac.alpha_adam]
             }
         }
@@ -155,6 +196,8 @@ impl Learner {
         updates: u64,
         steps: &[i64],
     ) -> Result<(), Misfit> {
+        // A checkpoint of before its first update has none.
+        self.average.values = saved.get(AVERAGE).map(|_| actor_params(&self.networks).flat().detach().copy());
         for (name, tensor) in self.tensors() {
             let expected = tensor.size();
             match saved.get(name) {
@@ -179,11 +222,18 @@ impl Learner {
         for (adam, t) in adams.into_iter().zip(steps) {
             adam.t = *t;
         }
-        match self {
-            Self::Td3(td3) => td3.updates = updates,
-            Self::Sac(sac) => sac.updates = updates,
+        match &mut self.networks {
+            Networks::Td3(td3) => td3.updates = updates,
+            Networks::Sac(sac) => sac.updates = updates,
         }
         Ok(())
+    }
+}
+
+fn actor_params(networks: &Networks) -> &Params {
+    match networks {
+        Networks::Td3(td3) => &td3.actor.params,
+        Networks::Sac(sac) => &sac.policy.params,
     }
 }
 

@@ -26,6 +26,14 @@ pub struct Params {
     shapes: Vec<Vec<i64>>,
 }
 
+/// A flat tensor's numbers, on the CPU.
+pub fn flat_values(flat: &Tensor) -> Vec<f32> {
+    let flat = flat.to_device(Device::Cpu).contiguous();
+    let mut values = vec![0.0; flat.numel()];
+    flat.copy_data(&mut values, flat.numel());
+    values
+}
+
 impl Params {
     fn new(values: &[f32], shapes: Vec<Vec<i64>>, device: Device) -> Self {
         let flat = Tensor::from_slice(values).to_device(device);
@@ -78,10 +86,7 @@ impl Params {
 
     /// All parameters, on the CPU.
     pub fn values(&self) -> Vec<f32> {
-        let flat = self.flat.to_device(Device::Cpu).contiguous();
-        let mut values = vec![0.0; self.size() as usize];
-        flat.copy_data(&mut values, self.size() as usize);
-        values
+        flat_values(&self.flat)
     }
 
     /// The gradient of `loss`, flat.

@@ -203,6 +203,9 @@ pub struct Td3Params {
     pub critic_end: CriticEnd,
     /// Updates in which only the critics learn: those of a trained actor are new, and would spoil it.
     pub critics_first: u64,
+    /// Updates over which a saved or validated actor is averaged; 0: the newest alone. The collectors drive with the
+    /// newest (beyond the paper).
+    pub actor_average: u64,
     /// Imitation, beyond the paper.
     pub imitation: Imitation,
 }
@@ -221,6 +224,7 @@ impl Default for Td3Params {
             critic_hidden: vec![256, 128],
             critic_end: CriticEnd::Sigmoid { low: -60.0, high: 100.0 },
             critics_first: 0,
+            actor_average: 0,
             imitation: Imitation::default(),
         }
     }
@@ -260,6 +264,9 @@ pub struct SacParams {
     pub target_entropy: Option<f64>,
     /// Updates in which only the critics learn: those of a trained actor are new, and would spoil it.
     pub critics_first: u64,
+    /// Updates over which a saved or validated actor is averaged; 0: the newest alone. The collectors drive with the
+    /// newest (beyond the paper).
+    pub actor_average: u64,
     /// Imitation, beyond the paper.
     pub imitation: Imitation,
 }
@@ -274,6 +281,7 @@ impl Default for SacParams {
             autotune: true,
             target_entropy: None,
             critics_first: 0,
+            actor_average: 0,
             imitation: Imitation::default(),
         }
     }

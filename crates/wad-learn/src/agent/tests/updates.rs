@@ -4,6 +4,7 @@
 //! looked at here.
 
 use super::super::batch::{Batch, Metrics};
+use super::super::learner::{Algorithm, Learner};
 use super::super::imitation::{HARD_BRAKE, HARD_BRAKING, Imitation, STEERING};
 use super::super::networks::{CriticEnd, Dims, Params};
 use super::super::sac::{Sac, SacParams};
@@ -303,4 +304,38 @@ fn an_actor_waits_while_new_critics_learn() {
         sac.update(&batch, None);
     }
     assert!(double(&td3.actor.params) != actor && double(&sac.policy.params) != policy);
+}
+
+#[test]
+fn the_kept_actor_is_the_mean_of_the_newest() {
+    let batch = Data::new().batch();
+    let sac = SacParams { actor_average: 3, ..SacParams::default() };
+    let td3 = Td3Params { actor_average: 3, ..Td3Params::default() };
+    for algorithm in [Algorithm::Td3(td3), Algorithm::Sac(sac)] {
+        let mut learner = Learner::new(&algorithm, DIMS, 3, Device::Cpu);
+        assert_eq!(learner.kept_actor_values(), learner.actor_values());
+        let mut mean = vec![0.0; learner.actor_values().len()];
+        for share in [1.0, 1.0 / 2.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0] {
+            learner.update(&batch, &mut Metrics::default());
+            for (mean, newest) in mean.iter_mut().zip(learner.actor_values()) {
+                *mean += share * (f64::from(newest) - *mean);
+            }
+        }
+        let kept = learner.kept_actor_values();
+        assert!(kept.iter().zip(&mean).all(|(kept, mean)| (f64::from(*kept) - mean).abs() < 1e-6));
+        assert!(kept != learner.actor_values());
+
+        // It comes back from a checkpoint.
+        let saved = learner.tensors().into_iter().map(|(name, tensor)| (name.to_string(), tensor.copy()));
+        let saved = saved.collect();
+        let (updates, steps) = learner.counters();
+        let mut resumed = Learner::new(&algorithm, DIMS, 4, Device::Cpu);
+        resumed.restore(&saved, updates, &steps).unwrap();
+        assert_eq!(resumed.kept_actor_values(), kept);
+
+        // Another actor begins another mean.
+        let newest = learner.actor_values();
+        learner.set_actor(&newest).unwrap();
+        assert_eq!(learner.kept_actor_values(), newest);
+    }
 }

@@ -475,7 +475,7 @@ impl<'a> Learning<'a> {
         };
         self.checkpoints.save(state, &mut self.learner, &self.buffer)?;
         self.saved_at = self.steps;
-        self.policy(serde_json::Value::Null, &self.learner.actor_values(), self.steps)
+        self.policy(serde_json::Value::Null, &self.learner.kept_actor_values(), self.steps)
             .save(&self.limits.out.join("last.safetensors"))?;
         self.log.flush()?;
         self.rate.paused += clock.elapsed().as_secs_f64();

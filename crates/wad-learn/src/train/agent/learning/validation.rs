@@ -22,7 +22,7 @@ impl Learning<'_> {
     pub(super) fn start_validation(&mut self, shared: &Shared) {
         // Validates exactly the parameters that a file would hold.
         self.version += 1;
-        let policy = self.policy(serde_json::Value::Null, &self.learner.actor_values(), self.steps);
+        let policy = self.policy(serde_json::Value::Null, &self.learner.kept_actor_values(), self.steps);
         let actor = Arc::new(ActorCopy { version: self.version, values: policy.values, scale: policy.scale });
         let expected = lock(&shared.schedule).validate(self.config, &actor);
         self.validation = Some(Validation { steps: self.steps, actor, expected, reports: Vec::new() });
