@@ -33,6 +33,7 @@ def evaluate(
     task: str | Iterable[str] = (),
     town: str | Iterable[str] = (),
     weather: str | Iterable[str] = (),
+    weathers_in_turn: bool = False,
     traffic: str | Iterable[str] = (),
     episodes: int | None = None,
     seed: int | Iterable[int] = (),
@@ -60,7 +61,8 @@ def evaluate(
         encoder: What makes the latent of ``observation="latent"``.
         agent_timeout: Seconds for each answer of an ``exec:`` agent.
         condition, task, town, weather, traffic, seed: Only these of the suite; one or several.
-        episodes: Episodes per task, town and weather. Default: the suite's.
+        weathers_in_turn: Take the weathers in turn, episode by episode, instead of driving all episodes in each of them.
+        episodes: Episodes per task, town and weather (per task and town with ``weathers_in_turn``). Default: the suite's.
         jobs: Environments in parallel. Several call the agent from as many threads, one at a time. Default: 1; with
             ``ray`` as many as the cluster has cores.
         out: A folder for config.json, episodes.jsonl, summary.json and recordings.
@@ -95,6 +97,7 @@ def evaluate(
         task=task,
         town=town,
         weather=weather,
+        weathers_in_turn=weathers_in_turn,
         traffic=traffic,
         seed=seed,
         episodes=episodes,
@@ -135,6 +138,7 @@ def wanted_by(
     out: str | os.PathLike[str] | None,
     resume: bool,
     keep: str,
+    weathers_in_turn: bool = False,
     observation: str = "raw",
     encoder: str | os.PathLike[str] = "default",
     agent_timeout: float = 10.0,
@@ -149,6 +153,7 @@ def wanted_by(
             "conditions": _list(condition),
             "towns": _list(town),
             "weathers": _list(weather),
+            "weathers_in_turn": weathers_in_turn,
             "seeds": [seed] if isinstance(seed, int) else list(seed),
             "episodes": episodes,
         },

@@ -25,6 +25,7 @@ def _parser() -> argparse.ArgumentParser:
     for name in ("condition", "task", "town", "weather", "traffic"):
         drive.add_argument(f"--{name}", action="append", default=[], help="only this; may be given several times")
     drive.add_argument("--seed", action="append", type=int, default=[], metavar="N")
+    drive.add_argument("--weathers-in-turn", action="store_true", help="episode by episode, instead of all episodes in each")
     drive.add_argument("--episodes", type=int, metavar="N", help="per task, town and weather")
     drive.add_argument("--detector", default=_native.DEFAULT_DETECTOR, metavar="NAME", help=f"[{_native.DEFAULT_DETECTOR}]")
     drive.add_argument("--agent-timeout", type=float, default=10, metavar="SECONDS", help="for each answer of an exec: agent [10]")
@@ -117,6 +118,7 @@ def _eval(asked: argparse.Namespace) -> int:
         task=asked.task,
         town=asked.town,
         weather=asked.weather,
+        weathers_in_turn=asked.weathers_in_turn,
         traffic=asked.traffic,
         seed=asked.seed,
         episodes=asked.episodes,

@@ -48,11 +48,14 @@ pub struct Args {
     /// Weather instead of the suite's; may be given several times.
     #[arg(long = "weather", value_name = "NAME")]
     weathers: Vec<Preset>,
+    /// Take the weathers in turn, episode by episode, instead of driving all episodes in each of them.
+    #[arg(long)]
+    weathers_in_turn: bool,
     /// Only the suite's tasks with this traffic, or, if there are none, this traffic instead of the tasks'
     /// own: empty, regular, dense or V,P; may be given several times.
     #[arg(long, value_name = "SPEC")]
     traffic: Vec<TrafficSpec>,
-    /// Episodes per task, town and weather.
+    /// Episodes per task, town and weather (per task and town with --weathers-in-turn).
     #[arg(long, value_name = "N")]
     episodes: Option<u64>,
     /// The evaluation's seed; may be given several times.
@@ -222,6 +225,7 @@ fn selection(suite: &Suite, args: &Args) -> Selection {
         conditions: args.conditions.clone(),
         towns: args.towns.clone(),
         weathers: args.weathers.clone(),
+        weathers_in_turn: args.weathers_in_turn,
         traffic: Vec::new(),
         seeds: args.seeds.clone(),
         episodes: args.episodes,

@@ -30,11 +30,13 @@ pub struct Selection {
     pub towns: Vec<String>,
     /// Weathers instead of the suite's.
     pub weathers: Vec<Preset>,
+    /// Each task's episodes take the weathers in turn, instead of being driven in each of them.
+    pub weathers_in_turn: bool,
     /// Traffic: selects tasks, or replaces their own traffic.
     pub traffic: Vec<TrafficSpec>,
     /// The evaluation's seeds.
     pub seeds: Vec<u64>,
-    /// Episodes per task, town and weather.
+    /// Episodes per task, town and weather (per task and town if weathers come in turn).
     pub episodes: Option<u64>,
     /// Route file for a town without one.
     pub routes: Option<PathBuf>,
@@ -229,7 +231,7 @@ impl Selection {
                         [] => vec![task.traffic],
                         given => given.iter().copied().map(Some).collect(),
                     };
-                    let turn = if suite.weathers_in_turn { weathers.len().max(1) } else { 1 };
+                    let turn = if suite.weathers_in_turn || self.weathers_in_turn { weathers.len().max(1) } else { 1 };
                     for days in weathers.chunks(turn) {
                         rows.extend(traffic.iter().map(|&traffic| (agent, town, task, days, traffic)));
                     }
@@ -367,6 +369,9 @@ mod tests {
         let composite = plan(&Selection::default(), "composite");
         assert_eq!(composite.len(), 300);
         assert_ne!(composite[0].spec.weather, composite[1].spec.weather, "weathers in turn");
+        let in_turn = plan(&Selection { weathers_in_turn: true, ..Selection::default() }, "nocrash");
+        assert_eq!(in_turn.len(), 3 * 3 * 25);
+        assert_ne!(in_turn[0].spec.weather, in_turn[1].spec.weather);
         let some = Selection {
             tasks: vec!["dense".into()],
             conditions: vec!["development".into()],
