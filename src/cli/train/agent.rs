@@ -360,6 +360,7 @@ fn config(args: &Args) -> anyhow::Result<TrainConfig> {
     if let Some(detector) = &args.detector {
         config.env.detector.clone_from(detector);
     }
+    config.env.told_expert = wad_cosim::perception::sees_the_road(&config.env.detector);
     with_settings(config, &args.set)
 }
 

@@ -99,7 +99,9 @@ impl Learner {
             let action = Tensor::from_slice(action).unsqueeze(0).to_device(observation.device());
             let value = match &self.networks {
                 Networks::Td3(td3) => td3.value(&observation, &action),
-                Networks::Sac(sac) => sac.critics.forward(&observation, &action).amin([0i64].as_slice(), false),
+                Networks::Sac(sac) => {
+                    sac.critics.forward(&observation, &action).amin([0i64].as_slice(), false)
+                }
             };
             value.double_value(&[0])
         })

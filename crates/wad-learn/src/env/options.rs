@@ -58,6 +58,10 @@ pub struct EnvOptions {
     pub observation: ObservationMode,
     /// Detector by name, e.g. `truth`.
     pub detector: String,
+    /// The expert goes by the light that the detector believes, not by SUMO's: so that it shows an agent nothing that the agent
+    /// cannot see. Default false.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub told_expert: bool,
     /// The front camera.
     pub camera: CameraConfig,
     /// Tick length (ms). Default 167, the paper's six a second.
@@ -97,6 +101,7 @@ impl Default for EnvOptions {
             world: WorldMode::Fresh,
             observation: ObservationMode::default(),
             detector: "truth".to_string(),
+            told_expert: false,
             camera: CameraConfig::default(),
             tick_ms: wad_sim::bridge::DEFAULT_TICK_MS,
             sight: 100.0,

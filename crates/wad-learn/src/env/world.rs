@@ -15,7 +15,7 @@ use sumo_network::seeds;
 use wad_see::eyes::{Eyes, LookTimes};
 use wad_see::latent::Encoder;
 use wad_sim::assets::Assets;
-use wad_sim::autopilot::AutopilotParams;
+use wad_sim::autopilot::{AutopilotParams, ToldLight};
 use wad_sim::bridge::{BridgeError, BridgeOptions, Ego};
 use wad_sim::cores;
 use wad_sim::destination::Destinations;
@@ -421,6 +421,10 @@ impl World {
     pub fn expert(&mut self, index: usize) -> Result<wad_vehicle::Control, EnvError> {
         let running = self.slots[index].is_running();
         let (true, Some(sumo)) = (running, &mut self.sumo) else { return Err(EnvError::NoEpisode) };
+        if self.options.told_expert {
+            let stop = self.slots[index].eyes().raw().stop_light;
+            sumo.session.tell(index, ToldLight { stop });
+        }
         Ok(sumo.session.plan(index).control)
     }
 

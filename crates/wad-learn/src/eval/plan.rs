@@ -231,7 +231,11 @@ impl Selection {
                         [] => vec![task.traffic],
                         given => given.iter().copied().map(Some).collect(),
                     };
-                    let turn = if suite.weathers_in_turn || self.weathers_in_turn { weathers.len().max(1) } else { 1 };
+                    let turn = if suite.weathers_in_turn || self.weathers_in_turn {
+                        weathers.len().max(1)
+                    } else {
+                        1
+                    };
                     for days in weathers.chunks(turn) {
                         rows.extend(traffic.iter().map(|&traffic| (agent, town, task, days, traffic)));
                     }

@@ -129,6 +129,13 @@ pub struct Decision {
     pub brake_light: bool,
 }
 
+/// What others believe of the ego's light, such as a detector.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ToldLight {
+    /// The line at which to stop, from the front bumper (m); None: nothing to stop for.
+    pub stop: Option<f64>,
+}
+
 /// The rule-based driver of one ego.
 #[derive(Clone, Debug)]
 pub struct Autopilot {
@@ -138,6 +145,7 @@ pub struct Autopilot {
     plans: Vec<LinkPlan>,
     tracker: Tracker,
     lights: Lights,
+    told: Option<ToldLight>,
     changer: LaneChanger,
     pedals: Pedals,
     /// Acceleration asked for at the last tick (m/s2).
@@ -194,6 +202,7 @@ impl Autopilot {
             plans: Vec::new(),
             tracker: Tracker::default(),
             lights: Lights::default(),
+            told: None,
             changer: LaneChanger::default(),
             pedals: Pedals::default(),
             last_acceleration: 0.0,
@@ -206,6 +215,12 @@ impl Autopilot {
     /// pedals' correction learns from another driver's control.
     pub fn overruled(&mut self) {
         self.pedals.overruled();
+    }
+
+    /// For the next [`Autopilot::control`] the lights are what `told` says, not what SUMO shows: so it drives as one would who
+    /// is told no more.
+    pub fn tell(&mut self, told: ToldLight) {
+        self.told = Some(told);
     }
 
     /// One tick: from the state after the last SUMO step, the control for the next `tick_s` seconds.
@@ -256,6 +271,7 @@ impl Autopilot {
         let leader = self.follow_leaders(&now, &mut choice);
         let light = SignalAhead::find(network, route, front_s - 0.5, |signal| world.signal(signal));
         self.pass_junctions(&now, light, &mut choice);
+        self.told = None;
 
         let walk = pedestrians::Approach { front_s, rear_s, speed, top: profile.target.max(2.0) };
         if let Some(halt) = pedestrians::judge(network, &self.path, &self.plans, world, &walk, &params) {
@@ -368,6 +384,11 @@ impl Autopilot {
     fn pass_junctions(&mut self, now: &Situation<'_>, light: Option<SignalAhead>, choice: &mut Choice) {
         let by_lane = ByLane::new(now.world);
         let mut yielding_at = None;
+        let told_stop = self.told.and_then(|told| told.stop);
+        if let Some(distance) = told_stop {
+            let a = self.stop(now.speed, distance - self.params.stop_margin, now.latency);
+            choice.offer(a, Reason::RedLight { distance });
+        }
         let plans = std::mem::take(&mut self.plans);
         for plan in plans.iter().filter(|plan| now.rear_s <= plan.end_s) {
             let distance = plan.stop_s - now.front_s;
@@ -381,7 +402,7 @@ impl Autopilot {
                 let green = link.signal.is_some_and(|s| now.world.signal(s) == Some(SignalState::GreenMajor));
                 !link.must_yield_to.is_empty() && !green
             };
-            if distance > now.reach() {
+            if distance > now.reach() || told_stop.is_some_and(|stop| stop < distance + 1.0) {
                 break;
             }
             if self.give_way(plan, yields, &by_lane, now, choice) {
@@ -403,7 +424,14 @@ impl Autopilot {
     ) -> Option<bool> {
         let (params, speed, latency) = (self.params, now.speed, now.latency);
         let top = now.profile.target.max(speed);
-        let verdict = self.lights.judge(now.network, plan, now.world, distance, speed, top, latency, &params);
+        let link = now.network.link(plan.link);
+        let verdict = match (self.told, link.signal) {
+            (Some(_), Some(signal)) => {
+                let first = now.world.signal(signal) == Some(SignalState::GreenMajor);
+                Verdict::Go { yields: !first && !link.must_yield_to.is_empty() }
+            }
+            _ => self.lights.judge(now.network, plan, now.world, distance, speed, top, latency, &params),
+        };
         let Verdict::Go { yields } = verdict else {
             let a = self.stop(speed, distance - params.stop_margin, latency);
             choice.offer(a, Reason::RedLight { distance });

@@ -2,7 +2,7 @@
 
 use super::{Act, Tick};
 use crate::assets::Assets;
-use crate::autopilot::{Autopilot, AutopilotParams, Decision, EgoModel};
+use crate::autopilot::{Autopilot, AutopilotParams, Decision, EgoModel, ToldLight};
 use crate::bridge::{Ego, Lamps};
 use crate::criteria::{Criteria, CriteriaParams, Situation};
 use sumo_network::network::{Network, RoadOption, Route};
@@ -76,6 +76,11 @@ impl Seat {
     /// Whether the expert has been asked since the last tick.
     pub fn is_planned(&self) -> bool {
         self.decision.is_some()
+    }
+
+    /// What the expert goes by at lights when it decides for the next tick ([`Autopilot::tell`]).
+    pub(super) fn tell(&mut self, told: ToldLight) {
+        self.expert.tell(told);
     }
 
     /// What the expert decides for the next tick of `tick` s.

@@ -4,8 +4,8 @@
 //! looked at here.
 
 use super::super::batch::{Batch, Metrics};
-use super::super::learner::{Algorithm, Learner};
 use super::super::imitation::{HARD_BRAKE, HARD_BRAKING, Imitation, STEERING};
+use super::super::learner::{Algorithm, Learner};
 use super::super::networks::{CriticEnd, Dims, Params};
 use super::super::sac::{Sac, SacParams};
 use super::super::td3::{Td3, Td3Params};

@@ -1,6 +1,6 @@
 //! The closed loop: vehicle, route, scripted traffic, and the result.
 
-use crate::autopilot::{Autopilot, AutopilotParams, Decision, EgoModel};
+use crate::autopilot::{Autopilot, AutopilotParams, Decision, EgoModel, ToldLight};
 use std::path::Path;
 use std::sync::Arc;
 use sumo_network::geometry::{Point, Pose, Vector, direction};
@@ -105,6 +105,8 @@ pub struct Setup<'a> {
     pub pedestrians: Vec<Script<'a>>,
     /// State of the one traffic light over time.
     pub light: Box<dyn Fn(f64) -> Option<&'static str> + 'a>,
+    /// What is told of the light, from the distance to the stop line (m); None: it looks itself.
+    pub told: Option<fn(f64) -> ToldLight>,
     pub tick_s: f64,
     pub seconds: f64,
     /// Ends this far before the route's end (m).
@@ -125,6 +127,7 @@ impl<'a> Setup<'a> {
             vehicles: Vec::new(),
             pedestrians: Vec::new(),
             light: Box::new(|_| Some(MAIN_GREEN)),
+            told: None,
             tick_s: 0.167,
             seconds: 60.0,
             before_end: 3.0,
@@ -170,6 +173,9 @@ impl<'a> Setup<'a> {
             }
             if on.s > self.route.length() - self.before_end {
                 break;
+            }
+            if let Some(told) = self.told {
+                pilot.tell(told(report.to_line));
             }
             let decision = pilot.control(self.network, &self.route, on.s, &state, &world, self.tick_s);
             if trace {

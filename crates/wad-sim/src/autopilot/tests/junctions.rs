@@ -1,7 +1,7 @@
 //! Lights, gaps in cross traffic, full junctions.
 
 use super::drive::*;
-use crate::autopilot::Reason;
+use crate::autopilot::{Reason, ToldLight};
 
 #[test]
 fn it_stands_before_the_line_at_red_and_goes_at_green() {
@@ -51,6 +51,24 @@ fn a_light_out_of_sight_is_not_passed() {
     setup.seconds = 40.0;
     let report = setup.run();
     assert!(report.speed < 0.1 && report.to_line > 0.3, "{report:?}");
+}
+
+#[test]
+fn it_goes_by_the_light_that_it_is_told() {
+    let network = net();
+    let mut setup = Setup::new(&network, ("WC_1", 5.0), ("EF_1", 150.0), 10.0);
+    // The line seems 4 m nearer than it is, and the light is green.
+    setup.told = Some(|to_line| ToldLight { stop: Some(to_line - 4.0) });
+    setup.seconds = 45.0;
+    let report = setup.run();
+    assert!(report.speed < 0.1 && report.to_line > 5.0 && report.to_line < 6.0, "{report:?}");
+    assert!(matches!(report.last.unwrap().reason, Reason::RedLight { .. }), "{report:?}");
+
+    let mut setup = Setup::new(&network, ("WC_1", 5.0), ("EF_1", 150.0), 10.0);
+    setup.light = Box::new(|_| Some(SIDE_GREEN));
+    setup.told = Some(|_| ToldLight { stop: None });
+    let report = setup.run();
+    assert!(report.red_runs == 1 && report.seconds < 50.0, "nobody told it of the red light: {report:?}");
 }
 
 /// Oncoming cars every `period` s at 13 m/s, from `first` s on, until 60 s.
