@@ -183,6 +183,12 @@ impl Network {
         self.walks.largest()
     }
 
+    /// Whether one can walk from the begin of `edge` straight to `next`, by walkingareas and crossings of one junction, and
+    /// from its end.
+    pub fn walks_on(&self, edge: EdgeId, next: EdgeId) -> [bool; 2] {
+        self.walks.walks_on(edge, next)
+    }
+
     /// The shortest walk from one edge to another: normal edges, each joined to the next by
     /// walkingareas and crossings of one junction, as SUMO's `appendWalkingStage` takes them. None
     /// where no walk leads there. Sidewalks are walked in both directions.

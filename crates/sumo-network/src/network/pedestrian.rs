@@ -118,6 +118,14 @@ impl PedestrianNetwork {
         &self.largest
     }
 
+    /// Whether one can walk from the begin of `edge` straight to `next`, and from its end: see
+    /// [`super::Network::walks_on`].
+    pub fn walks_on(&self, edge: EdgeId, next: EdgeId) -> [bool; 2] {
+        let ends = |edge: EdgeId| self.ends.get(edge.index()).copied().flatten();
+        let (Some(from), Some(to)) = (ends(edge), ends(next)) else { return [false; 2] };
+        from.map(|node| to.contains(&node))
+    }
+
     /// The shortest walk: see [`super::Network::walk_route`].
     pub fn route(&self, edges: &[Edge], lanes: &[Lane], from: EdgeId, to: EdgeId) -> Option<Vec<EdgeId>> {
         let ends = |edge: EdgeId| self.ends.get(edge.index()).copied().flatten();

@@ -77,6 +77,7 @@ impl Walks {
             let (goal, _) = self.draw_start(rng, network)?;
             if goal != edge
                 && let Some(route) = network.walk_route(edge, goal)
+                && !leaves_at_a_wrong_end(network, &route)
             {
                 edges = route;
                 break;
@@ -113,6 +114,14 @@ fn length(network: &Network, edge: EdgeId) -> f64 {
     sidewalk(network, edge).map_or(0.0, |lane| network.lane(lane).length)
 }
 
+/// Whether SUMO may leave the first of `edges` at an end where no way leads on, and then quits ("Disconnected walk"): it goes by
+/// the junctions that the second edge touches, not by crossings, and two sides of one street touch the same ones.
+fn leaves_at_a_wrong_end(network: &Network, edges: &[EdgeId]) -> bool {
+    let &[first, second, ..] = edges else { return false };
+    let (begin, end) = ways_in(network, second, first);
+    [begin, end] != network.walks_on(first, second)
+}
+
 /// Whether a walk from `before` may come onto `edge` at its begin, and at its end.
 fn ways_in(network: &Network, before: EdgeId, edge: EdgeId) -> (bool, bool) {
     let (before, edge) = (network.edge(before), network.edge(edge));
@@ -131,4 +140,32 @@ fn length_over(network: &Network, edges: &[EdgeId], from: f64) -> f64 {
         _ => from.min(length(network, first) - from),
     };
     start + rest[..rest.len() - 1].iter().map(|&e| length(network, e)).sum::<f64>()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng;
+    use std::path::Path;
+
+    #[test]
+    fn no_walk_leaves_its_first_sidewalk_where_no_way_leads_on() {
+        let file = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../sumo_nets/town7/town7.net.xml"));
+        let network = Network::from_xml(file, &std::fs::read_to_string(file).unwrap()).unwrap();
+        let edge = |id: &str| network.edge_by_id(id).unwrap();
+        // Two sides of one street, with a crossing at one of its ends.
+        let (here, there) = (edge("east-press"), edge("press-east"));
+        assert_eq!(network.walks_on(here, there), [false, true]);
+        let over = network.walk_route(here, there).unwrap();
+        assert!(over.len() == 2 && leaves_at_a_wrong_end(&network, &over));
+        let (walks, mut rng) = (Walks::new(&network), ChaCha8Rng::seed_from_u64(1));
+        let mut far = 0;
+        for _ in 0..3000 {
+            let (edge, at) = walks.draw_start(&mut rng, &network).unwrap();
+            let walk = walks.walk(&mut rng, &network, edge, at, 300.0).unwrap();
+            assert!(!leaves_at_a_wrong_end(&network, &walk.edges));
+            far += usize::from(walk.edges.len() > 1);
+        }
+        assert!(far > 2900, "{far}");
+    }
 }
