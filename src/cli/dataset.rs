@@ -15,6 +15,7 @@ use wad_cosim::dataset::{
 };
 use wad_cosim::drive::DriveError;
 use wad_cosim::folder_lock::LockError;
+use wad_cosim::perception::ImageKind;
 use wad_cosim::perception::coco::{CLASSES, class_name};
 
 /// Clap takes this for one value.
@@ -73,6 +74,9 @@ pub struct CollectArgs {
     /// Keep the 512x512 pictures too, for training detectors.
     #[arg(long)]
     camera: bool,
+    /// Keep the camera's picture at 128x128 in place of the transformed image, for an encoder that is shown no detections.
+    #[arg(long)]
+    plain: bool,
     /// Simulation seconds between frames.
     #[arg(long, value_name = "SECONDS", default_value_t = 0.5, value_parser = super::seconds)]
     every: f64,
@@ -164,6 +168,7 @@ fn run_collect(args: &CollectArgs) -> anyhow::Result<Exit> {
     let mut options = CollectOptions::new(&args.town, args.frames, &args.out);
     options.seed = args.seed;
     options.camera = args.camera;
+    options.image = if args.plain { ImageKind::Plain } else { ImageKind::Transformed };
     options.every = args.every;
     options.noise.pause = args.noise_pause;
     options.showing.clone_from(&args.showing);

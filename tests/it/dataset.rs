@@ -86,6 +86,32 @@ fn random_signals_change_the_lamps_and_nothing_else() {
     assert!(output.status.code() == Some(2) && error.contains("signals are random"), "{error}");
 }
 
+/// Plain images have nothing painted; all else stays.
+#[test]
+fn plain_images_show_the_camera_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = ["--town", "town3", "--frames", "20", "--per-shard", "20", "--every", "1", "--seed", "3"];
+    let frames = |name: &str, more: &[&str]| {
+        let path = folder.path().join(name);
+        collect(&path, &[&args[..], more].concat());
+        let mut reader = Dataset::open(&path, false).unwrap().reader(0).unwrap();
+        std::iter::from_fn(move || reader.next_frame().unwrap()).collect::<Vec<_>>()
+    };
+    let (painted, plain) = (frames("painted", &[]), frames("plain", &["--plain"]));
+    let blue = |frame: &wad_cosim::dataset::Frame| {
+        frame.transformed.bytes().chunks_exact(3).filter(|pixel| *pixel == [0, 0, 255]).count()
+    };
+    for (painted, plain) in painted.iter().zip(&plain) {
+        assert_eq!((painted.record.time, painted.record.ego), (plain.record.time, plain.record.ego));
+        assert_eq!(painted.record.boxes, plain.record.boxes);
+        assert_eq!(blue(plain), 0);
+    }
+    assert!(painted.iter().any(|frame| blue(frame) > 0));
+    let output = wad(&[&["dataset", "collect"], &args[..]].concat(), &folder.path().join("plain"));
+    let error = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.code() == Some(2) && error.contains("plain"), "{error}");
+}
+
 /// What varies is drawn for each shard, changes pictures and no drive, and does not depend on the jobs.
 #[test]
 fn streets_vary_from_shard_to_shard_and_the_drives_stay() {

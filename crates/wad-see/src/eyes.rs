@@ -9,8 +9,8 @@
 use crate::latent::{Decoder, Encoder, LatentError};
 use crate::observation::{LATENT_SIZE, Observation, ObservationMode, RAW_SIZE, RawState};
 use crate::perception::{
-    self, Detector, EgoFacts, LightAhead, Percept, Perception, PerceptionError, StopLight, TransformedImage,
-    stages,
+    self, Detector, EgoFacts, ImageKind, LightAhead, Percept, Perception, PerceptionError, StopLight,
+    TransformedImage, stages,
 };
 use crate::surroundings::Surroundings;
 use std::time::Instant;
@@ -172,7 +172,23 @@ impl Eyes {
     /// Also makes the latent.
     #[must_use]
     pub fn with_encoder(self, encoder: Box<dyn Encoder>) -> Self {
-        Self { encoder: Some(encoder), ..self }
+        let eyes = self.with_image(encoder.image_kind());
+        Self { encoder: Some(encoder), ..eyes }
+    }
+
+    /// Makes this image in place of the transformed image.
+    #[must_use]
+    pub fn with_image(mut self, kind: ImageKind) -> Self {
+        if let Some(Sight { perception: Some(perception), .. }) = &mut self.sight {
+            perception.show(kind);
+        }
+        self
+    }
+
+    /// What [`Percept::transformed`] is.
+    pub fn image_kind(&self) -> ImageKind {
+        let perception = self.sight.as_ref().and_then(|sight| sight.perception.as_ref());
+        perception.map_or(ImageKind::Transformed, Perception::image_kind)
     }
 
     /// Also shows what the latent of each transformed image holds.

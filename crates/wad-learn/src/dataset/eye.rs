@@ -59,11 +59,11 @@ impl Eye {
         let signs = town.scene().signs.clone();
         let outputs = Outputs { boxes: true, depth: true, ..Outputs::RGB };
         let eyes = Eyes::new(town, CameraConfig::default(), Box::new(TruthDetector::new()))?;
+        let eyes = eyes.with_outputs(outputs).with_image(options.image);
         let codec = options.camera.then(CameraCodec::best);
         let signals = options.random_signals.then(|| RandomSignals::new(segment.seed));
         let weather = segment.varied_weather(&options.vary);
-        let mut eye =
-            Self { segment, weather, eyes: eyes.with_outputs(outputs), heads, signs, codec, signals };
+        let mut eye = Self { segment, weather, eyes, heads, signs, codec, signals };
         eye.reset();
         Ok(eye)
     }

@@ -10,8 +10,8 @@ use std::path::{Path, PathBuf};
 use wad_camera::model::ObjectClass;
 use wad_camera::variety::Varied;
 use wad_camera::{CameraConfig, Preset};
-use wad_see::perception::TransformedImage;
 use wad_see::perception::coco::class_name;
+use wad_see::perception::{ImageKind, TransformedImage};
 use wad_sim::telemetry;
 
 /// Version of manifest and shards. Other versions are refused.
@@ -74,6 +74,9 @@ pub struct Manifest {
     pub camera: String,
     /// The detector whose boxes are painted.
     pub detector: String,
+    /// The picture for the encoder.
+    #[serde(default)]
+    pub image: ImageKind,
     /// Whether the camera's pictures are kept.
     pub keeps_camera: bool,
     /// The version of the program that collected it.
@@ -106,6 +109,7 @@ impl Manifest {
             weathers: options.weathers.clone(),
             camera: CameraConfig::default().hash(),
             detector: "truth".to_string(),
+            image: options.image,
             keeps_camera: options.camera,
             program: wad_sim::program::version().to_string(),
             runs: options.runs.iter().map(|run| run.folder.clone()).collect(),
@@ -156,6 +160,7 @@ impl Manifest {
                 ("whether signals are random", m.random_signals.to_string()),
                 ("what varies", m.vary.iter().map(|v| v.name()).collect::<Vec<_>>().join(",")),
                 ("the camera", m.camera.clone()),
+                ("the picture for the encoder", m.image.name().to_string()),
                 ("whether camera pictures are kept", m.keeps_camera.to_string()),
             ]
         };

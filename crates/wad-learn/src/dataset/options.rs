@@ -7,6 +7,7 @@ use std::time::Duration;
 use wad_camera::Preset;
 use wad_camera::model::ObjectClass;
 use wad_camera::variety::Varied;
+use wad_see::perception::ImageKind;
 
 /// Options of collecting a dataset.
 #[derive(Clone, Debug)]
@@ -27,6 +28,8 @@ pub struct CollectOptions {
     pub weathers: Vec<Preset>,
     /// Keep the camera's pictures.
     pub camera: bool,
+    /// The picture for the encoder.
+    pub image: ImageKind,
     /// Simulation time between frames (s); more while the ego stands.
     pub every: f64,
     /// Keep only frames that show an object of one of these classes; empty: all frames.
@@ -59,6 +62,7 @@ impl CollectOptions {
             seed: 0,
             weathers: TRAINING_WEATHERS.to_vec(),
             camera: false,
+            image: ImageKind::Transformed,
             every: 0.5,
             showing: Vec::new(),
             random_signals: false,

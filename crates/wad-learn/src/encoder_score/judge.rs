@@ -8,9 +8,9 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use tch::Device;
 use wad_camera::{CameraConfig, Preset};
-use wad_see::latent::LatentError;
 use wad_see::latent::encoder::TchEncoder;
 use wad_see::latent::packed::Scratch;
+use wad_see::latent::{Encoder, LatentError};
 use wad_see::observation::LATENT_SIZE;
 use wad_see::perception::{TRANSFORMED_SIZE, TransformedImage};
 use wad_sim::cpu_time;
@@ -304,6 +304,16 @@ fn each(
     reconstruct: bool,
     mut take: impl FnMut(Batch),
 ) -> Result<(), JudgeError> {
+    let (made, shown) = (dataset.manifest.image, encoder.image_kind());
+    if made != shown {
+        return Err(LatentError::Encoder(format!(
+            "it was trained on {} images, and those of {} are {}; name another dataset or encoder",
+            shown.name(),
+            dataset.folder.display(),
+            made.name()
+        ))
+        .into());
+    }
     let total = dataset.frames();
     let mut number = 0;
     let mut records = Vec::new();

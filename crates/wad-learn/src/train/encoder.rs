@@ -95,6 +95,7 @@ impl<'a> Trainer<'a> {
         let architecture = Architecture {
             variational: options.beta > 0.0,
             dropout: options.dropout,
+            image: dataset.manifest.image,
             ..Architecture::default()
         };
         let saved = if resume { Some(Weights::load(&checkpoint)?) } else { None };

@@ -1,7 +1,7 @@
 //! The layers of the encoder-decoder, and the names of their tensors.
 
 use crate::observation::LATENT_SIZE;
-use crate::perception::TRANSFORMED_SIZE;
+use crate::perception::{ImageKind, TRANSFORMED_SIZE};
 use serde::{Deserialize, Serialize};
 
 /// The sizes of a network's layers.
@@ -17,6 +17,9 @@ pub struct Architecture {
     pub variational: bool,
     /// Share of channels that dropout leaves out in training.
     pub dropout: f64,
+    /// The picture that it takes.
+    #[serde(default)]
+    pub image: ImageKind,
 }
 
 impl Default for Architecture {
@@ -27,6 +30,7 @@ impl Default for Architecture {
             latent: LATENT_SIZE as i64,
             variational: false,
             dropout: 0.1,
+            image: ImageKind::Transformed,
         }
     }
 }

@@ -6,7 +6,7 @@ use super::network::{Autoencoder, Views};
 use super::packed::{Packed, Scratch};
 use super::{Decoder, Encoder, LatentError};
 use crate::observation::LATENT_SIZE;
-use crate::perception::{TRANSFORMED_SIZE, TransformedImage};
+use crate::perception::{ImageKind, TRANSFORMED_SIZE, TransformedImage};
 use crate::weights::{Stored, Weights, WeightsError, half};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -191,6 +191,10 @@ impl TchEncoder {
 impl Encoder for TchEncoder {
     fn hash(&self) -> &str {
         &self.hash
+    }
+
+    fn image_kind(&self) -> ImageKind {
+        self.network.architecture.image
     }
 
     fn encode(&mut self, image: &TransformedImage, latent: &mut Vec<f32>) -> Result<(), LatentError> {

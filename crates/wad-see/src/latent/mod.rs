@@ -18,7 +18,7 @@ pub use file::bundled_with;
 pub use plain::PlainEncoder;
 pub use pooled::PooledEncoder;
 
-use crate::perception::TransformedImage;
+use crate::perception::{ImageKind, TransformedImage};
 
 /// Why there is no latent.
 #[derive(Debug, thiserror::Error)]
@@ -51,6 +51,11 @@ pub enum LatentError {
 pub trait Encoder: Send {
     /// Hash of the weights; an agent belongs to one encoder.
     fn hash(&self) -> &str;
+
+    /// The picture that it was trained on.
+    fn image_kind(&self) -> ImageKind {
+        ImageKind::Transformed
+    }
 
     /// The latent of one image, [`crate::observation::LATENT_SIZE`] numbers, into `latent`.
     ///

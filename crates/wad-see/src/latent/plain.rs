@@ -2,7 +2,7 @@
 
 use super::packed::{Packed, Scratch};
 use super::{Encoder, LatentError, file};
-use crate::perception::TransformedImage;
+use crate::perception::{ImageKind, TransformedImage};
 use crate::weights::{Weights, WeightsError};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
@@ -13,6 +13,7 @@ pub struct PlainEncoder {
     packed: Arc<Packed>,
     scratch: Scratch,
     hash: String,
+    image: ImageKind,
 }
 
 impl PlainEncoder {
@@ -46,13 +47,17 @@ impl PlainEncoder {
                 packed
             }
         };
-        Ok(Self { packed, scratch: Scratch::default(), hash })
+        Ok(Self { packed, scratch: Scratch::default(), hash, image: architecture.image })
     }
 }
 
 impl Encoder for PlainEncoder {
     fn hash(&self) -> &str {
         &self.hash
+    }
+
+    fn image_kind(&self) -> ImageKind {
+        self.image
     }
 
     fn encode(&mut self, image: &TransformedImage, latent: &mut Vec<f32>) -> Result<(), LatentError> {

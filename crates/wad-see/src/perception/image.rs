@@ -1,7 +1,30 @@
 //! The small picture that the encoder sees.
 
+use serde::{Deserialize, Serialize};
+
 /// Side of the transformed image (pixels), as in the paper.
 pub const TRANSFORMED_SIZE: usize = 128;
+
+/// What an encoder is shown.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ImageKind {
+    /// The paper's transformed image.
+    #[default]
+    Transformed,
+    /// The camera's picture brought to the same size, with nothing painted: what the detections are worth is the difference.
+    Plain,
+}
+
+impl ImageKind {
+    /// Its name on the command line and in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Transformed => "transformed",
+            Self::Plain => "plain",
+        }
+    }
+}
 
 /// The transformed image: 128 x 128 x 3 sRGB bytes, rows from the top, channels last.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -37,7 +37,7 @@ pub use choice::{
 };
 pub use facts::EgoFacts;
 pub use ground::GroundPlane;
-pub use image::{TRANSFORMED_SIZE, TransformedImage};
+pub use image::{ImageKind, TRANSFORMED_SIZE, TransformedImage};
 pub use lanes::{LaneBoundary, LaneDetector, LaneEstimate};
 pub use light::{AT_INTERSECTION, LightAhead, SeenLights, StopLight};
 #[cfg(feature = "vision")]

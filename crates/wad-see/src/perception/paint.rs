@@ -10,7 +10,9 @@
 //!    traffic lights are not painted: blue says "do not hit".
 //! 4. The ego at the intersection with its light red: the upper 10 rows are red.
 
-use super::{Detection, GroundPlane, LaneEstimate, PerceptionError, TRANSFORMED_SIZE, TransformedImage};
+use super::{
+    Detection, GroundPlane, ImageKind, LaneEstimate, PerceptionError, TRANSFORMED_SIZE, TransformedImage,
+};
 use wad_camera::Frame;
 use wad_camera::model::ObjectClass;
 
@@ -37,6 +39,8 @@ pub fn is_obstacle(class: ObjectClass) -> bool {
 /// Makes transformed images; keeps its buffers.
 #[derive(Debug, Default)]
 pub struct Painter {
+    /// [`ImageKind::Plain`]: only the first step.
+    pub kind: ImageKind,
     sums: Vec<u32>,
 }
 
@@ -62,6 +66,9 @@ impl Painter {
             });
         }
         self.shrink(frame, image.bytes_mut());
+        if self.kind == ImageKind::Plain {
+            return Ok(());
+        }
         let scale = [SIDE as f32 / frame.width as f32, SIDE as f32 / frame.height as f32];
         let pixels = image.bytes_mut();
         for boundary in [&lanes.left, &lanes.right].into_iter().flatten() {
@@ -300,6 +307,17 @@ mod tests {
         let image = paint(&grey(512, 512), &[], &LaneEstimate::default(), true);
         assert_eq!(count(&image, RED), SIDE * RED_ROWS);
         assert_eq!(pixel(&image, 60, RED_ROWS), [100; 3]);
+    }
+
+    #[test]
+    fn a_plain_picture_has_nothing_painted() {
+        let near = boxed(ObjectClass::Car, [200.0, 240.0, 260.0, 300.0]);
+        let ground = GroundPlane::new(&CameraConfig::default());
+        let mut image = TransformedImage::default();
+        let mut painter = Painter { kind: ImageKind::Plain, ..Painter::default() };
+        let lanes = LaneEstimate::default();
+        painter.paint(&grey(512, 512), &ground, &[near], &lanes, true, &mut image).unwrap();
+        assert!(image.bytes().iter().all(|byte| *byte == 100));
     }
 
     #[test]

@@ -7,8 +7,8 @@ use super::light::{LightAhead, SeenLights, StopLight};
 use super::paint::Painter;
 use super::sight_score::{LightCounts, LimitCounts};
 use super::{
-    Detection, Detector, GroundPlane, IN_TOWNS, LaneDetector, LaneEstimate, PerceptionError, SeenLimit,
-    SeenSign, TransformedImage,
+    Detection, Detector, GroundPlane, IN_TOWNS, ImageKind, LaneDetector, LaneEstimate, PerceptionError,
+    SeenLimit, SeenSign, TransformedImage,
 };
 use crate::observation::{LeadState, RawState};
 use wad_camera::{CameraConfig, Frame, Outputs};
@@ -86,6 +86,16 @@ impl Perception {
                 raw: RawState::STANDING,
             },
         }
+    }
+
+    /// Makes this image for the encoder.
+    pub fn show(&mut self, kind: ImageKind) {
+        self.painter.kind = kind;
+    }
+
+    /// The image that it makes for the encoder.
+    pub fn image_kind(&self) -> ImageKind {
+        self.painter.kind
     }
 
     /// The camera whose frames it takes.

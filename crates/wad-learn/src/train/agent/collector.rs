@@ -218,7 +218,7 @@ impl Collector<'_> {
     fn episode(&mut self, env: &mut Env, job: &Job) -> Result<Report, Stop> {
         let first = env.reset(&job.task, job.seed)?;
         let record = self.record.filter(|_| !job.purpose.validates());
-        let mut recording = record.map(|folder| (folder, Recording::default()));
+        let mut recording = record.map(|folder| (folder, Recording::of(env.eyes().image_kind())));
         observe(&mut recording, env, &first)?;
         let dims = self.config.dims();
         let mut ongoing = Ongoing::new(job.clone(), self.config, finite(dims.of(&first))?);
@@ -369,6 +369,7 @@ impl Collector<'_> {
             seed: job.seed,
             driver: driver.to_string(),
             camera_hash: self.config.env.camera.hash(),
+            image: recording.image,
             raw_meaning: wad_see::observation::RAW_MEANING,
             detector: self.config.env.detector.clone(),
             success: ending.is_some_and(|ending| ending.success),

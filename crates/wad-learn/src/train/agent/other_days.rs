@@ -6,7 +6,7 @@
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use wad_see::latent::{Encoder, LatentError};
-use wad_see::perception::{TRANSFORMED_SIZE, TransformedImage};
+use wad_see::perception::{ImageKind, TRANSFORMED_SIZE, TransformedImage};
 
 /// An encoder that gets a share of its images changed to other days. A day lasts 30 to 300 images.
 pub struct OtherDays {
@@ -32,6 +32,10 @@ impl OtherDays {
 impl Encoder for OtherDays {
     fn hash(&self) -> &str {
         self.inner.hash()
+    }
+
+    fn image_kind(&self) -> ImageKind {
+        self.inner.image_kind()
     }
 
     fn encode(&mut self, image: &TransformedImage, latent: &mut Vec<f32>) -> Result<(), LatentError> {

@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 use wad_see::eyes::EyesError;
 use wad_see::latent::Encoder;
 use wad_see::observation::{self, Observation, RAW_SIZE, RawState};
-use wad_see::perception::{TRANSFORMED_SIZE, TransformedImage};
+use wad_see::perception::{ImageKind, TRANSFORMED_SIZE, TransformedImage};
 use wad_sim::tasks::TaskKind;
 
 /// A file's first line.
@@ -30,6 +30,9 @@ pub struct Header {
     /// The driver: `autopilot`, or the trained agent's name.
     pub driver: String,
     pub camera_hash: String,
+    /// What its images are.
+    #[serde(default)]
+    pub image: ImageKind,
     /// Version of the raw vectors' meaning: [`observation::RAW_MEANING`] at its recording.
     #[serde(default = "observation::first_meaning")]
     pub raw_meaning: u32,
@@ -43,11 +46,18 @@ pub struct Header {
 /// A growing recording of an episode.
 #[derive(Debug, Default)]
 pub struct Recording {
+    /// What the images are.
+    pub image: ImageKind,
     observations: Vec<(Vec<u8>, [f32; RAW_SIZE])>,
     transitions: Vec<(Action, Option<Action>, f32)>,
 }
 
 impl Recording {
+    /// An empty one, of images of this kind.
+    pub fn of(image: ImageKind) -> Self {
+        Self { image, ..Self::default() }
+    }
+
     /// Adds an observation.
     ///
     /// # Errors
@@ -135,6 +145,13 @@ pub fn load(
             header.camera_hash
         ))));
     }
+    if dims.latent > 0 && header.image != encoder.image_kind() {
+        return Err(failed(invalid(format!(
+            "its images are {}, and the encoder was trained on {} ones",
+            header.image.name(),
+            encoder.image_kind().name()
+        ))));
+    }
     if header.raw_meaning != observation::RAW_MEANING {
         return Err(failed(invalid(format!(
             "its raw states are of meaning {}, expected {}; record again, or train without --recorded",
@@ -215,6 +232,7 @@ mod tests {
             seed: 77,
             driver: "autopilot".to_string(),
             camera_hash: "camera".to_string(),
+            image: ImageKind::Transformed,
             raw_meaning: observation::RAW_MEANING,
             detector: "truth".to_string(),
             success: !terminated,
@@ -255,6 +273,16 @@ mod tests {
         image.bytes_mut().fill(64);
         PooledEncoder.encode(&image, &mut latent).unwrap();
         assert_eq!(second.observations[0], [latent.as_slice(), &[64.0; RAW_SIZE]].concat());
+    }
+
+    #[test]
+    fn images_of_another_kind_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let plain = Header { image: ImageKind::Plain, ..header(5, false) };
+        recording(5).write(folder.path(), &plain).unwrap();
+        let file = list(folder.path()).unwrap().remove(0);
+        let error = load(&file, "camera", &mut PooledEncoder, Dims::DRIVING).unwrap_err().to_string();
+        assert!(error.contains("plain") && error.contains("transformed"), "{error}");
     }
 
     #[test]
