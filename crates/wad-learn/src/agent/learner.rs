@@ -25,8 +25,7 @@ enum Networks {
     Sac(Box<Sac>),
 }
 
-/// The mean of the actor's parameters over its last updates, exponentially weighted (Polyak and Juditsky 1992): the
-/// actor of one update is a matter of chance, their mean much less so.
+/// The mean of the actor's parameters over its last updates, exponentially weighted (after Polyak and Juditsky 1992).
 #[derive(Debug)]
 struct Average {
     /// Updates over which the weight of an actor falls to 1/e; 0: the newest actor alone counts.
@@ -198,8 +197,9 @@ impl Learner {
         updates: u64,
         steps: &[i64],
     ) -> Result<(), Misfit> {
-        // A checkpoint of before its first update has none.
-        self.average.values = saved.get(AVERAGE).map(|_| actor_params(&self.networks).flat().detach().copy());
+        // A checkpoint of before its first update has none; one that is no longer asked for would stand still.
+        let kept = saved.get(AVERAGE).filter(|_| self.average.updates > 0);
+        self.average.values = kept.map(|_| actor_params(&self.networks).flat().detach().copy());
         for (name, tensor) in self.tensors() {
             let expected = tensor.size();
             match saved.get(name) {

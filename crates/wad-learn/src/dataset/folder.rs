@@ -74,7 +74,7 @@ pub struct Manifest {
     pub camera: String,
     /// The detector whose boxes are painted.
     pub detector: String,
-    /// The picture for the encoder.
+    /// The image for the encoder.
     #[serde(default)]
     pub image: ImageKind,
     /// Whether the camera's pictures are kept.
@@ -160,7 +160,7 @@ impl Manifest {
                 ("whether signals are random", m.random_signals.to_string()),
                 ("what varies", m.vary.iter().map(|v| v.name()).collect::<Vec<_>>().join(",")),
                 ("the camera", m.camera.clone()),
-                ("the picture for the encoder", m.image.name().to_string()),
+                ("the image for the encoder", m.image.name().to_string()),
                 ("whether camera pictures are kept", m.keeps_camera.to_string()),
             ]
         };

@@ -28,7 +28,7 @@ pub struct CollectOptions {
     pub weathers: Vec<Preset>,
     /// Keep the camera's pictures.
     pub camera: bool,
-    /// The picture for the encoder.
+    /// The image for the encoder.
     pub image: ImageKind,
     /// Simulation time between frames (s); more while the ego stands.
     pub every: f64,

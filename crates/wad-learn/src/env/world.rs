@@ -423,7 +423,7 @@ impl World {
         let (true, Some(sumo)) = (running, &mut self.sumo) else { return Err(EnvError::NoEpisode) };
         if self.options.told_expert {
             let stop = self.slots[index].eyes().raw().stop_light;
-            sumo.session.tell(index, ToldLight { stop });
+            sumo.session.bridge_and_seat(index).1.tell(ToldLight { stop });
         }
         Ok(sumo.session.plan(index).control)
     }

@@ -17,7 +17,7 @@ pub struct Architecture {
     pub variational: bool,
     /// Share of channels that dropout leaves out in training.
     pub dropout: f64,
-    /// The picture that it takes.
+    /// The image that it takes.
     #[serde(default)]
     pub image: ImageKind,
 }

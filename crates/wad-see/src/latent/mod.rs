@@ -52,7 +52,7 @@ pub trait Encoder: Send {
     /// Hash of the weights; an agent belongs to one encoder.
     fn hash(&self) -> &str;
 
-    /// The picture that it was trained on.
+    /// The image that it was trained on.
     fn image_kind(&self) -> ImageKind {
         ImageKind::Transformed
     }

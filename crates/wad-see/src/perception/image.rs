@@ -17,7 +17,7 @@ pub enum ImageKind {
 }
 
 impl ImageKind {
-    /// Its name on the command line and in files.
+    /// Its name in files and messages.
     pub fn name(self) -> &'static str {
         match self {
             Self::Transformed => "transformed",

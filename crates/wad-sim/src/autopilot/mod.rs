@@ -27,7 +27,7 @@ use path::Path;
 use right_of_way::{ByLane, Motion};
 use serde::{Deserialize, Serialize};
 use speed::{Pedals, follow, stop_in, time_to_cover};
-use sumo_network::network::{LinkDirection, LinkId, Network, Route};
+use sumo_network::network::{Link, LinkDirection, LinkId, Network, Route};
 use sumo_network::signal_ahead::SignalAhead;
 use sumo_network::world::{SignalState, WorldState};
 use wad_vehicle::{Control, EgoState};
@@ -398,9 +398,7 @@ impl Autopilot {
                 let Some(yields) = self.approach_line(plan, line, now, choice) else { break };
                 yields
             } else {
-                let link = now.network.link(plan.link);
-                let green = link.signal.is_some_and(|s| now.world.signal(s) == Some(SignalState::GreenMajor));
-                !link.must_yield_to.is_empty() && !green
+                yields_at(now.network.link(plan.link), now.world)
             };
             if distance > now.reach() || told_stop.is_some_and(|stop| stop < distance + 1.0) {
                 break;
@@ -425,12 +423,10 @@ impl Autopilot {
         let (params, speed, latency) = (self.params, now.speed, now.latency);
         let top = now.profile.target.max(speed);
         let link = now.network.link(plan.link);
-        let verdict = match (self.told, link.signal) {
-            (Some(_), Some(signal)) => {
-                let first = now.world.signal(signal) == Some(SignalState::GreenMajor);
-                Verdict::Go { yields: !first && !link.must_yield_to.is_empty() }
-            }
-            _ => self.lights.judge(now.network, plan, now.world, distance, speed, top, latency, &params),
+        let verdict = if self.told.is_some() && link.signal.is_some() {
+            Verdict::Go { yields: yields_at(link, now.world) }
+        } else {
+            self.lights.judge(now.network, plan, now.world, distance, speed, top, latency, &params)
         };
         let Verdict::Go { yields } = verdict else {
             let a = self.stop(speed, distance - params.stop_margin, latency);
@@ -541,6 +537,12 @@ fn line_to_wait_at(plan: &LinkPlan, light: Option<SignalAhead>, now: &Situation<
             now.speed * now.speed / (2.0 * room) < 3.0
         });
     before.unwrap_or(plan.stop_s - now.front_s)
+}
+
+/// Whether others have right of way at a link, were it not for a red light.
+fn yields_at(link: &Link, world: &WorldState) -> bool {
+    let green = link.signal.is_some_and(|signal| world.signal(signal) == Some(SignalState::GreenMajor));
+    !link.must_yield_to.is_empty() && !green
 }
 
 fn is_held(reason: &Reason) -> bool {

@@ -18,7 +18,7 @@ pub use itinerary::{Itinerary, ItineraryError};
 pub use seat::Seat;
 
 use crate::assets::Assets;
-use crate::autopilot::{Decision, ToldLight};
+use crate::autopilot::Decision;
 use crate::bridge::{Bridge, BridgeError, BridgeOptions, Ego};
 use crate::criteria::{EgoOnRoute, Event};
 use crate::scenario::Director;
@@ -155,16 +155,6 @@ impl Session {
     /// Wall time by part.
     pub fn timings(&self) -> Timings {
         self.timings
-    }
-
-    /// What the expert of ego `index` goes by at lights when it decides for the next tick ([`Autopilot::tell`]).
-    ///
-    /// [`Autopilot::tell`]: crate::autopilot::Autopilot::tell
-    ///
-    /// # Panics
-    /// `index` is out of range.
-    pub fn tell(&mut self, index: usize, told: ToldLight) {
-        self.seats[index].tell(told);
     }
 
     /// What the expert of ego `index` decides for the next tick. It decides once a tick, however

@@ -79,7 +79,7 @@ impl Seat {
     }
 
     /// What the expert goes by at lights when it decides for the next tick ([`Autopilot::tell`]).
-    pub(super) fn tell(&mut self, told: ToldLight) {
+    pub fn tell(&mut self, told: ToldLight) {
         self.expert.tell(told);
     }
 
