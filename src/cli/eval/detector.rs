@@ -124,7 +124,7 @@ impl Roads {
         let heads = self.heads.get_or_insert_with(|| Heads::new(facts.network, tour.town().scene()));
         let truth = RoadTruth::find(&facts, tour.world(), heads);
         let signs = &tour.town().scene().signs;
-        let truth = truth.with_signs(signs, camera, &facts.on_route.state.pose, frame);
+        let truth = truth.with_frame(signs, camera, &facts.on_route.state.pose, frame);
         let objects = frame.objects.iter().map(|one| {
             let hidden = visible_share(one.class, one.visible_pixels, one.full_box) < LEAST_VISIBLE;
             (one.id, one.visible_box.map(|v| v as f32), hidden)
@@ -197,7 +197,7 @@ async fn look(
     let options = DriveOptions::passing(config, args.seed, args.traffic, scratch.path());
     let mut tour = Tour::start(options, args.seed).await.map_err(run::with_exit)?;
     let mut camera = Camera::new(CameraConfig::default()).map_err(|e| Exit::Input.because(e))?;
-    let outputs = Outputs { boxes: true, depth: roads.is_some(), ..Outputs::RGB };
+    let outputs = Outputs { boxes: true, depth: roads.is_some(), semantic: roads.is_some(), ..Outputs::RGB };
     let bar = progress(args.frames as u64);
     let (mut views, mut found, mut interrupted) = (Vec::new(), Vec::new(), false);
     for (n, &preset) in weathers.iter().cycle().take(args.frames).enumerate() {
@@ -271,15 +271,15 @@ fn picture(frame: &Frame, view: &View, found: &[Detection]) -> Picture {
 fn road_text(rows: &[(String, RoadReport)]) -> String {
     let mut out = String::from(
         "\nThe ego's lane, 0.5 m at 10 m, and its light within 40 m; the stop line's distance within 20 m\n\
-         | weather | boundaries found | median m | lanes seen in junctions | lights right | missed | red called green | seen where none is | stop line, median m | signs found | signs read within 12 m | signs seen where none is |\n\
-         |---|---|---|---|---|---|---|---|---|---|---|---|\n",
+         | weather | boundaries found | median m | lanes seen in junctions | lights right | missed | red called green | seen where none is | stop line, median m | signs found | signs read within 12 m | signs seen where none is | road, IoU |\n\
+         |---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
     );
     let share = |v: Option<f64>, of: usize| v.map_or("-".to_string(), |v| format!("{v:.3} of {of}"));
     let metres = |v: Option<f64>| v.map_or("-".to_string(), |v| format!("{v:.2}"));
     for (weather, r) in rows {
         let _ = writeln!(
             out,
-            "| {weather} | {} | {} | {} | {} | {} | {} of {} | {} | {} | {} | {} | {} |",
+            "| {weather} | {} | {} | {} | {} | {} | {} of {} | {} | {} | {} | {} | {} | {} |",
             share(r.boundaries_found, r.boundaries),
             metres(r.lateral_error.median),
             share(r.phantom_lanes, r.junctions),
@@ -292,6 +292,7 @@ fn road_text(rows: &[(String, RoadReport)]) -> String {
             share(r.signs_found, r.signs),
             share(r.signs_right, r.near_signs),
             share(r.phantom_signs, r.frames),
+            r.area_iou.map_or("-".to_string(), |v| format!("{v:.3}")),
         );
     }
     out

@@ -46,9 +46,9 @@ pub struct Args {
     /// centernet:FILE or eyes:FILE.
     #[arg(long, value_name = "NAME", conflicts_with = "resume")]
     init: Option<String>,
-    /// Only the head for signs learns, and all else stays as it is in --init; for `train eyes`.
-    #[arg(long, requires = "init")]
-    only_signs: bool,
+    /// Only this head learns, and all else stays as it is in --init; for `train eyes`.
+    #[arg(long, value_enum, requires = "init")]
+    only: Option<Part>,
     /// Epochs over the training frames.
     #[arg(long, value_name = "N", default_value_t = 12)]
     epochs: u64,
@@ -117,6 +117,14 @@ fn window(text: &str) -> Result<(usize, usize), String> {
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
+enum Part {
+    /// Signs; plates are copied into every picture.
+    Signs,
+    /// What is road.
+    Area,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
 enum Backbone {
     /// Plain convolutions, 0.9 million parameters; real time on one core.
     Light,
@@ -157,9 +165,9 @@ fn options(args: &Args, sees: Sees, data: &std::path::Path) -> anyhow::Result<Tr
             "--epochs, --batch, --learning-rate and --collect must be more than 0, --weight-decay 0 or more"
         )));
     }
-    if args.only_signs && (sees != Sees::Road || args.window.is_some_and(|window| window != (0, 0))) {
+    if args.only.is_some() && (sees != Sees::Road || args.window.is_some_and(|window| window != (0, 0))) {
         return Err(Exit::Input.because(anyhow::anyhow!(
-            "--only-signs is for `train eyes` on whole pictures (--window 0): no other network reads signs"
+            "--only is for `train eyes` on whole pictures (--window 0): no other network has these heads"
         )));
     }
     let backbone = match args.backbone {
@@ -170,7 +178,10 @@ fn options(args: &Args, sees: Sees, data: &std::path::Path) -> anyhow::Result<Tr
     Ok(TrainOptions {
         sees,
         init: args.init.clone(),
-        only_signs: args.only_signs,
+        only: args.only.map(|part| match part {
+            Part::Signs => centernet::Part::Signs,
+            Part::Area => centernet::Part::Area,
+        }),
         epochs: args.epochs,
         batch: args.batch,
         epoch_steps: args.epoch_steps.max(1),

@@ -57,7 +57,7 @@ impl Eye {
         let town = segment.varied_town(&options.vary, assets);
         let heads = Heads::new(assets.network(), town.scene());
         let signs = town.scene().signs.clone();
-        let outputs = Outputs { boxes: true, depth: true, ..Outputs::RGB };
+        let outputs = Outputs { boxes: true, depth: true, semantic: true, ..Outputs::RGB };
         let eyes = Eyes::new(town, CameraConfig::default(), Box::new(TruthDetector::new()))?;
         let eyes = eyes.with_outputs(outputs).with_image(options.image);
         let codec = options.camera.then(CameraCodec::best);
@@ -116,7 +116,7 @@ impl Eye {
             red: percept.light_red,
         };
         let road = RoadTruth::find(&facts, world, &self.heads);
-        let road = road.with_signs(&self.signs, &CameraConfig::default(), &facts.on_route.state.pose, frame);
+        let road = road.with_frame(&self.signs, &CameraConfig::default(), &facts.on_route.state.pose, frame);
         let record = FrameRecord {
             time: moment.time,
             weather: self.segment.weather,

@@ -18,8 +18,8 @@ use std::time::Instant;
 use sumo_network::seeds;
 use tch::{Device, Kind, Tensor};
 use wad_see::perception::centernet::loss::loss;
-use wad_see::perception::centernet::road_targets::{reading_loss, road_loss, signs_loss};
-use wad_see::perception::centernet::{Backbone, CenterNet, CenterNetDetector, Sees, Watcher};
+use wad_see::perception::centernet::road_targets::{part_loss, reading_loss, road_loss};
+use wad_see::perception::centernet::{Backbone, CenterNet, CenterNetDetector, Part, Sees, Watcher};
 use wad_see::perception::coco::{class_index, class_name};
 use wad_see::perception::metrics::{Found, Scored, average_precision, mean};
 use wad_see::perception::score::{SMALL, TALL};
@@ -45,9 +45,9 @@ pub struct TrainOptions {
     /// Initial weights by detector name (centernet, centernet:FILE); None: new ones.
     #[serde(default)]
     pub init: Option<String>,
-    /// Nothing but the head for signs learns.
+    /// Nothing but this head learns.
     #[serde(default)]
-    pub only_signs: bool,
+    pub only: Option<Part>,
     /// Epochs in total.
     pub epochs: u64,
     /// Pictures per step.
@@ -86,7 +86,7 @@ impl TrainOptions {
             more: Vec::new(),
             out: out.to_path_buf(),
             init: None,
-            only_signs: false,
+            only: None,
             epochs: 12,
             batch: 16,
             epoch_steps: 400,
@@ -117,13 +117,14 @@ pub struct Validation {
 }
 
 impl Validation {
-    /// Which network is better: the mean of mAP, boundaries found, lights right and signs right.
+    /// Which network is better: the mean of mAP, boundaries found, lights right, signs right and the area's IoU.
     fn score(&self) -> f64 {
         match &self.road {
             None => self.map50,
             Some(road) => {
-                let parts = [Some(self.map50), road.boundaries_found, road.lights_right, road.signs_right];
-                parts.iter().flatten().sum::<f64>() / parts.iter().flatten().count() as f64
+                let RoadReport { boundaries_found, lights_right, signs_right, area_iou, .. } = road;
+                let parts = [&Some(self.map50), boundaries_found, lights_right, signs_right, area_iou];
+                parts.into_iter().flatten().sum::<f64>() / parts.into_iter().flatten().count() as f64
             }
         }
     }
@@ -249,9 +250,9 @@ fn find_ranges(options: &TrainOptions, file: &Path) -> Result<(), TrainError> {
     for sample in samples(&dataset, &dataset.split().0, WATCHED)? {
         watcher.show(&sample.rgb()?)?;
     }
-    let before = options.init.as_ref().filter(|_| options.only_signs);
+    let before = options.init.as_ref().filter(|_| options.only.is_some());
     let before = before.map(|name| centernet_weights(name)).transpose()?;
-    let before = before.as_ref().map(|(weights, _)| weights);
+    let before = before.as_ref().map(|(weights, _)| weights).zip(options.only);
     Ok(watcher.finish(weights, before)?.save(file)?)
 }
 
@@ -289,13 +290,13 @@ impl<'a> Trainer<'a> {
                 expected: format!("backbone {}", options.backbone.name()),
             }));
         }
-        if options.only_signs {
-            network.learn_signs_only();
+        if let Some(part) = options.only {
+            network.learn_only(part);
         }
         let mut adam = AdamW::new(&network.store, options.weight_decay)?;
         let mut reached = Reached::default();
-        if let Some((weights, _)) = begin.filter(|_| resume) {
-            reached = run::reached(&weights)?;
+        if let Some((weights, _)) = begin.as_ref().filter(|_| resume) {
+            reached = run::reached(weights)?;
             adam.restore(reached.optimiser_steps, |name, shape| weights.get(name, shape))?;
         }
         if reached.validation_frames != validation.len() {
@@ -315,9 +316,13 @@ impl<'a> Trainer<'a> {
                 m.seed
             )
         };
-        let made_of = datasets.iter().map(said).collect::<Vec<_>>().join("; and ");
-        let epoch_steps = steps(&training, options.only_signs, options.batch, options.epoch_steps) as u64;
-        let plates = if options.only_signs { plates(&training)? } else { Vec::new() };
+        let mut made_of = datasets.iter().map(said).collect::<Vec<_>>().join("; and ");
+        let kept = |(weights, _): &(Weights, Sees)| weights.metadata.get("made_of").cloned();
+        if let Some((part, before)) = options.only.zip(begin.as_ref().filter(|_| !resume).and_then(kept)) {
+            made_of = format!("{before}; the head for {} alone: {made_of}", part.name());
+        }
+        let epoch_steps = steps(&training, options.only, options.batch, options.epoch_steps) as u64;
+        let plates = if options.only == Some(Part::Signs) { plates(&training)? } else { Vec::new() };
         let began = Instant::now();
         Ok(Self {
             options,
@@ -382,7 +387,7 @@ impl Training for Trainer<'_> {
                 batch: options.batch,
                 window: options.window,
                 vary: options.vary,
-                only_signs: options.only_signs,
+                only: options.only,
                 plates: &plates,
             },
             &samples,
@@ -398,16 +403,16 @@ impl Training for Trainer<'_> {
                 let precision = if options.bfloat16 { Kind::BFloat16 } else { Kind::Float };
                 let pictures = pictures.f_to_kind(precision)?;
                 let answer = self.network.forward(&pictures, true)?;
-                let mut total = match (&answer.road, batch.road()) {
-                    (Some(answer), Some(targets)) if options.only_signs => {
-                        signs_loss(answer, targets, self.device)?
+                let mut total = match (&answer.road, batch.road(), options.only) {
+                    (Some(answer), Some(targets), Some(part)) => {
+                        part_loss(part, answer, targets, self.device)?
                     }
-                    (Some(road), Some(targets)) => {
+                    (Some(road), Some(targets), None) => {
                         loss(&answer, &target)?.total()?.f_add(&road_loss(road, targets, self.device)?)?
                     }
                     _ => loss(&answer, &target)?.total()?,
                 };
-                if let Some(road) = &answer.road
+                if let Some(road) = answer.road.as_ref().filter(|_| options.only != Some(Part::Area))
                     && let Some((plates, said)) = batch.plates(&road.signs, self.device)?
                     && let Some(answer) = self.network.read_signs(&plates)?
                 {
@@ -520,6 +525,7 @@ impl Training for Trainer<'_> {
             figures.extend(road.boundaries_found.map(|v| ("charts/boundaries_found", v)));
             figures.extend(road.lights_right.map(|v| ("charts/lights_right", v)));
             figures.extend(road.signs_right.map(|v| ("charts/signs_right", v)));
+            figures.extend(road.area_iou.map(|v| ("charts/area_iou", v)));
         }
         (record.step, figures)
     }

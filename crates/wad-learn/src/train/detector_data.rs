@@ -13,7 +13,7 @@ use wad_see::perception::centernet::decode::decode_signs;
 use wad_see::perception::centernet::reader::{self, PLATE};
 use wad_see::perception::centernet::road_targets::RoadTargets;
 use wad_see::perception::centernet::targets::{Centre, Wanted, Window, encode};
-use wad_see::perception::centernet::{Backbone, kind::STRIDE, loss::Target};
+use wad_see::perception::centernet::{Backbone, Part, kind::STRIDE, loss::Target};
 use wad_see::perception::coco::class_index;
 use wad_see::perception::metrics::{Scored, Truth};
 use wad_see::perception::score::{LEAST_VISIBLE, visible_share};
@@ -138,8 +138,8 @@ fn road(record: &FrameRecord) -> Option<RoadWanted> {
 /// The classes of objects, and signs as one more.
 const SHOWN: usize = 9;
 
-/// How often each sample is used per epoch; where only signs are learned, none of which nobody knows its signs.
-fn repeats(samples: &[Sample], only_signs: bool) -> Vec<f64> {
+/// How often each sample is used per epoch; where only one head learns, none of which nobody knows what it is to say.
+fn repeats(samples: &[Sample], only: Option<Part>) -> Vec<f64> {
     let present = |sample: &Sample| {
         let mut classes = [false; SHOWN];
         classes[SHOWN - 1] = sample.has_signs();
@@ -155,12 +155,17 @@ fn repeats(samples: &[Sample], only_signs: bool) -> Vec<f64> {
     let light = class_index(ObjectClass::TrafficLight);
     let factors: Vec<f64> =
         (0..SHOWN).map(|c| (COMMON / share(c).max(1e-9)).sqrt().clamp(1.0, MOST_REPEATS)).collect();
-    let counts = |class: usize| if only_signs { class == SHOWN - 1 } else { class != light };
+    let counts = |class: usize| if only == Some(Part::Signs) { class == SHOWN - 1 } else { class != light };
     let times = |(p, sample): (&[bool; SHOWN], &Sample)| {
         let best = (0..SHOWN).filter(|&c| p[c] && counts(c)).map(|c| factors[c]).fold(0.0, f64::max);
-        let is_known = sample.road.as_ref().is_some_and(|road| road.signs.is_some());
+        let is_known = |part| match (part, &sample.road) {
+            (_, None) => false,
+            (Part::Signs, Some(road)) => road.signs.is_some(),
+            (Part::Area, Some(road)) => road.area.is_some(),
+        };
         match best {
-            _ if only_signs && !is_known => 0.0,
+            _ if only.is_some_and(|part| !is_known(part)) => 0.0,
+            _ if only == Some(Part::Area) => 1.0,
             0.0 => EMPTY,
             best => best,
         }
@@ -195,8 +200,8 @@ pub struct Show<'a> {
     pub window: Option<(usize, usize)>,
     /// Augment weather, light and colours.
     pub vary: bool,
-    /// Nothing but the head for signs learns: frames with signs that are to be read, and a quarter of the others.
-    pub only_signs: bool,
+    /// Nothing but this head learns. For signs: frames with signs that are to be read, and a quarter of the others.
+    pub only: Option<Part>,
     /// Signs that are copied into whole pictures; for training nothing but signs, since they hide what is there.
     pub plates: &'a [Plate],
 }
@@ -446,7 +451,7 @@ pub fn epoch<E: From<DatasetError>>(
     workers: usize,
     mut take: impl FnMut(Batch) -> Result<bool, E>,
 ) -> Result<(), E> {
-    let order = order(&repeats(samples, show.only_signs), seed, epoch);
+    let order = order(&repeats(samples, show.only), seed, epoch);
     if order.is_empty() {
         return Ok(());
     }
@@ -484,9 +489,9 @@ pub fn epoch<E: From<DatasetError>>(
     })
 }
 
-/// Steps of one epoch over these samples, at most `most`; `only_signs` as in [`Show`].
-pub fn steps(samples: &[Sample], only_signs: bool, batch: usize, most: usize) -> usize {
-    let shown: f64 = repeats(samples, only_signs).iter().sum();
+/// Steps of one epoch over these samples, at most `most`; `only` as in [`Show`].
+pub fn steps(samples: &[Sample], only: Option<Part>, batch: usize, most: usize) -> usize {
+    let shown: f64 = repeats(samples, only).iter().sum();
     ((shown as usize / batch.max(1)).max(1)).min(most)
 }
 

@@ -6,6 +6,7 @@
 //! signals --light---> red or not --/
 //! ```
 
+mod area;
 pub mod centernet;
 mod choice;
 pub mod coco;
@@ -32,6 +33,7 @@ pub mod stages;
 pub(crate) mod testing;
 mod truth;
 
+pub use area::DrivableArea;
 pub use choice::{
     DEFAULT_DETECTOR, DETECTORS, MIN_SCORE, centernet_weights, detector, sees_the_road, weights_hash,
 };
@@ -89,6 +91,8 @@ pub struct Seen {
     pub light: Option<SeenLight>,
     /// Signs, the surest first.
     pub signs: [Option<SeenSign>; 4],
+    /// What is road.
+    pub area: DrivableArea,
 }
 
 /// A light in a picture.

@@ -7,8 +7,8 @@ use super::light::{LightAhead, SeenLights, StopLight};
 use super::paint::Painter;
 use super::sight_score::{LightCounts, LimitCounts};
 use super::{
-    Detection, Detector, GroundPlane, IN_TOWNS, ImageKind, LaneDetector, LaneEstimate, PerceptionError,
-    SeenLimit, SeenSign, TransformedImage,
+    Detection, Detector, DrivableArea, GroundPlane, IN_TOWNS, ImageKind, LaneDetector, LaneEstimate,
+    PerceptionError, SeenLimit, SeenSign, TransformedImage,
 };
 use crate::observation::{LeadState, RawState};
 use wad_camera::{CameraConfig, Frame, Outputs};
@@ -29,6 +29,8 @@ pub struct Percept {
     /// The speed limit that the last sign set, before the first that [within towns](super::IN_TOWNS) (km/h); None
     /// where the detector sees no signs.
     pub limit: Option<u32>,
+    /// What is road; None where the detector does not see it.
+    pub area: Option<DrivableArea>,
     /// The road user in the ego's path. The nearer of it and `crossing` is the raw state's vehicle in
     /// front.
     pub lead: Option<LeadState>,
@@ -80,6 +82,7 @@ impl Perception {
                 light_red: false,
                 signs: Vec::new(),
                 limit: None,
+                area: None,
                 lead: None,
                 crossing: None,
                 transformed: TransformedImage::default(),
@@ -179,6 +182,7 @@ impl Perception {
                 let limit = signed.unwrap_or(IN_TOWNS);
                 tracing::debug!("limit: {:?} seen, {signed:?} by signs", self.percept.signs);
                 self.percept.limit = Some(limit);
+                self.percept.area = Some(seen.area);
                 self.limit_counts.note(facts, limit, signed.is_some());
                 believed
             }

@@ -1,6 +1,6 @@
 //! What is true of the ego's lane and of its light: the labels of networks that see, and the measure of them.
 
-use super::{EgoFacts, LightAhead, SignTruth};
+use super::{DrivableArea, EgoFacts, LightAhead, SignTruth};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use sumo_network::geometry::{Pose, Vector, wrap_angle};
@@ -28,17 +28,20 @@ pub struct RoadTruth {
     /// The signs in the picture; None where nobody looked for them.
     #[serde(default)]
     pub signs: Option<Vec<SignTruth>>,
+    /// What of the picture is road; None where nobody looked.
+    #[serde(default)]
+    pub area: Option<DrivableArea>,
 }
 
 impl RoadTruth {
     /// The truth for an ego in a world.
     pub fn find(facts: &EgoFacts<'_>, world: &WorldState, heads: &Heads) -> Self {
-        Self { boundaries: boundaries(facts), heads: heads.of_ego(facts, world), signs: None }
+        Self { boundaries: boundaries(facts), heads: heads.of_ego(facts, world), signs: None, area: None }
     }
 
-    /// With the town's `signs` that `frame`, with depth, shows from the ego's `camera` at `pose`.
+    /// With what `frame`, with depth and semantics, shows from the ego's `camera` at `pose`: of the town's `signs`, and of the road.
     #[must_use]
-    pub fn with_signs(
+    pub fn with_frame(
         mut self,
         signs: &[PlacedSign],
         camera: &CameraConfig,
@@ -46,6 +49,7 @@ impl RoadTruth {
         frame: &Frame,
     ) -> Self {
         self.signs = Some(SignTruth::find(signs, &View::new(camera, pose), frame));
+        self.area = DrivableArea::of(frame);
         self
     }
 }
@@ -69,6 +73,7 @@ impl RoadTruth {
             heads: heads.collect(),
             light,
             signs: self.signs.clone(),
+            area: self.area,
         }
     }
 }
@@ -85,6 +90,8 @@ pub struct RoadWanted {
     pub light: Option<(usize, f32)>,
     /// The signs in it; None where nobody looked for them.
     pub signs: Option<Vec<SignTruth>>,
+    /// What is road; None where nobody looked.
+    pub area: Option<DrivableArea>,
 }
 
 impl RoadWanted {
@@ -104,6 +111,7 @@ impl RoadWanted {
             // In a mirror nobody can read.
             sign.is_plain = false;
         }
+        self.area = self.area.map(|area| area.mirrored());
         self
     }
 }

@@ -1,5 +1,6 @@
 //! The stages of perception as pictures for display.
 
+use super::area::{CELL, COLUMNS, HORIZON, ROWS};
 use super::coco::class_name;
 use super::paint::{BLUE, GREEN, RED, is_obstacle};
 use super::{Detection, GroundPlane, Percept, TRANSFORMED_SIZE, TransformedImage, colour};
@@ -26,10 +27,10 @@ fn draw_boxes(picture: &mut Picture, found: &[Detection]) {
     }
 }
 
-/// The camera's picture with the lane boundaries, and a red border where the light here is red.
+/// The camera's picture with the lane boundaries and what is road, and a red border where the light here is red.
 pub fn lanes(frame: &Frame, percept: &Percept, ground: &GroundPlane) -> Picture {
     let mut picture = Picture::rgb(frame);
-    draw_lanes(&mut picture, percept, ground);
+    draw_road(&mut picture, percept, ground);
     if percept.light_red {
         for inset in 0..4 {
             let (right, bottom) = (picture.width - 1 - inset, picture.height - 1 - inset);
@@ -40,10 +41,10 @@ pub fn lanes(frame: &Frame, percept: &Percept, ground: &GroundPlane) -> Picture 
 }
 
 /// The camera's picture with all that was seen in it: boxes with their class and certainty (percent), the lane's
-/// boundaries, what light is ahead, with the distance of its stop line, and signs.
+/// boundaries, what is road, what light is ahead, with the distance of its stop line, and signs.
 pub fn seen(frame: &Frame, percept: &Percept, ground: &GroundPlane) -> Picture {
     let mut picture = Picture::rgb(frame);
-    draw_lanes(&mut picture, percept, ground);
+    draw_road(&mut picture, percept, ground);
     draw_boxes(&mut picture, &percept.detections);
     for detection in &percept.detections {
         let [l, t, ..] = detection.bounds.map(|v| v.max(0.0) as usize);
@@ -53,6 +54,21 @@ pub fn seen(frame: &Frame, percept: &Percept, ground: &GroundPlane) -> Picture {
     label_light(&mut picture, percept);
     label_signs(&mut picture, percept);
     picture
+}
+
+/// Road is tinted.
+fn tint_area(picture: &mut Picture, percept: &Percept) {
+    const TINT: [u8; 3] = [150, 60, 220];
+    let Some(area) = &percept.area else { return };
+    for (y, line) in
+        picture.rgb.chunks_exact_mut(3 * picture.width).enumerate().skip(HORIZON).take(ROWS * CELL)
+    {
+        for (x, pixel) in line.as_chunks_mut::<3>().0.iter_mut().enumerate().take(COLUMNS * CELL) {
+            if area.has((y - HORIZON) / CELL, x / CELL) {
+                *pixel = std::array::from_fn(|k| ((3 * u16::from(pixel[k]) + u16::from(TINT[k])) / 4) as u8);
+            }
+        }
+    }
 }
 
 fn label_signs(picture: &mut Picture, percept: &Percept) {
@@ -77,7 +93,8 @@ fn label_light(picture: &mut Picture, percept: &Percept) {
     picture.label(&light, 8, 8, 2);
 }
 
-fn draw_lanes(picture: &mut Picture, percept: &Percept, ground: &GroundPlane) {
+fn draw_road(picture: &mut Picture, percept: &Percept, ground: &GroundPlane) {
+    tint_area(picture, percept);
     for boundary in [&percept.lanes.left, &percept.lanes.right].into_iter().flatten() {
         let points = boundary.pixels(ground);
         for pair in points.windows(2) {

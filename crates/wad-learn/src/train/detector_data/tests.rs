@@ -18,7 +18,7 @@ pub(in crate::train) fn sample(class: ObjectClass, bounds: [u32; 4]) -> Sample {
 }
 
 fn show(window: Option<(usize, usize)>) -> Show<'static> {
-    Show { backbone: Backbone::Light, batch: 16, window, vary: false, only_signs: false, plates: &[] }
+    Show { backbone: Backbone::Light, batch: 16, window, vary: false, only: None, plates: &[] }
 }
 
 #[test]
@@ -89,7 +89,7 @@ fn frames_with_rare_classes_are_shown_more_often_and_empty_ones_less() {
     let mut samples = vec![sample(ObjectClass::Car, [200, 180, 264, 220]); 20];
     samples.push(sample(ObjectClass::Bench, [200, 180, 264, 220]));
     samples.push(Sample { objects: Vec::new(), ..samples[0].clone() });
-    let repeats = repeats(&samples, false);
+    let repeats = repeats(&samples, None);
     assert_eq!(repeats[0], 1.0);
     // One in 22 instead of one in four: the root of 22 / 4.
     assert!((repeats[20] - 5.5_f64.sqrt()).abs() < 1e-9, "{}", repeats[20]);

@@ -3,20 +3,16 @@
 //! Light: 4 channels of 80 x 128 cells of 4 pixels: whether a head of the ego is here that shows red, yellow, green (before the
 //! sigmoid, as the heatmaps of objects); ln(1 + the stop line's distance / m). Lanes: left and right boundary, each 20 rows from
 //! the horizon down, each 65 numbers before their softmax: columns of 8 pixels, then none. Signs: 14 channels of 40 x 128 cells of 4
-//! pixels, round the horizon: whether a sign is here that says each of [`Sign`] (before the sigmoid); ln(1 + distance / m).
+//! pixels, round the horizon: whether a sign is here that says each of [`Sign`] (before the sigmoid); ln(1 + distance / m). Area:
+//! 20 rows from the horizon down of 64 cells of 8 pixels: whether this is road (before the sigmoid).
 
 use super::kind::{Backbone, STRIDE};
-use crate::perception::{GroundPlane, LaneBoundary, LaneEstimate, Seen, SeenLight, SeenSign};
+use crate::perception::area::{CELL, COLUMNS, HORIZON, ROWS};
+use crate::perception::{DrivableArea, GroundPlane, LaneBoundary, LaneEstimate, Seen, SeenLight, SeenSign};
 use nalgebra::{Matrix4, Vector4};
 use sumo_network::world::SignalState;
 use wad_camera::model::Sign;
 
-/// Pixels of the picture per cell of the lanes' map.
-pub(super) const CELL: usize = 8;
-/// Columns and rows of the map: the rows begin at the horizon, [`HORIZON`].
-pub(super) const COLUMNS: usize = 64;
-pub(super) const ROWS: usize = 20;
-pub(super) const HORIZON: usize = 256;
 /// Width of the light's map (cells).
 const MAP_WIDTH: usize = COLUMNS * CELL / STRIDE;
 /// Sides and their answers per row: a column each, and none.
@@ -48,10 +44,12 @@ const LEAST_LIGHT: f32 = 0.3;
 const LEAST_SIGN: f32 = 0.3;
 const LEAST_ROW: f32 = 0.5;
 
-/// What one picture's answers say: light, lanes, signs.
-pub fn decode([light, lanes, signs]: &[Vec<f32>; 3], ground: &GroundPlane) -> Seen {
+/// What one picture's answers say: light, lanes, signs, area.
+pub fn decode([light, lanes, signs, area]: &[Vec<f32>; 4], ground: &GroundPlane) -> Seen {
     let lanes = decode_lanes(lanes, ground);
-    Seen { lanes, light: decode_light(light, &lanes, ground), signs: decode_signs(signs, ground) }
+    let light = decode_light(light, &lanes, ground);
+    let is_road = |row: usize, column: usize| area.get(row * COLUMNS + column).is_some_and(|x| *x > 0.0);
+    Seen { lanes, light, signs: decode_signs(signs, ground), area: DrivableArea::new(is_road) }
 }
 
 fn sigmoid(x: f32) -> f32 {

@@ -2,7 +2,7 @@
 
 use super::decode;
 use super::graph::{self, Numbers, PICTURE, Ranges};
-use super::kind::{self, Backbone, CLASSES, STRIDE, Sees};
+use super::kind::{self, Backbone, CLASSES, Part, STRIDE, Sees};
 #[cfg(feature = "learn")]
 use super::network::CenterNet;
 use super::reader::{self, SignReader};
@@ -44,9 +44,9 @@ enum Engine {
 struct Outputs {
     /// Height and width of the maps (cells).
     shape: [usize; 2],
-    /// Heatmap (behind its sigmoid), size, offset, and the road's light, lanes and signs: see [`decode`].
-    maps: [Vec<f32>; 6],
-    /// Whether the last three are of this picture.
+    /// Heatmap (behind its sigmoid), size, offset, and the road's light, lanes, signs and area: see [`decode`].
+    maps: [Vec<f32>; 7],
+    /// Whether the last four are of this picture.
     sees_road: bool,
 }
 
@@ -280,7 +280,8 @@ fn run_torch(
         outputs.shape = [2, 3].map(|k| answer.heat.size()[k] as usize);
         outputs.sees_road = answer.road.is_some();
         let mut tensors = vec![answer.heat.f_sigmoid()?, answer.size, answer.offset];
-        tensors.extend(answer.road.into_iter().flat_map(|road| [road.light, road.lanes, road.signs]));
+        tensors
+            .extend(answer.road.into_iter().flat_map(|road| [road.light, road.lanes, road.signs, road.area]));
         for (tensor, map) in tensors.iter().zip(outputs.maps.iter_mut()) {
             let tensor = tensor.f_contiguous()?.f_to_device(Device::Cpu)?;
             map.resize(tensor.numel(), 0.0);
@@ -331,7 +332,7 @@ impl Watcher {
     pub fn new(weights: &Weights, sees: Sees) -> Result<Self, WeightsError> {
         let ir = graph::graph(weights, sees, Numbers::Watched)?;
         let network = inference::Network::new(&ir, &SHAPE)?;
-        let answers = if sees == Sees::Road { 6 } else { 3 };
+        let answers = if sees == Sees::Road { 7 } else { 3 };
         Ok(Self { network, answers, ranges: vec![0.0; ir.outputs() - answers], pictures: 0 })
     }
 
@@ -356,18 +357,22 @@ impl Watcher {
         Ok(())
     }
 
-    /// The same weights with the ranges: the means over the pictures. Those that are not of the head for signs are those of
-    /// `before`, of which the network was made and which differs in that head alone.
+    /// The same weights with the ranges: the means over the pictures; all but the head's own are those of `before`, of which the
+    /// network was made and which differs in that head alone.
     ///
     /// # Errors
     /// Those of `before` cannot be read.
-    pub fn finish(self, mut weights: Weights, before: Option<&Weights>) -> Result<Weights, WeightsError> {
+    pub fn finish(
+        self,
+        mut weights: Weights,
+        before: Option<(&Weights, Part)>,
+    ) -> Result<Weights, WeightsError> {
         let ranges = self.ranges.iter().map(|sum| (sum / self.pictures.max(1) as f32).max(1e-6));
         let mut ranges: Ranges = ranges.collect();
-        let kept = before.map(graph::ranges).transpose()?.flatten().unwrap_or_default();
-        let others = ranges.len() - graph::SIGN_RANGES.min(ranges.len());
-        for (range, kept) in ranges[..others].iter_mut().zip(kept) {
-            *range = kept;
+        if let Some((before, part)) = before {
+            let others = ranges.len().saturating_sub(graph::ranges_of(part));
+            let kept = graph::ranges(before)?.unwrap_or_default();
+            ranges[..others].iter_mut().zip(kept).for_each(|(range, kept)| *range = kept);
         }
         graph::set_ranges(&mut weights, &ranges);
         Ok(weights)

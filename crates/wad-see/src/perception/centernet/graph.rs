@@ -5,9 +5,10 @@
 //! 0 to about the largest number that the network was seen to have there (see [`Ranges`]). The heads stay in single
 //! precision.
 
-use super::decode::{CELL, LIGHT, ROWS, SIGN_CHANNELS, SIGN_ROWS};
-use super::kind::{CLASSES, STRIDE, Sees};
+use super::decode::{LIGHT, SIGN_CHANNELS, SIGN_ROWS};
+use super::kind::{CLASSES, Part, STRIDE, Sees};
 use crate::inference::ir::{Ir, Node};
+use crate::perception::area::{CELL, ROWS};
 use crate::weights::{Stored, Weights, WeightsError};
 use safetensors::Dtype;
 
@@ -39,8 +40,14 @@ pub const RANGES: &str = "ranges";
 /// The largest number at each place of the network that is rounded, in the order in which the network meets them.
 pub type Ranges = Vec<f32>;
 
-/// The last of them belong to the head for signs.
-pub(super) const SIGN_RANGES: usize = 3;
+/// So many of them, the last, belong to this head.
+pub(super) fn ranges_of(part: Part) -> usize {
+    match part {
+        Part::Signs => 3,
+        // What goes into it goes into the lanes' too.
+        Part::Area => 0,
+    }
+}
 
 /// The numbers that the network computes with.
 #[derive(Clone, Copy, Debug)]
@@ -70,7 +77,7 @@ struct Builder<'a> {
 }
 
 /// The network of some weights: one picture of [`PICTURE`] (1, 320, 512, 3) in bytes to heatmap (behind its sigmoid),
-/// size and offset, and where it sees the road, light, lanes and signs: as in [`super::decode`].
+/// size and offset, and where it sees the road, light, lanes, signs and area: as in [`super::decode`].
 ///
 /// # Errors
 /// The weights are of another network, or have ranges for another number of places.
@@ -163,6 +170,10 @@ pub fn graph(weights: &Weights, sees: Sees, numbers: Numbers<'_>) -> Result<Ir, 
         let hidden = net.ir.relu(hidden);
         let signs = net.head(hidden, "road.signs", [HIDDEN, SIGN_CHANNELS, 1, 1])?;
         net.ir.output(signs);
+        let hidden = net.convolution(below, "road.area_hidden", [OUT, HIDDEN, 3, 1], true)?;
+        let hidden = net.ir.relu(hidden);
+        let area = net.head(hidden, "road.area", [HIDDEN, 1, 1, 1])?;
+        net.ir.output(area);
     }
     if matches!(numbers, Numbers::Watched) {
         for place in std::mem::take(&mut net.places) {

@@ -61,6 +61,54 @@ impl Sees {
     }
 }
 
+/// A head that can learn alone, while all else of the network stays as it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Part {
+    /// Signs.
+    Signs,
+    /// The drivable area.
+    Area,
+}
+
+impl Part {
+    /// Its name in options and files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Signs => "signs",
+            Self::Area => "area",
+        }
+    }
+
+    /// Whether a parameter is of it.
+    pub fn has(self, name: &str) -> bool {
+        name.strip_prefix("road.").is_some_and(|rest| rest.starts_with(self.name()))
+    }
+}
+
+/// What learns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Learns {
+    /// Nothing: it is used.
+    Nothing,
+    /// One head.
+    Only(Part),
+    /// All of it.
+    Everything,
+}
+
+impl Learns {
+    /// Whether all learns.
+    pub fn all(self) -> bool {
+        self == Self::Everything
+    }
+
+    /// Whether a part learns.
+    pub fn part(self, part: Part) -> bool {
+        self.all() || self == Self::Only(part)
+    }
+}
+
 /// The backbone of weights that see `known` through today's camera.
 ///
 /// # Errors

@@ -25,6 +25,6 @@ pub mod targets;
 mod tests;
 
 pub use detector::{CenterNetDetector, Watcher, engine};
-pub use kind::{Backbone, Sees};
+pub use kind::{Backbone, Part, Sees};
 #[cfg(feature = "learn")]
 pub use network::{Answer, CenterNet};

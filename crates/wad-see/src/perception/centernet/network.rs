@@ -2,7 +2,7 @@
 //! boxes' sizes, and the centres' offsets within their cell, each a quarter of the picture in size.
 
 use super::graph::OUT;
-use super::kind::{self, Backbone, CLASSES, Sees};
+use super::kind::{self, Backbone, CLASSES, Learns, Part, Sees};
 use super::layer::{Conv, Kernel};
 use super::light::Light;
 use super::reader::SignReader;
@@ -21,11 +21,6 @@ pub(super) const FIRST_ANSWER: f64 = -2.19;
 enum Features {
     Light(Light),
     Resnet(Resnet50V2),
-}
-
-/// Whether a parameter is of the head for signs.
-fn is_of_signs(name: &str) -> bool {
-    name.starts_with("road.signs")
 }
 
 /// The network's output: (n, 8, h, w), (n, 2, h, w), (n, 2, h, w).
@@ -52,7 +47,8 @@ pub struct CenterNet {
     /// Heatmap, size, offset: a 3x3 where the backbone is large, and a 1x1.
     heads: [(Option<Conv>, Conv); 3],
     road: Option<RoadHeads>,
-    only_signs: bool,
+    /// The head that learns alone.
+    only: Option<Part>,
 }
 
 impl CenterNet {
@@ -81,14 +77,14 @@ impl CenterNet {
             Sees::Objects => None,
             Sees::Road => Some(RoadHeads::new(&(&root / "road"), channels)?),
         };
-        Ok(Self { backbone, store, features, heads, road, only_signs: false })
+        Ok(Self { backbone, store, features, heads, road, only: None })
     }
 
-    /// From now on nothing but its head for signs learns: all else stays as it is, bit for bit.
-    pub fn learn_signs_only(&mut self) {
-        self.only_signs = true;
+    /// From now on nothing but one head learns: all else stays as it is, bit for bit.
+    pub fn learn_only(&mut self, part: Part) {
+        self.only = Some(part);
         for (name, variable) in self.store.variables() {
-            let _ = variable.set_requires_grad(variable.requires_grad() && is_of_signs(&name));
+            let _ = variable.set_requires_grad(variable.requires_grad() && part.has(&name));
         }
     }
 
@@ -105,20 +101,24 @@ impl CenterNet {
     pub fn forward(&self, pictures: &Tensor, train: bool) -> Result<Answer, TchError> {
         // About zero in the middle, one wide.
         let pictures = pictures.f_sub_scalar(0.45)?.f_mul_scalar(4.0)?;
-        let train_signs = train;
-        let train = train && !self.only_signs;
+        let learns = match self.only {
+            _ if !train => Learns::Nothing,
+            Some(part) => Learns::Only(part),
+            None => Learns::Everything,
+        };
+        let train = learns.all();
         let x = || match &self.features {
             Features::Light(net) => net.forward(&pictures, train),
             Features::Resnet(net) => net.forward(&pictures, train),
         };
-        let x = if self.only_signs { tch::no_grad(x)? } else { x()? };
+        let x = if self.only.is_some() { tch::no_grad(x)? } else { x()? };
         let x = x.f_to_kind(Kind::Float)?;
         let head = |(first, last): &(Option<Conv>, Conv)| match first {
             Some(first) => last.forward(&first.forward(&x, train)?.f_relu()?, train),
             None => last.forward(&x, train),
         };
         let [heat, size, offset] = &self.heads;
-        let looked = |road: &RoadHeads| road.forward(&x, &pictures, train, train_signs);
+        let looked = |road: &RoadHeads| road.forward(&x, &pictures, learns);
         let road = self.road.as_ref().map(looked).transpose()?.flatten();
         Ok(Answer { heat: head(heat)?, size: head(size)?, offset: head(offset)?, road })
     }

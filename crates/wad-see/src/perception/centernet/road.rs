@@ -1,10 +1,11 @@
 //! What `eyes` see beside objects, by heads of their own over the light backbone's features: the boundaries of the
-//! ego's lane, row by row, the light that is the ego's, and signs.
+//! ego's lane, row by row, the light that is the ego's, signs, and the drivable area.
 //!
 //! ```text
 //! features at /4 --3x3--+--1x1-----------> the ego's signal heads by lamp, distance of the stop line
 //! picture --1x1, largest of 4x4--3x3--+
-//! features at /4 --/8, rows below the horizon, 3x3, 1x1--> per row and side: the boundary's column, or none
+//! features at /4 --/8, rows below the horizon--+--3x3, 1x1--> per row and side: the boundary's column, or none
+//!                                              +--3x3, 1x1--> whether a cell is road
 //! features at /4 --3x3--+--3x3, 1x1--> signs by what they say, their distance (rows round the horizon)
 //! picture --3x3/2, 3x3/2, 3x3--+
 //! ```
@@ -14,11 +15,12 @@
 //! which heads are the ego's depends on both. Digits are smaller than the backbone's cells, so the head for signs has
 //! convolutions of its own over the picture; what it finds is [read](super::reader) from a picture of the plate alone.
 
-use super::decode::{LIGHT, ROWS, SIGN_CHANNELS, SIGN_ROWS};
+use super::decode::{LIGHT, SIGN_CHANNELS, SIGN_ROWS};
 use super::graph::{COLOURS, HIDDEN, MAP, SIGN_STEM, place};
-use super::kind::STRIDE;
+use super::kind::{Learns, Part, STRIDE};
 use super::layer::{Conv, Kernel};
 use super::reader;
+use crate::perception::area::ROWS;
 use tch::nn::Path;
 use tch::{Kind, TchError, Tensor};
 
@@ -42,6 +44,8 @@ pub struct RoadHeads {
     signs_features: Conv,
     signs_hidden: Conv,
     signs: Conv,
+    area_hidden: Conv,
+    area: Conv,
     /// Over plates: see [`super::reader`].
     read: [Conv; 4],
 }
@@ -55,6 +59,8 @@ pub struct RoadAnswer {
     pub lanes: Tensor,
     /// (n, 14, 40, 128): see [`super::decode`].
     pub signs: Tensor,
+    /// (n, 1, 20, 64): see [`super::decode`].
+    pub area: Tensor,
 }
 
 impl RoadHeads {
@@ -92,6 +98,8 @@ impl RoadHeads {
             signs_hidden: Conv::new(&(path / "signs_hidden"), HIDDEN, HIDDEN, Kernel::normed(3, 1)),
             signs,
             read: [layer(first), layer(second), layer(third), layer(last)],
+            area_hidden: Conv::new(&(path / "area_hidden"), channels, HIDDEN, Kernel::normed(3, 1)),
+            area: Conv::new(&(path / "area"), HIDDEN, 1, Kernel::plain(1)),
         })
     }
 
@@ -109,8 +117,8 @@ impl RoadHeads {
         last.forward(&third.forward(&x, false)?.f_relu()?, false)?.f_view([-1, reader::ANSWERS as i64])
     }
 
-    /// Features (n, channels, h, w) of whole pictures (n, 3, 4 h, 4 w); None for parts of pictures. `train` says whether it learns,
-    /// `train_signs` the same of the head for signs.
+    /// Features (n, channels, h, w) of whole pictures (n, 3, 4 h, 4 w); None for parts of pictures. `learns` says which
+    /// heads learn.
     ///
     /// # Errors
     /// torch fails.
@@ -118,9 +126,9 @@ impl RoadHeads {
         &self,
         x: &Tensor,
         pictures: &Tensor,
-        train: bool,
-        train_signs: bool,
+        learns: Learns,
     ) -> Result<Option<RoadAnswer>, TchError> {
+        let train = learns.all();
         let size = x.size();
         if [size[3], size[2]] != WHOLE {
             return Ok(None);
@@ -139,7 +147,10 @@ impl RoadHeads {
         let beside = self.light_colours.forward(&beside, train)?;
         let hidden = self.light_hidden.forward(x, train)?.f_add(&beside)?.f_relu()?;
         let light = self.light.forward(&hidden, train)?;
-        Ok(Some(RoadAnswer { light, lanes, signs: self.find_signs(x, pictures, train_signs)? }))
+        let hidden = self.area_hidden.forward(&below, learns.part(Part::Area))?.f_relu()?;
+        let area = self.area.forward(&hidden, train)?;
+        let signs = self.find_signs(x, pictures, learns.part(Part::Signs))?;
+        Ok(Some(RoadAnswer { light, lanes, signs, area }))
     }
 
     fn find_signs(&self, x: &Tensor, pictures: &Tensor, train: bool) -> Result<Tensor, TchError> {
@@ -164,6 +175,7 @@ impl RoadHeads {
         self.signs_pixels.iter_mut().try_for_each(Conv::fold)?;
         self.signs_features.fold()?;
         self.signs_hidden.fold()?;
+        self.area_hidden.fold()?;
         self.hidden.fold()
     }
 }

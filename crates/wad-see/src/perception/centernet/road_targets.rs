@@ -1,11 +1,12 @@
 //! The targets and the loss of the road's heads.
 
-use super::decode::{ANSWERS, CELL, COLUMNS, HORIZON, LAMPS, ROWS, SIGN_BAND, SIGN_ROWS, row_y};
+use super::decode::{ANSWERS, LAMPS, SIGN_BAND, SIGN_ROWS, row_y};
 use super::graph::PICTURE;
-use super::kind::{Backbone, STRIDE};
+use super::kind::{Backbone, Part, STRIDE};
 use super::loss::focal;
 use super::road::{RoadAnswer, WHOLE};
 use super::targets::{NO_MATTER, Wanted, encode};
+use crate::perception::area::{CELL, COLUMNS, HORIZON, ROWS};
 use crate::perception::road_truth::y_at;
 use crate::perception::{GroundPlane, RoadWanted};
 use tch::{Device, Kind, Reduction, TchError, Tensor};
@@ -30,6 +31,8 @@ pub struct RoadTargets {
     /// As `cells` and `distances`, of signs.
     sign_cells: Vec<i64>,
     sign_distances: Vec<f32>,
+    /// n x 20 x 64: 1 where road is, [`NO_MATTER`] where nobody knows.
+    area: Vec<f32>,
 }
 
 /// Columns and rows of the signs' map.
@@ -46,6 +49,10 @@ impl RoadTargets {
         self.heat.resize(self.pictures * planes, if wanted.is_some() { 0.0 } else { NO_MATTER });
         self.lanes.resize(self.pictures * answers, 0.0);
         self.add_signs(n, wanted);
+        let area = wanted.and_then(|wanted| wanted.area);
+        let value =
+            |at| area.map_or(NO_MATTER, |area| f32::from(u8::from(area.has(at / COLUMNS, at % COLUMNS))));
+        self.area.extend((0..ROWS * COLUMNS).map(value));
         let Some(wanted) = wanted else { return };
         let top = Backbone::Light.rows(PICTURE[1]).0 as f32;
         let lamp = wanted.light.map(|(lamp, _)| lamp);
@@ -158,7 +165,7 @@ fn places_loss(
     found.f_add(&seen.f_sub(&distances)?.f_abs()?.f_mean(Kind::Float)?)
 }
 
-/// The road's part of the loss: light, lanes and signs.
+/// The road's part of the loss: light, lanes, signs and area.
 ///
 /// # Errors
 /// torch fails.
@@ -171,14 +178,39 @@ pub fn road_loss(answer: &RoadAnswer, targets: &RoadTargets, device: Device) -> 
     let log = answer.lanes.f_log_softmax(3, Kind::Float)?;
     let lanes = log.f_mul(&lanes)?.f_sum(Kind::Float)?.f_div(&rows)?.f_neg()?;
     let light = places_loss(&answer.light, &targets.heat, (&targets.cells, &targets.distances), device)?;
-    lanes.f_add(&light)?.f_add(&signs_loss(answer, targets, device)?)
+    let seen = lanes.f_add(&light)?.f_add(&signs_loss(answer, targets, device)?)?;
+    seen.f_add(&area_loss(answer, targets, device)?)
 }
 
-/// The signs' part of it.
+/// The part of the loss that one head has.
 ///
 /// # Errors
 /// torch fails.
-pub fn signs_loss(answer: &RoadAnswer, targets: &RoadTargets, device: Device) -> Result<Tensor, TchError> {
+pub fn part_loss(
+    part: Part,
+    answer: &RoadAnswer,
+    targets: &RoadTargets,
+    device: Device,
+) -> Result<Tensor, TchError> {
+    match part {
+        Part::Signs => signs_loss(answer, targets, device),
+        Part::Area => area_loss(answer, targets, device),
+    }
+}
+
+/// The area's part of it: cross entropy, the mean over the cells that are known.
+fn area_loss(answer: &RoadAnswer, targets: &RoadTargets, device: Device) -> Result<Tensor, TchError> {
+    let wanted = Tensor::f_from_slice(&targets.area)?.f_view([-1])?.f_to_device(device)?;
+    let known = wanted.f_ge(0.0)?.f_to_kind(Kind::Float)?;
+    let cells = known.f_sum(Kind::Float)?.f_clamp_min(1.0)?;
+    let seen = answer.area.f_reshape([-1])?;
+    let weight = Some(&known);
+    let loss = seen.f_binary_cross_entropy_with_logits(&wanted, weight, None::<&Tensor>, Reduction::Sum)?;
+    loss.f_div(&cells)
+}
+
+/// The signs' part of it.
+fn signs_loss(answer: &RoadAnswer, targets: &RoadTargets, device: Device) -> Result<Tensor, TchError> {
     let centres = (targets.sign_cells.as_slice(), targets.sign_distances.as_slice());
     places_loss(&answer.signs, &targets.signs, centres, device)
 }
@@ -202,7 +234,7 @@ pub fn reading_loss(answer: &Tensor, said: &[i64], device: Device) -> Result<Ten
 mod tests {
     use super::super::decode::{LIGHT, decode};
     use super::*;
-    use crate::perception::{Seen, SignTruth};
+    use crate::perception::{DrivableArea, Seen, SignTruth};
     use sumo_network::world::SignalState;
     use wad_camera::CameraConfig;
 
@@ -222,6 +254,7 @@ mod tests {
                 distance: 15.0,
                 is_plain: true,
             }]),
+            area: Some(DrivableArea::new(|row, column| row + column > 40)),
         }
     }
 
@@ -245,7 +278,9 @@ mod tests {
             *out = if *heat == 1.0 { 3.0 } else { -9.0 };
         }
         signs[Sign::KINDS * w * h + targets.sign_cells[0] as usize] = targets.sign_distances[0];
-        let seen = decode(&[light, lanes, signs], &ground());
+        let area: Vec<f32> = targets.area.iter().map(|x| x - 0.5).collect();
+        let seen = decode(&[light, lanes, signs, area], &ground());
+        assert_eq!(Some(seen.area), wanted().area);
         let [Some(sign), None, ..] = seen.signs else { panic!("{:?}", seen.signs) };
         assert!(sign.sign == Sign::Limit(50) && (sign.pixel[0] - 356.0).abs() <= 2.0, "{sign:?}");
         // 100 pixels right of the middle, 15 m ahead of the camera, which is 0.7 m before the ego's centre.
@@ -266,16 +301,16 @@ mod tests {
         targets.add(Some(&RoadWanted::default()), &ground());
         let lanes: Vec<f32> = targets.lanes.iter().map(|p| p.max(1e-9).ln()).collect();
         let light = vec![-9.0; (LIGHT * WHOLE[0] * WHOLE[1]) as usize];
-        let answers = [light, lanes, Vec::new()];
+        let answers = [light, lanes, Vec::new(), targets.area.clone()];
         assert_eq!(decode(&answers, &ground()), Seen::default());
         // A lane that ends 12 m ahead is none in the rows beyond.
         let mut short = wanted();
         short.boundaries.iter_mut().flatten().for_each(|side| side.truncate(13));
         let mut targets = RoadTargets::default();
         targets.add(Some(&short), &ground());
-        let [light, _, signs] = answers;
+        let [light, _, signs, area] = answers;
         let lanes: Vec<f32> = targets.lanes.iter().map(|p| p.max(1e-9).ln()).collect();
-        let reach = decode(&[light, lanes, signs], &ground()).lanes.left.unwrap().reach;
+        let reach = decode(&[light, lanes, signs, area], &ground()).lanes.left.unwrap().reach;
         assert!(reach[1] < 12.5 && reach[1] > 8.0, "{reach:?}");
     }
 
@@ -287,6 +322,7 @@ mod tests {
         assert_eq!(mirrored.heads[0].0, [250.0, 180.0, 262.0, 200.0]);
         assert_eq!(mirrored.heads[1].0, [200.0, 190.0, 212.0, 210.0]);
         assert!(mirrored.signs.iter().flatten().all(|sign| !sign.is_plain), "in a mirror nobody can read");
+        assert_eq!(mirrored.area, Some(DrivableArea::new(|row, column| row + 63 - column > 40)));
         let twice = mirrored.mirrored(512.0);
         assert_eq!(twice.boundaries, wanted().boundaries);
     }

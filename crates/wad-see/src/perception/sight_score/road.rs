@@ -34,6 +34,8 @@ pub struct RoadScore {
     signs_right: usize,
     looked: usize,
     phantom_signs: usize,
+    /// Cells of road both seen and there, and either.
+    area: (usize, usize),
 }
 
 /// The figures.
@@ -82,6 +84,9 @@ pub struct RoadReport {
     /// Signs seen where none is, per frame.
     #[serde(default)]
     pub phantom_signs: Option<f64>,
+    /// Intersection over union of the drivable area, of all frames together.
+    #[serde(default)]
+    pub area_iou: Option<f64>,
 }
 
 impl RoadScore {
@@ -119,6 +124,10 @@ impl RoadScore {
         }
         if let Some(signs) = &wanted.signs {
             self.add_signs(signs, seen);
+        }
+        if let Some(area) = &wanted.area {
+            let (both, either) = area.overlap(&seen.area);
+            self.area = (self.area.0 + both, self.area.1 + either);
         }
     }
 
@@ -164,6 +173,7 @@ impl RoadScore {
             near_signs: self.near_signs,
             signs_right: share(self.signs_right, self.near_signs),
             phantom_signs: share(self.phantom_signs, self.looked),
+            area_iou: share(self.area.0, self.area.1),
         }
     }
 }
@@ -172,7 +182,7 @@ impl RoadScore {
 mod tests {
     use super::super::light::{GREEN, RED};
     use super::*;
-    use crate::perception::{LaneBoundary, LaneEstimate, SeenLight};
+    use crate::perception::{DrivableArea, LaneBoundary, LaneEstimate, SeenLight};
     use sumo_network::world::SignalState;
 
     #[test]
@@ -183,16 +193,18 @@ mod tests {
             boundaries: Some([line(1.6, 30), line(-1.6, 30)]),
             heads: vec![head],
             light: Some((RED, 15.0)),
-            signs: None,
+            area: Some(DrivableArea::new(|row, column| row > 5 && column < 40)),
+            ..RoadWanted::default()
         };
         let boundary = |offset| Some(LaneBoundary { offset, slope: 0.0, bend: 0.0, reach: [4.0, 20.0] });
         let light = |state| Some(SeenLight { state, distance: 16.0, certainty: 1.0 });
+        let area = DrivableArea::new(|row, column| row > 5 && column < 20);
         let lanes = LaneEstimate { left: boundary(1.9), right: boundary(-3.0) };
         let mut score = RoadScore::default();
-        score.add(&wanted, &Seen { lanes, light: light(SignalState::Red), ..Seen::default() });
+        score.add(&wanted, &Seen { lanes, light: light(SignalState::Red), area, ..Seen::default() });
         score.add(&wanted, &Seen { lanes, light: light(SignalState::GreenMajor), ..Seen::default() });
         score.add(&wanted, &Seen::default());
-        let far = RoadWanted { light: Some((GREEN, 60.0)), boundaries: None, heads: vec![head], signs: None };
+        let far = RoadWanted { light: Some((GREEN, 60.0)), heads: vec![head], ..RoadWanted::default() };
         score.add(&far, &Seen::default());
         score.add(&RoadWanted::default(), &Seen { lanes, light: light(SignalState::Red), ..Seen::default() });
         let r = score.report();
@@ -202,5 +214,6 @@ mod tests {
         assert_eq!((r.reds, r.red_as_green), (3, 1));
         assert_eq!((r.without_light, r.phantom_lights), (1, Some(1.0)));
         assert_eq!(r.line_error.median, Some(1.0));
+        assert_eq!(r.area_iou, Some(0.5 / 3.0));
     }
 }

@@ -1,0 +1,95 @@
+//! What of a picture is road.
+
+use serde::{Deserialize, Serialize};
+use wad_camera::Frame;
+use wad_camera::model::SemanticTag;
+
+/// Pixels of the picture per cell.
+pub const CELL: usize = 8;
+/// Columns and rows of cells: the rows begin at the horizon, [`HORIZON`].
+pub const COLUMNS: usize = 64;
+/// See [`COLUMNS`].
+pub const ROWS: usize = 20;
+/// The picture's row of the horizon.
+pub const HORIZON: usize = 256;
+
+/// The drivable area (as in BDD100K, Yu et al. 2020): what of the camera's picture is road for vehicles and free of what stands on it.
+/// 20 rows of cells from the horizon down, each 64 cells of 8x8 pixels; bit 0 of a row is its leftmost cell.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DrivableArea(pub [u64; ROWS]);
+
+impl DrivableArea {
+    /// By `is_road` of each cell, row by row.
+    pub fn new(mut is_road: impl FnMut(usize, usize) -> bool) -> Self {
+        let row = |row| (0..COLUMNS).map(|column| u64::from(is_road(row, column)) << column).sum();
+        Self(std::array::from_fn(row))
+    }
+
+    /// The truth: cells of which at least half the pixels are road or its paint. None where the frame has no semantics, or another
+    /// size than 512x512.
+    pub fn of(frame: &Frame) -> Option<Self> {
+        let (width, height) = (COLUMNS * CELL, 2 * HORIZON);
+        if (frame.width, frame.height, frame.semantic.len()) != (width, height, width * height) {
+            return None;
+        }
+        let is_road = |tag: &&u8| [SemanticTag::Road as u8, SemanticTag::RoadLine as u8].contains(tag);
+        let road = |row: usize, column: usize| {
+            let rows = (0..CELL).map(|y| (HORIZON + row * CELL + y) * width + column * CELL);
+            rows.map(|start| frame.semantic[start..][..CELL].iter().filter(is_road).count()).sum::<usize>()
+        };
+        Some(Self::new(|row, column| 2 * road(row, column) >= CELL * CELL))
+    }
+
+    /// Whether a cell is road.
+    pub fn has(&self, row: usize, column: usize) -> bool {
+        self.0[row] >> column & 1 == 1
+    }
+
+    /// Of the cells that are road in either, how many are in both.
+    pub fn overlap(&self, other: &Self) -> (usize, usize) {
+        let count = |join: fn(u64, u64) -> u64| {
+            self.0.iter().zip(other.0).map(|(a, b)| join(*a, b).count_ones() as usize).sum()
+        };
+        (count(|a, b| a & b), count(|a, b| a | b))
+    }
+
+    /// The same in a mirror.
+    #[must_use]
+    pub fn mirrored(&self) -> Self {
+        Self(self.0.map(u64::reverse_bits))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_cell_is_road_if_half_of_its_pixels_are() {
+        let (width, height) = (512, 512);
+        let mut frame = Frame {
+            width,
+            height,
+            semantic: vec![SemanticTag::Terrain as u8; width * height],
+            ..Frame::default()
+        };
+        for (y, x, tag) in [(256, 0, SemanticTag::Road), (264, 16, SemanticTag::RoadLine)] {
+            // Four of a cell's eight rows, then one pixel less.
+            for (row, long) in [(0, 8), (1, 8), (2, 8), (3, if y == 256 { 8 } else { 7 })] {
+                frame.semantic[(y + row) * width + x..][..long].fill(tag as u8);
+            }
+        }
+        let area = DrivableArea::of(&frame).unwrap();
+        assert_eq!(area, DrivableArea::new(|row, column| (row, column) == (0, 0)));
+        assert!(area.has(0, 0) && !area.has(1, 2));
+        assert_eq!(area.mirrored(), DrivableArea::new(|row, column| (row, column) == (0, 63)));
+        frame.semantic.clear();
+        assert_eq!(DrivableArea::of(&frame), None);
+    }
+
+    #[test]
+    fn overlap_counts_cells_in_both_and_in_either() {
+        let [a, b] = [3, 5].map(|end| DrivableArea::new(|row, column| row == 2 && column < end));
+        assert_eq!((a.overlap(&b), b.overlap(&a)), ((3, 5), (3, 5)));
+    }
+}
