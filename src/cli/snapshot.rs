@@ -112,9 +112,9 @@ enum Overlay {
 enum Stage {
     /// Boxes of the detections.
     Detect,
-    /// The ego lane's boundaries; a red border where the light at the intersection is red.
+    /// The ego lane's boundaries, and what `eyes` take for road; a red border where the light at the intersection is red.
     Lanes,
-    /// All that is seen: boxes with class and certainty (percent), the lane's boundaries, the light ahead.
+    /// All that is seen: boxes with class and certainty (percent), the lane's boundaries, the light ahead, signs, what is road.
     Eyes,
     /// The transformed image, 128x128.
     Transformed,

@@ -318,7 +318,7 @@ impl<'a> Trainer<'a> {
         };
         let mut made_of = datasets.iter().map(said).collect::<Vec<_>>().join("; and ");
         let kept = |(weights, _): &(Weights, Sees)| weights.metadata.get("made_of").cloned();
-        if let Some((part, before)) = options.only.zip(begin.as_ref().filter(|_| !resume).and_then(kept)) {
+        if let Some((part, before)) = options.only.zip(begin.as_ref().and_then(kept)) {
             made_of = format!("{before}; the head for {} alone: {made_of}", part.name());
         }
         let epoch_steps = steps(&training, options.only, options.batch, options.epoch_steps) as u64;
@@ -412,7 +412,8 @@ impl Training for Trainer<'_> {
                     }
                     _ => loss(&answer, &target)?.total()?,
                 };
-                if let Some(road) = answer.road.as_ref().filter(|_| options.only != Some(Part::Area))
+                let learns_signs = options.only.is_none_or(|part| part == Part::Signs);
+                if let Some(road) = answer.road.as_ref().filter(|_| learns_signs)
                     && let Some((plates, said)) = batch.plates(&road.signs, self.device)?
                     && let Some(answer) = self.network.read_signs(&plates)?
                 {

@@ -163,11 +163,11 @@ fn repeats(samples: &[Sample], only: Option<Part>) -> Vec<f64> {
             (Part::Signs, Some(road)) => road.signs.is_some(),
             (Part::Area, Some(road)) => road.area.is_some(),
         };
-        match best {
-            _ if only.is_some_and(|part| !is_known(part)) => 0.0,
-            _ if only == Some(Part::Area) => 1.0,
-            0.0 => EMPTY,
-            best => best,
+        match only {
+            Some(part) if !is_known(part) => 0.0,
+            Some(Part::Area) => 1.0,
+            _ if best == 0.0 => EMPTY,
+            _ => best,
         }
     };
     present.iter().zip(samples).map(times).collect()

@@ -118,7 +118,7 @@ pub fn transformed(image: &TransformedImage) -> Picture {
     Picture { width: TRANSFORMED_SIZE, height: TRANSFORMED_SIZE, rgb: image.bytes().to_vec() }
 }
 
-/// Camera, what was seen in its picture (boxes, boundaries, light, signs), transformed image and, where there is one,
+/// Camera, what was seen in its picture (boxes, boundaries, light, signs, what is road), transformed image and, where there is one,
 /// reconstruction, side by side, `side` pixels each.
 pub fn strip(
     frame: &Frame,

@@ -48,7 +48,7 @@ const LEAST_ROW: f32 = 0.5;
 pub fn decode([light, lanes, signs, area]: &[Vec<f32>; 4], ground: &GroundPlane) -> Seen {
     let lanes = decode_lanes(lanes, ground);
     let light = decode_light(light, &lanes, ground);
-    let is_road = |row: usize, column: usize| area.get(row * COLUMNS + column).is_some_and(|x| *x > 0.0);
+    let is_road = |row: usize, column: usize| area[row * COLUMNS + column] > 0.0;
     Seen { lanes, light, signs: decode_signs(signs, ground), area: DrivableArea::new(is_road) }
 }
 
