@@ -6,7 +6,7 @@ use crate::camera::{Camera, CameraConfig, CameraError, Frame, Outputs, Town, Wea
 use crate::eyes::Eyes;
 use crate::latent::Decoder;
 use crate::network::Network;
-use crate::perception::{EgoFacts, GroundPlane, Percept, TRANSFORMED_SIZE, TransformedImage};
+use crate::perception::{DrivableArea, EgoFacts, GroundPlane, Percept, TRANSFORMED_SIZE, TransformedImage};
 use bytes::Bytes;
 use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
 use serde_json::{Value, json};
@@ -167,7 +167,9 @@ impl Artist {
             })
             .collect();
         let limit = percept.limit;
-        let sees = json!({ "boxes": boxes, "lanes": lanes, "light": light, "red": red, "gap": gap, "signs": signs, "limit": limit });
+        // Left, top, right, bottom of each stretch of cells.
+        let road: Vec<[usize; 4]> = percept.area.iter().flat_map(DrivableArea::stretches).collect();
+        let sees = json!({ "boxes": boxes, "lanes": lanes, "light": light, "red": red, "gap": gap, "signs": signs, "limit": limit, "road": road });
         (sees, images)
     }
 }

@@ -235,7 +235,9 @@ function paintPictures(drawn) {
 }
 
 function overlay() {
-  const c = cameraContext, { boxes, lanes, light: lamp, red, signs } = state.sees;
+  const c = cameraContext, { boxes, lanes, light: lamp, red, signs, road } = state.sees;
+  c.fillStyle = "#963cdc33";
+  for (const [l, t, r, b] of road) c.fillRect(l, t, r - l, b - t);
   c.lineWidth = 2;
   c.font = "12px system-ui, DejaVu Sans, sans-serif";
   for (const [name, l, t, r, b, sure] of boxes) {

@@ -45,6 +45,22 @@ impl DrivableArea {
         self.0[row] >> column & 1 == 1
     }
 
+    /// The stretches of road, row by row: left, top, right, bottom (pixels; right and bottom exclusive).
+    pub fn stretches(&self) -> impl Iterator<Item = [usize; 4]> {
+        self.0.iter().enumerate().flat_map(|(row, cells)| {
+            let top = HORIZON + row * CELL;
+            let mut column = 0;
+            std::iter::from_fn(move || {
+                // Bits from this column on; then the first that is road, and how many follow it.
+                let rest = cells.checked_shr(column).filter(|rest| *rest != 0)?;
+                let left = column + rest.trailing_zeros();
+                column = left + (cells >> left).trailing_ones();
+                let [left, right] = [left, column].map(|side| side as usize * CELL);
+                Some([left, top, right, top + CELL])
+            })
+        })
+    }
+
     /// Of the cells that are road in either, how many are in both.
     pub fn overlap(&self, other: &Self) -> (usize, usize) {
         let count = |join: fn(u64, u64) -> u64| {
@@ -85,6 +101,20 @@ mod tests {
         assert_eq!(area.mirrored(), DrivableArea::new(|row, column| (row, column) == (0, 63)));
         frame.semantic.clear();
         assert_eq!(DrivableArea::of(&frame), None);
+    }
+
+    #[test]
+    fn stretches_are_all_of_the_road_and_nothing_else() {
+        let area = DrivableArea::new(|row, column| match row {
+            0 => column < 3 || column == 63,
+            7 => (10..20).contains(&column),
+            19 => true,
+            _ => false,
+        });
+        let found: Vec<[usize; 4]> = area.stretches().collect();
+        let rows = [[0, 256, 24, 264], [504, 256, 512, 264], [80, 312, 160, 320], [0, 408, 512, 416]];
+        assert_eq!(found, rows);
+        assert_eq!(DrivableArea::default().stretches().count(), 0);
     }
 
     #[test]

@@ -1,9 +1,8 @@
 //! The stages of perception as pictures for display.
 
-use super::area::{CELL, COLUMNS, HORIZON, ROWS};
 use super::coco::class_name;
 use super::paint::{BLUE, GREEN, RED, is_obstacle};
-use super::{Detection, GroundPlane, Percept, TRANSFORMED_SIZE, TransformedImage, colour};
+use super::{Detection, DrivableArea, GroundPlane, Percept, TRANSFORMED_SIZE, TransformedImage, colour};
 use wad_camera::model::ObjectClass;
 use wad_camera::{Frame, Picture};
 
@@ -59,12 +58,9 @@ pub fn seen(frame: &Frame, percept: &Percept, ground: &GroundPlane) -> Picture {
 /// Road is tinted.
 fn tint_area(picture: &mut Picture, percept: &Percept) {
     const TINT: [u8; 3] = [150, 60, 220];
-    let Some(area) = &percept.area else { return };
-    for (y, line) in
-        picture.rgb.chunks_exact_mut(3 * picture.width).enumerate().skip(HORIZON).take(ROWS * CELL)
-    {
-        for (x, pixel) in line.as_chunks_mut::<3>().0.iter_mut().enumerate().take(COLUMNS * CELL) {
-            if area.has((y - HORIZON) / CELL, x / CELL) {
+    for [left, top, right, bottom] in percept.area.iter().flat_map(DrivableArea::stretches) {
+        for line in picture.rgb.chunks_exact_mut(3 * picture.width).take(bottom).skip(top) {
+            for pixel in line[3 * left..3 * right].as_chunks_mut::<3>().0 {
                 *pixel = std::array::from_fn(|k| ((3 * u16::from(pixel[k]) + u16::from(TINT[k])) / 4) as u8);
             }
         }
