@@ -137,6 +137,8 @@ enum Backbone {
 pub fn run(args: Args, sees: Sees) -> anyhow::Result<Exit> {
     wad_cosim::torch::threads(args.threads);
     let device = args.device.open()?;
+    // Batches have more or fewer plates of signs each, and cuDNN would try all its algorithms anew for each number.
+    tch::Cuda::cudnn_set_benchmark(false);
     let data = args.data.first().cloned().unwrap_or_else(|| args.out.join("data"));
     let options = options(&args, sees, &data)?;
     let interrupt = crate::cli::interrupt()?.flag();

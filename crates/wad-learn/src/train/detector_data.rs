@@ -11,7 +11,7 @@ use wad_camera::CameraConfig;
 use wad_camera::model::{ObjectClass, Sign};
 use wad_see::perception::centernet::decode::decode_signs;
 use wad_see::perception::centernet::reader::{self, PLATE};
-use wad_see::perception::centernet::road_targets::RoadTargets;
+use wad_see::perception::centernet::road_targets::{RoadTargets, UNKNOWN};
 use wad_see::perception::centernet::targets::{Centre, Wanted, Window, encode};
 use wad_see::perception::centernet::{Backbone, Part, kind::STRIDE, loss::Target};
 use wad_see::perception::coco::class_index;
@@ -368,8 +368,8 @@ impl Batch {
         self.road.as_ref()
     }
 
-    /// The plates of signs (n, 3, 24, 24), and what they say (n), with what the head for signs (n, 14, h, w) found where
-    /// none is; None where there are none.
+    /// The plates of signs (n, 3, 24, 24), and what they say (n; [`UNKNOWN`] in plates that fill up), with what the head
+    /// for signs (n, 14, h, w) found where none is; None where there are none.
     ///
     /// # Errors
     /// torch fails.
@@ -396,6 +396,10 @@ impl Batch {
         }
         if said.is_empty() {
             return Ok(None);
+        }
+        if device.is_cuda() {
+            said.resize(said.len().next_multiple_of(PLATES), UNKNOWN);
+            plates.resize(said.len() * 3 * PLATE * PLATE, 0.0);
         }
         let side = PLATE as i64;
         let plates = Tensor::f_from_slice(&plates)?.f_view([-1, 3, side, side])?.f_to_device(device)?;
@@ -424,6 +428,9 @@ impl Batch {
         Ok((x, Target { heat, cells, size: pairs(&|c| c.size)?, offset: pairs(&|c| c.offset)? }))
     }
 }
+
+/// On a GPU plates are filled up to a multiple of this, for cuDNN plans anew for each new shape.
+const PLATES: usize = 128;
 
 /// What is found this far beyond a sign's plate may be meant for it (pixels).
 const NEAR: f32 = 6.0;

@@ -215,8 +215,11 @@ fn signs_loss(answer: &RoadAnswer, targets: &RoadTargets, device: Device) -> Res
     places_loss(&answer.signs, &targets.signs, centres, device)
 }
 
-/// The loss of reading: cross entropy of `answer` (n, 14) and what the plates say, by [`Sign::index`], or that they
-/// are none.
+/// What plates say that do not count.
+pub const UNKNOWN: i64 = -100;
+
+/// The loss of reading: cross entropy of `answer` (n, 14) and what the plates say, by [`Sign::index`], that they are none,
+/// or [`UNKNOWN`].
 ///
 /// # Errors
 /// torch fails.
@@ -225,7 +228,7 @@ pub fn reading_loss(answer: &Tensor, said: &[i64], device: Device) -> Result<Ten
         &Tensor::f_from_slice(said)?.f_to_device(device)?,
         None,
         Reduction::Mean,
-        -100,
+        UNKNOWN,
         0.0,
     )
 }
