@@ -318,6 +318,17 @@ mod tests {
     }
 
     #[test]
+    fn plates_that_fill_up_change_no_loss() {
+        let answer = Tensor::from_slice(&[2.0_f32, 0.5, -1.0, 0.0, 1.0, 3.0]).view([2, 3]);
+        let filled = Tensor::cat(&[&answer, &answer.ones_like()], 0);
+        let loss = |answer: &Tensor, said: &[i64]| {
+            reading_loss(answer, said, Device::Cpu).unwrap().double_value(&[])
+        };
+        let (without, with) = (loss(&answer, &[0, 1]), loss(&filled, &[0, 1, UNKNOWN, UNKNOWN]));
+        assert!(without > 1.0 && (with - without).abs() < 1e-6, "{without} {with}");
+    }
+
+    #[test]
     fn a_mirrored_picture_has_mirrored_targets() {
         let mirrored = wanted().mirrored(512.0);
         let [left, right] = mirrored.boundaries.clone().unwrap();
