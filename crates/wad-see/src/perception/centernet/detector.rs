@@ -7,6 +7,7 @@ use super::kind::{self, Backbone, CLASSES, Part, STRIDE, Sees};
 use super::network::CenterNet;
 use super::reader::{self, SignReader};
 use crate::inference::{self, InferenceError};
+use crate::perception::coco::join_guesses;
 use crate::perception::heads::{self, Head, Tensor as Output};
 use crate::perception::{Detection, Detector, GroundPlane, PerceptionError, Seen, SeenSign};
 use crate::weights::{Weights, WeightsError};
@@ -224,7 +225,9 @@ impl CenterNetDetector {
             Output { name: "offset", shape: &[2, *h, *w], values: offsets },
         ];
         let head = Head::SizeOffset { heat: 0, size: 1, offset: 2, classes: CLASSES as usize };
-        let mut found = heads::decode(&head, &tensors, width, self.min_score);
+        let mut found = heads::decode(&head, &tensors, width, self.min_score.min(LEAST_SHARE));
+        join_guesses(&mut found, ONE_VEHICLE);
+        found.retain(|d| d.score >= self.min_score);
         let (right, bottom) = (width as f32, height as f32);
         for detection in &mut found {
             let [l, t, r, b] = detection.bounds;
@@ -235,6 +238,10 @@ impl CenterNetDetector {
         Ok(found)
     }
 }
+
+/// A class adds to the certainty of a vehicle from this score on, and to which: boxes that overlap by more are one (IoU).
+const LEAST_SHARE: f32 = 0.05;
+const ONE_VEHICLE: f32 = 0.6;
 
 /// Least certainty that a sign is there and says what was read.
 const LEAST_READ: f32 = 0.6;
