@@ -73,7 +73,7 @@ const WARM_UP: u64 = 1000;
 
 /// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<Exit> {
-    let device = args.device.open()?;
+    let device = args.device.open(true)?;
     let stage =
         Stage { task: args.task, threshold: 1.0, window: usize::MAX, most_steps: None, traffic: None };
     let curriculum = Curriculum {

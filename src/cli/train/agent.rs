@@ -239,7 +239,7 @@ fn bounds(text: &str) -> Result<(f64, f64), String> {
 
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<Exit> {
-    let device = args.device.open()?;
+    let device = args.device.open(true)?;
     let config = if args.resume { saved_config(&args)? } else { config(&args)? };
     if config.egos > 1 && args.record.is_some() {
         return Err(Exit::Input.because(anyhow!(

@@ -136,9 +136,8 @@ enum Backbone {
 /// Runs the command.
 pub fn run(args: Args, sees: Sees) -> anyhow::Result<Exit> {
     wad_cosim::torch::threads(args.threads);
-    let device = args.device.open()?;
-    // Batches have more or fewer plates of signs each, and cuDNN would try all its algorithms anew for each number.
-    tch::Cuda::cudnn_set_benchmark(false);
+    // Each batch has more or fewer plates of signs.
+    let device = args.device.open(false)?;
     let data = args.data.first().cloned().unwrap_or_else(|| args.out.join("data"));
     let options = options(&args, sees, &data)?;
     let interrupt = crate::cli::interrupt()?.flag();

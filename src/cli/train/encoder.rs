@@ -100,15 +100,16 @@ pub enum Device {
 }
 
 impl Device {
-    /// libtorch's device.
+    /// libtorch's device. `shapes_repeat`: cuDNN tries all its algorithms for each new shape of tensors and keeps the
+    /// fastest.
     ///
     /// # Errors
     /// This machine or this libtorch has no GPU.
-    pub fn open(self) -> anyhow::Result<tch::Device> {
+    pub fn open(self, shapes_repeat: bool) -> anyhow::Result<tch::Device> {
         match self {
             Self::Cpu => Ok(tch::Device::Cpu),
             Self::Cuda if tch::Cuda::is_available() => {
-                tch::Cuda::cudnn_set_benchmark(true);
+                tch::Cuda::cudnn_set_benchmark(shapes_repeat);
                 Ok(tch::Device::Cuda(0))
             }
             Self::Cuda => Err(Exit::Input.because(anyhow::anyhow!(
@@ -122,7 +123,7 @@ impl Device {
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<Exit> {
     wad_cosim::torch::threads(args.threads);
-    let device = args.device.open()?;
+    let device = args.device.open(true)?;
     let options = options(&args)?;
     let interrupt = crate::cli::interrupt()?.flag();
     let bar = Bar::new(0, "steps");

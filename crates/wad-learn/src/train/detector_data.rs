@@ -398,7 +398,7 @@ impl Batch {
             return Ok(None);
         }
         if device.is_cuda() {
-            said.resize(said.len().next_multiple_of(PLATES), UNKNOWN);
+            said.resize(said.len().next_multiple_of(FILLED_UP), UNKNOWN);
             plates.resize(said.len() * 3 * PLATE * PLATE, 0.0);
         }
         let side = PLATE as i64;
@@ -430,7 +430,7 @@ impl Batch {
 }
 
 /// On a GPU plates are filled up to a multiple of this, for cuDNN plans anew for each new shape.
-const PLATES: usize = 128;
+const FILLED_UP: usize = 128;
 
 /// What is found this far beyond a sign's plate may be meant for it (pixels).
 const NEAR: f32 = 6.0;

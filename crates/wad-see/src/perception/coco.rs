@@ -67,13 +67,13 @@ pub fn suppress(found: &mut Vec<Detection>, iou: f32) {
     *found = kept;
 }
 
-/// Classes that look alike from behind.
-const VEHICLES: [ObjectClass; 3] = [ObjectClass::Car, ObjectClass::Bus, ObjectClass::Truck];
+/// Classes that look alike from behind, and count as one in the realism score.
+pub const VEHICLES: [ObjectClass; 3] = [ObjectClass::Car, ObjectClass::Bus, ObjectClass::Truck];
 
-/// Boxes of a car, a bus and a truck that overlap by more than `iou` are guesses at one vehicle. That of the surest class becomes as sure as
-/// that it is any of them, 1 - (1 - a)(1 - b): a van close ahead may be a car by 0.35 and a truck by 0.3. The others stay as they are. Sorts best first.
+/// Boxes of a car, a bus and a truck that overlap by more than `iou` are guesses at one vehicle. The surest becomes as sure
+/// as that it is any of them, 1 - (1 - a)(1 - b): a van close ahead may be a car by 0.35 and a truck by 0.3. The others
+/// stay as they are. `found` is sorted best first ([`suppress`]) and stays so.
 pub fn join_guesses(found: &mut [Detection], iou: f32) {
-    found.sort_by(|a, b| b.score.total_cmp(&a.score));
     let is_vehicle = |d: &Detection| VEHICLES.contains(&d.class);
     // Of each first guess: its index, and how likely it is none of the others.
     let mut firsts: Vec<(usize, f32)> = Vec::new();
@@ -96,15 +96,18 @@ pub fn join_guesses(found: &mut [Detection], iou: f32) {
 mod tests {
     use super::*;
 
+    fn at(class: ObjectClass, left: f32, score: f32) -> Detection {
+        Detection { class, bounds: [left, 0.0, left + 10.0, 10.0], score }
+    }
+
     #[test]
     fn a_van_that_may_be_a_car_or_a_truck_is_surely_a_vehicle() {
-        let at = |class, left: f32, score| Detection { class, bounds: [left, 0.0, left + 10.0, 10.0], score };
         let mut found = vec![
-            at(ObjectClass::Truck, 1.0, 0.3),
-            at(ObjectClass::Car, 0.0, 0.4),
-            at(ObjectClass::Bus, 0.0, 0.1),
-            at(ObjectClass::Person, 0.0, 0.2),
             at(ObjectClass::Car, 9.0, 0.5),
+            at(ObjectClass::Car, 0.0, 0.4),
+            at(ObjectClass::Truck, 1.0, 0.3),
+            at(ObjectClass::Person, 0.0, 0.2),
+            at(ObjectClass::Bus, 0.0, 0.1),
         ];
         join_guesses(&mut found, 0.6);
         let seen: Vec<(ObjectClass, f32)> =
@@ -118,7 +121,6 @@ mod tests {
 
     #[test]
     fn the_better_of_two_overlapping_boxes_of_a_class_stays() {
-        let at = |class, left: f32, score| Detection { class, bounds: [left, 0.0, left + 10.0, 10.0], score };
         let mut found = vec![
             at(ObjectClass::Car, 0.0, 0.5),
             at(ObjectClass::Car, 1.0, 0.9),

@@ -9,7 +9,7 @@
 //! detections that lie in their box by half or more do not count.
 
 use super::Detection;
-use super::coco::{CLASSES, class_index, class_name};
+use super::coco::{CLASSES, VEHICLES, class_index, class_name};
 use super::metrics::{Fate, Found, Scored, Truth, average_precision, coco_ious, fates, mean};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -39,12 +39,7 @@ pub struct Group {
 
 /// The groups of the realism score.
 pub const GROUPS: [Group; 5] = [
-    Group {
-        name: "car, bus, truck",
-        classes: &[ObjectClass::Car, ObjectClass::Bus, ObjectClass::Truck],
-        height: 32.0,
-        goal: Some(0.5),
-    },
+    Group { name: "car, bus, truck", classes: &VEHICLES, height: 32.0, goal: Some(0.5) },
     Group { name: "person", classes: &[ObjectClass::Person], height: 40.0, goal: Some(0.3) },
     Group {
         name: "motorcycle, bicycle",

@@ -60,7 +60,7 @@ fn tint_area(picture: &mut Picture, percept: &Percept) {
     const TINT: [u8; 3] = [150, 60, 220];
     for [left, top, right, bottom] in percept.area.iter().flat_map(DrivableArea::stretches) {
         for line in picture.rgb.chunks_exact_mut(3 * picture.width).take(bottom).skip(top) {
-            for pixel in line[3 * left..3 * right].as_chunks_mut::<3>().0 {
+            for pixel in line.as_chunks_mut::<3>().0.iter_mut().take(right).skip(left) {
                 *pixel = std::array::from_fn(|k| ((3 * u16::from(pixel[k]) + u16::from(TINT[k])) / 4) as u8);
             }
         }
