@@ -40,7 +40,7 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
     }
     type Part = fn(&Curve) -> Vec<(f64, f64)>;
     let parts: [(&str, &str, Part); 3] = [
-        ("success", "share of the last 40 training episodes that succeeded", Curve::success),
+        ("success", "success in the last 40 training episodes", Curve::success),
         ("return", "mean return of the last 40 training episodes", Curve::returns),
         ("stage", "stages passed", Curve::stages),
     ];

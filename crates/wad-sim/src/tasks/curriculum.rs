@@ -6,6 +6,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
+use std::fmt;
 use std::path::{Path, PathBuf};
 use wad_camera::Preset;
 
@@ -55,6 +56,14 @@ pub struct Stage {
     /// Background traffic; None: the task's own.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub traffic: Option<TrafficSpec>,
+}
+
+impl fmt::Display for Stage {
+    /// Its task, and the traffic if it is not the task's own: `composite, dense traffic`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.task)?;
+        self.traffic.as_ref().map_or(Ok(()), |traffic| write!(f, ", {traffic} traffic"))
+    }
 }
 
 /// A curriculum, as in `scenarios/curriculum.json`.
@@ -253,6 +262,14 @@ mod tests {
         let passed =
             (0..60).filter(|_| last.note(&curriculum, TaskKind::Composite, 1000, true).is_some()).count();
         assert_eq!((passed, last.stage, last.done), (1, 5, true));
+    }
+
+    #[test]
+    fn a_stage_is_called_by_its_task_and_by_the_traffic_that_is_not_the_tasks_own() {
+        let mut stage = parse(SHIPPED).unwrap().stages[5].clone();
+        assert_eq!(stage.to_string(), "composite");
+        stage.traffic = Some(TrafficSpec::Dense);
+        assert_eq!(stage.to_string(), "composite, dense traffic");
     }
 
     #[test]

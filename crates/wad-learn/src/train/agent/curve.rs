@@ -29,7 +29,7 @@ pub struct Curve {
     pub seed: u64,
     /// The configuration without the seed: equal for trainings that differ in nothing else.
     pub made: serde_json::Value,
-    /// The curriculum's tasks, in order.
+    /// The curriculum's tasks, in order, with the traffic where it is not the task's own.
     pub tasks: Vec<String>,
     /// The stages that were passed, in order.
     pub passed: Vec<StagePassed>,
@@ -83,7 +83,7 @@ impl Curve {
             name: format!("{agent}, {}, {how}", inputs.as_str().unwrap_or_default()),
             seed: config.seed,
             made,
-            tasks: config.curriculum.stages.iter().map(|stage| stage.task.to_string()).collect(),
+            tasks: config.curriculum.stages.iter().map(ToString::to_string).collect(),
             passed: Vec::new(),
             steps: 0,
             hours: 0.0,
