@@ -17,6 +17,9 @@ pub struct LimitCounts {
     pub known: usize,
     /// Those in which what was believed was the map's.
     pub right: usize,
+    /// Of `right`, those in which a sign had set it.
+    #[serde(default)]
+    pub known_right: usize,
 }
 
 impl LimitCounts {
@@ -25,10 +28,14 @@ impl LimitCounts {
         let Some(lane) = ego_lane(facts).map(|id| facts.network.lane(id)) else { return };
         let kmh = (lane.speed_limit * 3.6).round() as u32;
         if lane.shape.project(facts.on_route.state.pose.xy()).s >= FROM && LIMITS.contains(&kmh) {
-            tracing::debug!("limit: {believed} believed, {kmh} there");
+            tracing::debug!(
+                "limit: {believed} believed{}, {kmh} there",
+                if is_signed { "" } else { " without a sign" }
+            );
             self.ticks += 1;
             self.known += usize::from(is_signed);
             self.right += usize::from(believed == kmh);
+            self.known_right += usize::from(is_signed && believed == kmh);
         }
     }
 
@@ -37,6 +44,7 @@ impl LimitCounts {
         self.ticks += other.ticks;
         self.known += other.known;
         self.right += other.right;
+        self.known_right += other.known_right;
     }
 }
 
@@ -63,7 +71,7 @@ mod tests {
         tick(80.0, 30, true);
         // Inside the junction.
         tick(-3.0, 50, true);
-        assert_eq!(ticks, LimitCounts { ticks: 3, known: 2, right: 2 });
+        assert_eq!(ticks, LimitCounts { ticks: 3, known: 2, right: 2, known_right: 1 });
         ticks.note(&Road::new("GGG").facts(stop - 50.0, 0.0, 0.0, 5.0), 50, true);
         assert_eq!(ticks.ticks, 3, "no sign shows 36 km/h");
     }
