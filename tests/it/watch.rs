@@ -245,7 +245,7 @@ fn an_encoder_is_trained_judged_and_shown() {
         std::fs::metadata(dir.path().join("encoder/encoder.safetensors")).expect("weights").len()
             < 12_000_000
     );
-    for encoder in [out.as_str(), "default", "first"] {
+    for encoder in [out.as_str(), "default"] {
         let judged = last_line(&good(&[
             "eval",
             "encoder",
