@@ -1,7 +1,7 @@
 //! Holds lights at green for the tasks before the cross task.
 
 use std::collections::BTreeMap;
-use sumo_network::network::{Route, TrafficLightId};
+use sumo_network::network::{EdgeId, Link, Network, Route, TrafficLightId};
 use sumo_traci::{Batch, traffic_light};
 use wad_sim::bridge::{Bridge, BridgeError};
 
@@ -16,12 +16,16 @@ impl Held {
     }
 }
 
-/// Holds every light on `route` at green for the route and at red for all others, from the next step on. Lights
-/// that are `taken`, held for another ego, stay as they are.
-pub async fn hold(bridge: &mut Bridge, route: &Route, taken: &[TrafficLightId]) -> Result<Held, BridgeError> {
-    let network = bridge.network().clone();
+/// The states that hold every light on `route` at green for all ways out of the route's roads and at red for all others:
+/// a head shows one lamp for all ways out of its lane, and the heads beside it show the same. Lights that are `taken`, held
+/// for another ego, stay as they are.
+fn states(network: &Network, route: &Route, taken: &[TrafficLightId]) -> BTreeMap<u32, Vec<u8>> {
     let mut states: BTreeMap<u32, Vec<u8>> = BTreeMap::new();
-    let signals = route.links.iter().filter_map(|link| network.link(link.link).signal);
+    let road = |link: &Link| network.lane(link.from).edge;
+    let driven = route.links.iter().map(|link| network.link(link.link));
+    let roads: Vec<EdgeId> = driven.filter(|link| link.signal.is_some()).map(road).collect();
+    let out = network.links.iter().filter(|link| roads.contains(&road(link)));
+    let signals = out.filter_map(|link| link.signal);
     for signal in signals.filter(|signal| !taken.contains(&signal.traffic_light)) {
         let light = network.traffic_light(signal.traffic_light);
         let state = states.entry(signal.traffic_light.0).or_insert_with(|| vec![b'r'; light.signals]);
@@ -29,6 +33,13 @@ pub async fn hold(bridge: &mut Bridge, route: &Route, taken: &[TrafficLightId]) 
             *head = b'G';
         }
     }
+    states
+}
+
+/// Holds the lights on `route` at green ([`states`]), from the next step on.
+pub async fn hold(bridge: &mut Bridge, route: &Route, taken: &[TrafficLightId]) -> Result<Held, BridgeError> {
+    let network = bridge.network().clone();
+    let states = states(&network, route, taken);
     if states.is_empty() {
         return Ok(Held::default());
     }
@@ -54,5 +65,34 @@ pub fn release(bridge: &mut Bridge, held: &mut Held) {
     for (light, program) in held.0.drain(..) {
         let id = &network.traffic_light(light).id;
         bridge.next_batch().set(traffic_light::SET_PROGRAM, id, program.as_str());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sumo_network::network::{LanePosition, VehicleClass};
+    use wad_sim::bundled;
+
+    #[test]
+    fn all_ways_out_of_the_egos_lane_are_green_and_other_roads_wait() {
+        let net = bundled::resolve("town3").unwrap().with_file_name("town3.net.xml");
+        let network = Network::load(&net).unwrap();
+        // A lane with several ways out, one of which is driven.
+        let ways = |link: &Link| network.links.iter().filter(|other| other.from == link.from).count();
+        let link = network.links.iter().find(|link| link.signal.is_some() && ways(link) > 2).unwrap();
+        let [from, to] = [link.from, link.to].map(|lane| LanePosition { lane, s: 5.0 });
+        let route = network.route(from, to, VehicleClass::Passenger).unwrap();
+        let signal = link.signal.unwrap();
+        let states = states(&network, &route, &[]);
+        let held = &states[&signal.traffic_light.0];
+        let shown = |link: &Link| held[link.signal.unwrap().index];
+        let lights = |link: &&Link| link.signal.is_some_and(|s| s.traffic_light == signal.traffic_light);
+        let road = network.lane(link.from).edge;
+        let (own, others): (Vec<&Link>, Vec<&Link>) =
+            network.links.iter().filter(lights).partition(|link| network.lane(link.from).edge == road);
+        assert!(own.len() > 2 && own.iter().all(|link| shown(link) == b'G'));
+        assert!(others.len() > 2 && others.iter().all(|link| shown(link) == b'r'));
+        assert!(super::states(&network, &route, &[signal.traffic_light]).is_empty(), "held for another");
     }
 }
