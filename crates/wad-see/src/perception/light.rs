@@ -126,8 +126,12 @@ const HALF: f64 = 0.4;
 const FADES: f64 = 0.6;
 /// Green after red or yellow must have been seen so many times as much as both: it may be another lane's.
 const GOES: f64 = 2.0;
-/// And so surely: who stands right below the ego's heads sees faint ones across the junction, which are others'.
+/// And so surely, as long as the ego's own heads are in the picture: this far before the line (m). Nearer to it only faint ones
+/// across the junction are seen.
 const SURELY: f64 = 0.8;
+const HEADS: f64 = 5.5;
+/// Less sure than that, a lamp there does not stop an ego that drives.
+const FAINT: f64 = 0.3;
 /// How sure a light must have been of late to be believed where none is, and to take another's place. Where there is
 /// none, networks are at times half sure of one for a frame, and who brakes for it stands below nothing.
 const FIRST: f64 = 1.0;
@@ -219,7 +223,8 @@ impl Track {
     /// Seen again, after a tick (s) at a speed (m/s) by which it is nearer.
     fn again(&mut self, seen: SeenLight, speed: f64, tick: f64) {
         let certainty = f64::from(seen.certainty);
-        let late = LATE.max(speed * speed / (2.0 * BRAKE));
+        let blind = if certainty < FAINT { HEADS } else { LATE };
+        let late = blind.max(speed * speed / (2.0 * BRAKE));
         let turns = seen.state.stops() && !self.light.state.stops();
         if turns && speed > CREEPS && self.light.distance < late {
             return;
@@ -236,7 +241,8 @@ impl Track {
         // Far away networks take yellow for red and red for yellow: both say that the ego has to stop.
         let [red, yellow, green] = self.lamps;
         let stops = red + yellow;
-        let goes = if self.light.stops() { green > (GOES * stops).max(SURELY) } else { green >= stops };
+        let least = if self.light.distance < HEADS { 0.0 } else { SURELY };
+        let goes = if self.light.stops() { green > (GOES * stops).max(least) } else { green >= stops };
         self.light.state = match goes {
             true => SignalState::GreenMajor,
             false if red >= yellow => SignalState::Red,
@@ -377,20 +383,23 @@ mod tests {
     }
 
     #[test]
-    fn who_stands_below_the_heads_does_not_go_by_a_faint_green() {
-        let seen = |state, certainty| Some(SeenLight { state, distance: 4.0, certainty });
-        let mut lights = SeenLights::default();
-        for n in 0..80 {
-            let distance = 12.0 - 0.1 * f64::from(n);
-            lights.update(Some(SeenLight { state: SignalState::Red, distance, certainty: 0.8 }), 1.0, 0.1);
-        }
-        let mut stops = |seen| lights.update(seen, 0.0, 0.1).map(|light| light.stops());
-        assert!((0..30).all(|_| stops(seen(SignalState::Red, 0.2)) == Some(true)));
-        let faint = seen(SignalState::GreenMajor, 0.2);
-        assert!((0..300).all(|_| stops(faint) == Some(true)), "half a minute, of another lane");
-        assert!((0..1200).any(|_| stops(faint).is_none()), "but not for ever");
-        assert_eq!((0..30).map(|_| stops(seen(SignalState::Red, 0.8))).last(), Some(Some(true)));
-        assert_eq!((0..5).map(|_| stops(seen(SignalState::GreenMajor, 0.6))).last(), Some(Some(false)));
+    fn a_faint_green_is_believed_only_below_the_heads() {
+        let seen = |state, certainty, distance| Some(SeenLight { state, distance, certainty });
+        let went = |from: f64| {
+            let mut lights = SeenLights::default();
+            for n in 0..80 {
+                let distance = from + 8.0 - 0.1 * f64::from(n);
+                lights.update(seen(SignalState::Red, 0.8, distance), 1.0, 0.1);
+            }
+            let mut goes = |state, certainty| {
+                lights.update(seen(state, certainty, from), 0.0, 0.1).is_some_and(|light| !light.stops())
+            };
+            assert!(!(0..30).any(|_| goes(SignalState::Red, 0.3)));
+            let faint = (0..30).any(|_| goes(SignalState::GreenMajor, 0.3));
+            (faint, (0..5).any(|_| goes(SignalState::GreenMajor, 0.6)))
+        };
+        assert_eq!(went(6.5), (false, true), "the ego's own heads are in the picture");
+        assert_eq!(went(3.5), (true, true));
     }
 
     #[test]
@@ -421,6 +430,14 @@ mod tests {
         let mut stops = |seen| lights.update(seen, 5.0, 0.1).is_some_and(|light| light.stops());
         assert!((0..20).all(|n| !stops(seen(SignalState::GreenMajor, 12.0 - 0.5 * f64::from(n)))));
         assert!((0..15).all(|_| !stops(seen(SignalState::Red, 2.2))));
+        // Nor by faint heads across the junction, once its own are above the picture.
+        let mut lights = SeenLights::default();
+        let mut stops = |state, distance, certainty| {
+            let seen = Some(SeenLight { state, distance, certainty });
+            lights.update(seen, 3.0, 0.1).is_some_and(|light| light.stops())
+        };
+        assert!((0..10).all(|n| !stops(SignalState::GreenMajor, 8.0 - 0.3 * f64::from(n), 0.7)));
+        assert!((10..15).all(|n| !stops(SignalState::Red, 8.0 - 0.3 * f64::from(n), 0.2)));
     }
 
     #[test]
