@@ -232,8 +232,9 @@ impl Track {
         if speed * tick > MOVED {
             self.sure = (self.sure + certainty).min(AVERAGED);
             let variance = variance(seen.distance);
-            self.known = (self.known + certainty / variance).min(AVERAGED / variance);
-            self.light.distance += (seen.distance - self.light.distance) * certainty / variance / self.known;
+            let weight = certainty / variance;
+            self.known = (self.known + weight).min(AVERAGED / variance);
+            self.light.distance += (seen.distance - self.light.distance) * weight / self.known;
         }
         // Lamps age as far as they are seen: what was hidden meanwhile is not forgotten for one look.
         self.lamps.iter_mut().for_each(|lamp| *lamp *= FADES);
