@@ -21,11 +21,14 @@ pub fn tables(section: &Section) -> Vec<Table> {
     all
 }
 
+/// A cell without episodes.
+const NOT_DRIVEN: &str = "-";
+
 /// `96.0 ± 1.9 %  [91.2–98.3], n 150`; the deviation is that of trainings where there are several.
 fn rate(group: &[&EpisodeRecord]) -> String {
     let score = Score::of(group);
     if score.episodes == 0 {
-        return "-".to_string();
+        return NOT_DRIVEN.to_string();
     }
     let pooled = group.iter().any(|e| e.case.agent != group[0].case.agent);
     let training = |e: &EpisodeRecord| e.case.agent.to_string();
@@ -58,24 +61,21 @@ fn percent_of(part: u64, all: u64) -> String {
     }
 }
 
+/// A line for each agent in each condition, so that the table grows downwards with them.
 fn success(section: &Section) -> Table {
     let (drivers, conditions) = (&section.drivers, section.conditions());
-    let mut head = vec!["task".to_string()];
-    let mut groups = vec![(String::new(), 1)];
-    for condition in &conditions {
-        groups.push((condition.clone(), drivers.len()));
-        head.extend(drivers.iter().map(Driver::to_string));
-    }
     let tasks = section.suite.tasks.iter().map(|task| task.name.clone());
-    let tasks = tasks.filter(|task| section.episodes.iter().any(|e| e.record.case.task == *task));
-    let row = |task: String| {
-        let cells =
-            conditions.iter().flat_map(|condition| drivers.iter().map(move |driver| (condition, driver)));
-        let cells = cells.map(|(condition, driver)| {
-            rate(&section.by(driver, |e| e.case.task == task && e.case.condition == *condition))
-        });
-        std::iter::once(task.clone()).chain(cells).collect()
+    let driven = |task: &String| section.episodes.iter().any(|e| e.record.case.task == *task);
+    let tasks: Vec<String> = tasks.filter(driven).collect();
+    let lines = drivers.iter().flat_map(|driver| conditions.iter().map(move |condition| (driver, condition)));
+    let row = |(driver, condition): (&Driver, &String)| {
+        let group =
+            |task: &String| section.by(driver, |e| e.case.task == *task && e.case.condition == *condition);
+        let rates: Vec<String> = tasks.iter().map(|task| rate(&group(task))).collect();
+        let drove = rates.iter().any(|rate| rate != NOT_DRIVEN);
+        drove.then(|| [driver.to_string(), condition.clone()].into_iter().chain(rates).collect())
     };
+    let rows = lines.filter_map(row).collect();
     let mut notes = vec![
         "Success rate, its standard deviation over weathers and seeds, Wilson's 95 % interval, number of episodes."
             .to_string(),
@@ -117,11 +117,10 @@ fn success(section: &Section) -> Table {
     }
     Table {
         title: format!("{}: success", section.suite.title),
-        groups,
-        head,
-        rows: tasks.map(row).collect(),
+        head: ["agent", "condition"].map(String::from).into_iter().chain(tasks).collect(),
+        rows,
         notes,
-        published: false,
+        ..Table::default()
     }
 }
 
