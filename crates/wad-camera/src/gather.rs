@@ -47,6 +47,9 @@ pub struct Seen<'a> {
 /// Things farther than this (m) are not drawn.
 pub const VIEW_DISTANCE: f32 = 280.0;
 
+/// What hides this height of the ego's middle (m) hides it.
+const EGO_MIDDLE: f64 = 0.7;
+
 /// Gathers and draws.
 pub struct Gather<'a, 'b> {
     pub view: &'b View,
@@ -71,8 +74,11 @@ impl<'a> Gather<'a, '_> {
         self.vertices.clear();
         self.find_chunks(&mut out);
         let mut actors: Vec<(f32, &'a Instance)> = Vec::new();
-        let ego = self.actors.ego.iter().filter(|_| self.shows_ego);
-        for instance in self.actors.instances.iter().chain(ego) {
+        let ego = self.actors.ego.as_ref().filter(|_| self.shows_ego);
+        // Who drives close behind would fill the chase view.
+        let others = self.actors.instances.iter();
+        let others = others.filter(|instance| !ego.is_some_and(|ego| self.stands_before(instance, ego)));
+        for instance in others.chain(ego) {
             if let Some(distance) = self.distance(instance) {
                 actors.push((distance, instance));
             }
@@ -145,6 +151,28 @@ impl<'a> Gather<'a, '_> {
         let (centre, radius) = placed_ball(self.view, model, instance, turn(instance));
         (self.view.sees_ball(centre, radius) && centre[2] - radius < VIEW_DISTANCE)
             .then_some(centre[2] - radius)
+    }
+
+    /// Whether the line from the camera to the middle of the ego, [`EGO_MIDDLE`] above the ground, goes through an
+    /// instance's box.
+    fn stands_before(&self, instance: &Instance, ego: &Instance) -> bool {
+        let bounds = &self.scene.library.models[instance.model.0 as usize].bounds;
+        let pose = &instance.pose;
+        let local = |p: Point3<f64>| {
+            let flat = pose.to_local(p.xy());
+            [flat.x, flat.y, p.z - pose.position.z].map(|x| x as f32)
+        };
+        let middle = ego.pose.position + nalgebra::Vector3::new(0.0, 0.0, EGO_MIDDLE);
+        let (from, to) = (local(self.view.eye), local(middle));
+        // The part of the line, 0 at the camera and 1 at the ego, that is within the box along each axis.
+        let (mut enters, mut leaves) = (0.0_f32, 1.0_f32);
+        for axis in 0..3 {
+            let way = to[axis] - from[axis];
+            let cut = |side: usize| (bounds[side][axis] * instance.scale[axis] - from[axis]) / way;
+            let (near, far) = if way >= 0.0 { (cut(0), cut(1)) } else { (cut(1), cut(0)) };
+            (enters, leaves) = (enters.max(near), leaves.min(far));
+        }
+        enters < leaves
     }
 
     fn instance(&mut self, instance: &'a Instance, moving: bool, out: &mut Geometry<'a>) {

@@ -148,6 +148,28 @@ fn boxes_hold_all_pixels_of_their_instance_and_no_more() {
 }
 
 #[test]
+fn the_chase_view_leaves_out_what_hides_the_ego() {
+    let mut scene = road();
+    let model = car(&mut scene);
+    scene.index();
+    let ego = Some(Instance::new(model, EGO()));
+    let mut camera = Camera::new(CameraConfig::chase(320, 180)).unwrap();
+    let mut ids = |behind: f64, higher: f32, ego: &Option<Instance>| {
+        let follows = Instance { scale: [1.0, 1.0, higher], ..at(model, 7, -behind, -1.8) };
+        let actors = ActorFrame {
+            instances: vec![follows, at(model, 8, 12.0, 1.8)],
+            ego: ego.clone(),
+            ..Default::default()
+        };
+        let frame = camera.render(&scene, &actors, &EGO(), &Weather::default(), Outputs::ALL);
+        frame.objects.iter().map(|o| o.id).collect::<Vec<_>>()
+    };
+    assert_eq!(ids(6.5, 2.0, &ego), [8], "a lorry 2 m behind the ego is in the way");
+    assert_eq!(ids(6.5, 2.0, &None), [7, 8], "without an ego in the picture nothing is");
+    assert_eq!(ids(6.5, 1.0, &ego), [7, 8], "the view goes over a car");
+}
+
+#[test]
 fn a_painted_line_falls_where_the_map_says() {
     let scene = road();
     let mut camera = camera(512);
