@@ -164,18 +164,26 @@ impl SeenLights {
         *self = Self::default();
     }
 
-    /// The light ahead after `tick` s at `speed` (m/s), with what the picture shows.
-    pub fn update(&mut self, seen: Option<SeenLight>, speed: f64, tick: f64) -> Option<LightAhead> {
+    /// The light ahead after `tick` s at `speed` (m/s), with what the picture shows. `can_be`: whether the ego's light can
+    /// have its line so far ahead (m), by the route.
+    pub fn update(
+        &mut self,
+        seen: Option<SeenLight>,
+        speed: f64,
+        tick: f64,
+        can_be: impl Fn(f64) -> bool,
+    ) -> Option<LightAhead> {
         let moved = speed * tick;
         self.passed = self.passed.map(|passed| passed + moved).filter(|passed| *passed < JUNCTION);
         for track in [&mut self.believed, &mut self.rival] {
             *track = track.map(|track| track.later(moved, tick)).filter(Track::is_remembered);
+            *track = track.filter(|track| can_be(track.light.distance));
         }
         if let Some(behind) = self.believed.take_if(|track| track.light.distance < -PASSED) {
             self.passed = Some(-behind.light.distance);
         }
         let is_next = |seen: &SeenLight| self.passed.is_none_or(|passed| seen.distance + passed > JUNCTION);
-        if let Some(seen) = seen.filter(is_next) {
+        if let Some(seen) = seen.filter(|seen| is_next(seen) && can_be(seen.distance)) {
             let fits = |track: &&mut Track| is_same(seen.distance, track.light.distance);
             if let Some(track) = self.believed.as_mut().filter(fits).or(self.rival.as_mut().filter(fits)) {
                 track.again(seen, speed, tick);
@@ -225,7 +233,8 @@ impl Track {
         let certainty = f64::from(seen.certainty);
         let blind = if certainty < FAINT { HEADS } else { LATE };
         let late = blind.max(speed * speed / (2.0 * BRAKE));
-        let turns = seen.state.stops() && !self.light.state.stops();
+        // From green to yellow or red, or from yellow to red: who has not braked for yellow crosses.
+        let turns = lamp(seen.state) < lamp(self.light.state);
         if turns && speed > CREEPS && self.light.distance < late {
             return;
         }
@@ -269,6 +278,15 @@ fn lamp(state: SignalState) -> usize {
 
 fn is_same(seen: f64, expected: f64) -> bool {
     (seen - expected).abs() < SAME.1.max(SAME.0 * expected)
+}
+
+/// Whether a light whose line is seen `distance` m ahead can be the ego's: there its route enters a junction. What is seen
+/// inside one, of other lanes and of those who walk, is not.
+pub fn can_be(facts: &EgoFacts<'_>, distance: f64) -> bool {
+    let ahead = |line_s: f64| line_s - facts.on_route.front_s;
+    let mut entries =
+        facts.route.links.iter().map(|link| ahead(link.stop_s)).filter(|entry| *entry > -PASSED);
+    entries.any(|entry| is_same(distance, entry))
 }
 
 #[cfg(test)]
@@ -317,26 +335,28 @@ mod tests {
     fn a_light_is_remembered_below_it_and_no_longer() {
         let seen = |distance| Some(SeenLight { state: SignalState::Red, distance, certainty: 0.9 });
         let mut lights = SeenLights::default();
-        assert!(lights.update(None, 5.0, 0.1).is_none());
-        assert!(lights.update(seen(20.0), 0.0, 0.1).is_none(), "one look is not believed");
+        assert!(lights.update(None, 5.0, 0.1, |_| true).is_none());
+        assert!(lights.update(seen(20.0), 0.0, 0.1, |_| true).is_none(), "one look is not believed");
         // 0.5 m a tick; the third look is 1 m off, and half believed.
         let stand = 20.0 - STAND;
         let is = |light: Option<LightAhead>, at: f64| light.is_some_and(|l| (l.distance - at).abs() < 0.05);
-        assert!(is(lights.update(seen(20.0), 0.0, 0.1), stand));
-        assert!(is(lights.update(seen(20.5), 5.0, 0.1), stand));
+        assert!(is(lights.update(seen(20.0), 0.0, 0.1, |_| true), stand));
+        assert!(is(lights.update(seen(20.5), 5.0, 0.1, |_| true), stand));
         // A flicker is bridged, a light that stays away is gone.
-        assert!(is(lights.update(None, 5.0, 0.1), stand - 0.5));
-        assert!((0..6).map(|_| lights.update(None, 0.0, 0.1)).any(|light| light.is_none()));
+        assert!(is(lights.update(None, 5.0, 0.1, |_| true), stand - 0.5));
+        assert!((0..6).map(|_| lights.update(None, 0.0, 0.1, |_| true)).any(|light| light.is_none()));
         // Below the heads it stays, with the way that the ego goes, until the line is passed.
         let comes = (0..10).map(|n| seen(9.9 - 0.1 * f64::from(n)));
-        assert!(comes.filter_map(|seen| lights.update(seen, 1.0, 0.1)).last().is_some());
-        let near = (0..20).filter_map(|_| lights.update(None, 1.0, 0.1)).last().unwrap();
+        assert!(comes.filter_map(|seen| lights.update(seen, 1.0, 0.1, |_| true)).last().is_some());
+        let near = (0..20).filter_map(|_| lights.update(None, 1.0, 0.1, |_| true)).last().unwrap();
         assert!(near.state == SignalState::Red && (near.distance - 1.0).abs() < 1e-6, "{near:?}");
-        assert!((0..45).filter_map(|_| lights.update(None, 2.0, 0.1)).all(|light| light.distance < 1.0));
-        assert!(lights.update(None, 1.0, 0.1).is_none());
+        assert!(
+            (0..45).filter_map(|_| lights.update(None, 2.0, 0.1, |_| true)).all(|light| light.distance < 1.0)
+        );
+        assert!(lights.update(None, 1.0, 0.1, |_| true).is_none());
         // Cross traffic's heads, behind the line; then the next junction's.
-        assert!(lights.update(seen(3.0), 5.0, 0.1).is_none());
-        assert!((0..5).filter_map(|_| lights.update(seen(30.0), 0.0, 0.1)).last().is_some());
+        assert!(lights.update(seen(3.0), 5.0, 0.1, |_| true).is_none());
+        assert!((0..5).filter_map(|_| lights.update(seen(30.0), 0.0, 0.1, |_| true)).last().is_some());
     }
 
     #[test]
@@ -344,7 +364,7 @@ mod tests {
         let seen = |state, certainty| Some(SeenLight { state, distance: 16.0, certainty });
         let (red, green) = (seen(SignalState::Red, 0.8), seen(SignalState::GreenMajor, 0.8));
         let mut lights = SeenLights::default();
-        let mut stops = |seen| lights.update(seen, 0.0, 0.1).is_some_and(|light| light.stops());
+        let mut stops = |seen| lights.update(seen, 0.0, 0.1, |_| true).is_some_and(|light| light.stops());
         assert!(!stops(red) && (0..20).all(|_| stops(red)));
         assert!((0..5).all(|_| stops(seen(SignalState::GreenMajor, 0.3)) && stops(red)), "unsure");
         assert!((0..20).all(|_| stops(red)));
@@ -359,7 +379,7 @@ mod tests {
     fn red_and_yellow_say_the_same_when_they_are_told_apart_badly() {
         let seen = |state, certainty| Some(SeenLight { state, distance: 35.0, certainty });
         let mut lights = SeenLights::default();
-        let mut state = |seen| lights.update(seen, 0.0, 0.1).map(|light| light.state);
+        let mut state = |seen| lights.update(seen, 0.0, 0.1, |_| true).map(|light| light.state);
         assert!((0..20).filter_map(|_| state(seen(SignalState::GreenMajor, 0.7))).count() > 15);
         let stops = [(SignalState::Red, 0.4), (SignalState::Yellow, 0.56)];
         let ticks = (0..20).take_while(|n| {
@@ -376,7 +396,7 @@ mod tests {
         // Taken to be a fifth too near from 60 to 30 m, then rightly seen.
         let mut there = |true_one: f64| {
             let shown = if true_one > 30.0 { 0.8 * true_one } else { true_one };
-            lights.update(seen(shown), 10.0, 0.1).map(|light| light.distance + STAND)
+            lights.update(seen(shown), 10.0, 0.1, |_| true).map(|light| light.distance + STAND)
         };
         let ends =
             (0..45).map(|n| 60.0 - f64::from(n)).filter_map(|d| there(d).map(|found| found - d)).last();
@@ -390,10 +410,12 @@ mod tests {
             let mut lights = SeenLights::default();
             for n in 0..80 {
                 let distance = from + 8.0 - 0.1 * f64::from(n);
-                lights.update(seen(SignalState::Red, 0.8, distance), 1.0, 0.1);
+                lights.update(seen(SignalState::Red, 0.8, distance), 1.0, 0.1, |_| true);
             }
             let mut goes = |state, certainty| {
-                lights.update(seen(state, certainty, from), 0.0, 0.1).is_some_and(|light| !light.stops())
+                lights
+                    .update(seen(state, certainty, from), 0.0, 0.1, |_| true)
+                    .is_some_and(|light| !light.stops())
             };
             assert!(!(0..30).any(|_| goes(SignalState::Red, 0.3)));
             let faint = (0..30).any(|_| goes(SignalState::GreenMajor, 0.3));
@@ -408,45 +430,80 @@ mod tests {
         let seen = |state, distance| Some(SeenLight { state, distance, certainty: 0.8 });
         let (near, far) = (seen(SignalState::Red, 14.0), seen(SignalState::GreenMajor, 30.0));
         let mut lights = SeenLights::default();
-        let mut stops = |seen| lights.update(seen, 0.0, 0.1).is_some_and(|light| light.stops());
+        let mut stops = |seen| lights.update(seen, 0.0, 0.1, |_| true).is_some_and(|light| light.stops());
         assert!(!stops(near) && (0..20).all(|_| stops(near)));
         assert!(stops(far) && stops(near) && stops(far) && stops(None) && stops(near));
         assert!((0..20).map(|_| stops(far)).last() == Some(false));
         // What appears at once in front of the ego has to be seen longer, and is not remembered for long.
         let mut lights = SeenLights::default();
         let sudden = seen(SignalState::Red, 9.0);
-        assert!((0..2).all(|_| lights.update(sudden, 0.0, 0.1).is_none()));
-        assert!(lights.update(sudden, 0.0, 0.1).is_some());
-        assert!((0..60).map(|_| lights.update(None, 0.0, 0.1)).last() == Some(None));
+        assert!((0..2).all(|_| lights.update(sudden, 0.0, 0.1, |_| true).is_none()));
+        assert!(lights.update(sudden, 0.0, 0.1, |_| true).is_some());
+        assert!((0..60).map(|_| lights.update(None, 0.0, 0.1, |_| true)).last() == Some(None));
         // A light that was hardly seen is not waited for.
         let mut lights = SeenLights::default();
-        lights.update(Some(SeenLight { state: SignalState::Red, distance: 3.0, certainty: 0.4 }), 0.0, 0.1);
-        assert!((0..60).map(|_| lights.update(None, 0.0, 0.1)).last() == Some(None));
+        lights.update(
+            Some(SeenLight { state: SignalState::Red, distance: 3.0, certainty: 0.4 }),
+            0.0,
+            0.1,
+            |_| true,
+        );
+        assert!((0..60).map(|_| lights.update(None, 0.0, 0.1, |_| true)).last() == Some(None));
     }
 
     #[test]
     fn who_crosses_the_line_on_green_is_not_stopped() {
         let seen = |state, distance| Some(SeenLight { state, distance, certainty: 0.8 });
         let mut lights = SeenLights::default();
-        let mut stops = |seen| lights.update(seen, 5.0, 0.1).is_some_and(|light| light.stops());
+        let mut stops = |seen| lights.update(seen, 5.0, 0.1, |_| true).is_some_and(|light| light.stops());
         assert!((0..20).all(|n| !stops(seen(SignalState::GreenMajor, 12.0 - 0.5 * f64::from(n)))));
         assert!((0..15).all(|_| !stops(seen(SignalState::Red, 2.2))));
         // Nor by faint heads across the junction, once its own are above the picture.
         let mut lights = SeenLights::default();
         let mut stops = |state, distance, certainty| {
             let seen = Some(SeenLight { state, distance, certainty });
-            lights.update(seen, 3.0, 0.1).is_some_and(|light| light.stops())
+            lights.update(seen, 3.0, 0.1, |_| true).is_some_and(|light| light.stops())
         };
         assert!((0..10).all(|n| !stops(SignalState::GreenMajor, 8.0 - 0.3 * f64::from(n), 0.7)));
         assert!((10..15).all(|n| !stops(SignalState::Red, 8.0 - 0.3 * f64::from(n), 0.2)));
     }
 
     #[test]
+    fn who_crosses_on_yellow_is_not_stopped_by_the_red_that_follows() {
+        let seen = |state, distance| Some(SeenLight { state, distance, certainty: 0.8 });
+        let mut lights = SeenLights::default();
+        lights.update(seen(SignalState::Yellow, 17.0), 9.0, 0.1, |_| true);
+        let mut shows =
+            |state, distance| lights.update(seen(state, distance), 9.0, 0.1, |_| true).unwrap().state;
+        assert!(
+            (1..12).all(|n| shows(SignalState::Yellow, 17.0 - 0.9 * f64::from(n)) == SignalState::Yellow)
+        );
+        assert!((12..19).all(|n| shows(SignalState::Red, 17.0 - 0.9 * f64::from(n)) == SignalState::Yellow));
+    }
+
+    #[test]
+    fn a_light_is_where_the_route_enters_a_junction() {
+        let road = Road::new("GGG");
+        let is_light = |before: f64, distance: f64| {
+            can_be(&road.facts(road.route.links[0].stop_s - before - 0.5 * LENGTH, 0.0, 0.0, 5.0), distance)
+        };
+        assert!(is_light(20.0, 20.0) && is_light(20.0, 14.0), "a network's error");
+        assert!(!is_light(20.0, 9.0) && !is_light(20.0, 40.0));
+        assert!(is_light(-1.0, 1.0), "who stands on the line");
+        assert!(!is_light(-4.0, 2.0) && !is_light(-4.0, 10.0), "inside the junction");
+        // One that was believed is forgotten there.
+        let seen = Some(SeenLight { state: SignalState::Red, distance: 10.0, certainty: 0.9 });
+        let mut lights = SeenLights::default();
+        assert!((0..5).filter_map(|_| lights.update(seen, 0.0, 0.1, |_| true)).last().is_some());
+        assert!((0..50).all(|_| lights.update(seen, 0.0, 0.1, |_| false).is_none()));
+    }
+
+    #[test]
     fn who_stands_learns_nothing_new_of_the_distance() {
         let seen = |distance, certainty| Some(SeenLight { state: SignalState::Red, distance, certainty });
         let mut lights = SeenLights::default();
-        assert!(lights.update(seen(12.0, 0.8), 0.0, 0.1).is_none());
-        let mut there = |seen, speed| lights.update(seen, speed, 0.1).unwrap().distance + STAND;
+        assert!(lights.update(seen(12.0, 0.8), 0.0, 0.1, |_| true).is_none());
+        let mut there = |seen, speed| lights.update(seen, speed, 0.1, |_| true).unwrap().distance + STAND;
         assert!((0..8).all(|n| {
             let true_one = 12.0 - 0.4 * f64::from(n);
             (there(seen(true_one, 0.8), if n == 0 { 0.0 } else { 4.0 }) - true_one).abs() < 1e-6

@@ -3,7 +3,7 @@
 use super::crossing::CrossingTracker;
 use super::facts::EgoFacts;
 use super::lead::{self, LeadTracker};
-use super::light::{LightAhead, SeenLights, StopLight};
+use super::light::{self, LightAhead, SeenLights, StopLight};
 use super::paint::Painter;
 use super::sight_score::{LightCounts, LimitCounts};
 use super::{
@@ -170,7 +170,8 @@ impl Perception {
             Some(seen) => {
                 let speed = facts.on_route.state.speed;
                 let there = LightAhead::find(facts);
-                let believed = self.seen_lights.update(seen.light, speed, facts.tick);
+                let can_be = |distance: f64| light::can_be(facts, distance);
+                let believed = self.seen_lights.update(seen.light, speed, facts.tick, can_be);
                 tracing::debug!(
                     "light: {:?} seen, {believed:?} believed, {there:?} there, {speed:.2} m/s",
                     seen.light
@@ -233,7 +234,7 @@ impl Perception {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::perception::testing::{Road, picture};
+    use crate::perception::testing::{LENGTH, Road, picture};
     use crate::perception::{LaneBoundary, Seen, SeenLight, TruthDetector};
     use sumo_network::world::SignalState;
 
@@ -274,7 +275,7 @@ mod tests {
         let look = |state: &str| {
             let mut perception = Perception::new(Box::new(Sees(seen)), camera);
             let road = Road::new(state);
-            let facts = road.facts(road.route.links[0].stop_s - 40.0, 0.1, 0.0, 0.0);
+            let facts = road.facts(road.route.links[0].stop_s - 12.0 - 0.5 * LENGTH, 0.1, 0.0, 0.0);
             // One look is not believed.
             perception.perceive(&picture(&camera, &[]), &facts).unwrap();
             let percept = perception.perceive(&picture(&camera, &[]), &facts).unwrap();
