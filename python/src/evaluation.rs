@@ -496,7 +496,7 @@ impl Worker {
     }
 }
 
-/// The tables of evaluations' folders as Markdown; agents of a pool (its name, and they) share a column.
+/// The tables of evaluations' folders as Markdown; agents of a pool (its name, and they) share a line.
 #[pyfunction]
 pub fn report_of(
     py: Python<'_>,
@@ -509,7 +509,7 @@ pub fn report_of(
         let results: Result<Vec<_>, _> = folders.iter().map(|folder| Results::open(folder)).collect();
         let report =
             report::Report::gather(results.map_err(|e| e.to_string())?, &pools).map_err(|e| e.to_string())?;
-        let mut text = String::new();
+        let mut text = report::markdown(report::overview(&report).as_slice());
         for section in &report.sections {
             text += &format!("## {}\n\n", section.suite.title);
             text += &report::markdown(&report::tables(section));

@@ -272,7 +272,7 @@ def save_agent(
 def report(*folders: str | os.PathLike[str], pools: Mapping[str, Sequence[str]] | None = None) -> str:
     """The tables of evaluations' folders as Markdown; ``wad-cosim report`` writes pages with figures and maps too.
 
-    ``pools``: agents that share a column, such as trainings with other seeds, by the column's name.
+    ``pools``: agents that share a line, such as trainings with other seeds, by the line's name.
     """
     named = [(name, list(agents)) for name, agents in (pools or {}).items()]
     return _native.report_of([os.fspath(folder) for folder in folders], named)

@@ -246,7 +246,7 @@ fn a_failure_is_replayed_to_the_bit_and_reported() {
 }
 
 #[test]
-fn detectors_have_columns_of_their_own_and_a_pool_has_one() {
+fn detectors_have_lines_of_their_own_and_a_pool_has_one() {
     let small = Small::new(30, 2);
     let agent = |name: &str, throttle: &str| {
         let script = small.out(name);
@@ -281,6 +281,18 @@ fn detectors_have_columns_of_their_own_and_a_pool_has_one() {
         table.contains("trainings, whose deviation is given: both, truth of 2; both, outlines of 2"),
         "{table}"
     );
+    // With another suite there is a table of all.
+    let suite = read(Path::new(&small.suite)).replace("small", "calm").replace("busy", "walk");
+    let calm = small.out("calm.json");
+    std::fs::write(&calm, suite).unwrap();
+    ok(wad(&["eval"]).arg(&calm).args(["--agent", "autopilot", "--out"]).arg(small.out("calm")));
+    ok(wad(&["report"]).args(["truth", "outlines", "calm"].map(|run| small.out(run))));
+    let table = read(&small.out("truth/report/report.md"));
+    let all = table.split("\n## ").next().unwrap();
+    assert!(all.contains("| agent | condition | small: busy | calm: walk |"), "{table}");
+    assert!(all.contains("| autopilot | wet | 2 of 2 | 2 of 2 |"), "{table}");
+    let slow = all.lines().find(|line| line.contains("slow") && line.contains("outlines")).unwrap();
+    assert!(slow.contains(" of 2 | - |"), "{slow}");
     let output = report("both=wad-t");
     assert_eq!(output.status.code(), Some(2));
     assert!(

@@ -17,7 +17,7 @@ Examples:
   wad-cosim report runs/nocrash                               runs/nocrash/report/index.html, .md, .csv, .tex
   wad-cosim report runs/nocrash runs/corl --out report        several suites on one page
   wad-cosim report runs/* --out report --markdown docs/results.md
-  wad-cosim report runs/truth runs/eyes --out report          one suite behind two detectors: a column each
+  wad-cosim report runs/truth runs/eyes --out report          one suite behind two detectors: a line each
   wad-cosim report runs/seeds --pool wad-t=t1.safetensors,t2.safetensors,t3.safetensors";
 
 /// Make a report of evaluations, or pictures of trainings, of an encoder or of the reward.
@@ -35,7 +35,7 @@ pub struct Args {
     /// Also write the Markdown tables to this file.
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     markdown: Option<PathBuf>,
-    /// Agents that share a column, such as trainings with other seeds; may be given several times.
+    /// Agents that share a line of each table, such as trainings with other seeds; may be given several times.
     #[arg(long = "pool", value_name = "NAME=AGENT,AGENT")]
     pools: Vec<Pool>,
     /// Pictures of failures per suite.

@@ -26,7 +26,8 @@ pub fn run(
     let folder = out.map_or_else(|| first.join("report"), Path::to_path_buf);
     std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
     let tables: Vec<Vec<Table>> = report.sections.iter().map(report::tables).collect();
-    let all: Vec<Table> = tables.iter().flatten().cloned().collect();
+    let overview = report::overview(&report);
+    let all: Vec<Table> = overview.iter().chain(tables.iter().flatten()).cloned().collect();
     let pictures = report
         .sections
         .iter()
@@ -35,11 +36,12 @@ pub fn run(
         .context("cannot make pictures of failures")?;
     let page = report::page(&Page {
         report: &report,
+        overview: overview.as_ref(),
         build: env!("WAD_COSIM_VERSION"),
         pictures: &pictures,
         folder: &folder,
     });
-    let text = page_of_markdown(&report, &tables);
+    let text = page_of_markdown(&report, overview.as_ref(), &tables);
     let mut files =
         vec![("index.html", page), ("report.csv", report::csv(&all)), ("report.tex", report::latex(&all))];
     files.push(("report.md", text.clone()));
@@ -72,13 +74,14 @@ fn write(path: &Path, text: &str) -> anyhow::Result<()> {
 }
 
 /// The tables as a Markdown page, with the runs that they come from.
-fn page_of_markdown(report: &Report, tables: &[Vec<Table>]) -> String {
+fn page_of_markdown(report: &Report, overview: Option<&Table>, tables: &[Vec<Table>]) -> String {
     let mut text = String::from(
         "# Results\n\n`wad-cosim report` wrote the tables of this page; [evaluate.md](evaluate.md) says how to measure them \
          again. Each success rate has its standard deviation over weathers and seeds and Wilson's 95 % interval.\n\n",
     );
     text += &detectors(report);
     text += &makings(report);
+    text += &report::markdown(overview.map_or(&[], std::slice::from_ref));
     for (section, tables) in report.sections.iter().zip(tables) {
         text += &format!("## {}\n\n", section.suite.title);
         for (path, manifest) in &section.runs {
@@ -115,7 +118,7 @@ fn detectors(report: &Report) -> String {
         Some(_) => {
             let all: Vec<String> = names.iter().map(named).collect();
             format!(
-                "the runs of this page were driven with {}; tables with several name each column's.",
+                "the runs of this page were driven with {}; tables with several name each agent's.",
                 all.join("; ")
             )
         }

@@ -1,4 +1,4 @@
-//! Columns of tables: who drove, and behind which detector.
+//! Lines of tables: who drove, and behind which detector.
 
 use crate::eval::DriverSpec;
 use std::fmt;
@@ -9,14 +9,14 @@ use std::str::FromStr;
 pub struct Driver {
     /// The agent as it was asked for, or the pool's name.
     pub agent: String,
-    /// The detector of one that looks; None where the whole section has one.
+    /// The detector of one that looks; None where the whole report has one.
     pub detector: Option<String>,
     /// Drives by what the camera shows.
     pub looks: bool,
 }
 
 impl Driver {
-    /// The column of an agent.
+    /// The line of an agent.
     pub fn of(agent: &DriverSpec, detector: &str, pools: &[Pool]) -> Self {
         let name = agent.to_string();
         let pool = pools.iter().find(|pool| pool.agents.contains(&name));
@@ -34,10 +34,10 @@ impl fmt::Display for Driver {
     }
 }
 
-/// Agents that share a column: trainings of one kind, with other seeds. As text `NAME=AGENT,AGENT`.
+/// Agents that share a line: trainings of one kind, with other seeds. As text `NAME=AGENT,AGENT`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Pool {
-    /// The column's name.
+    /// The line's name.
     pub name: String,
     /// The agents as `eval` was asked for them.
     pub agents: Vec<String>,

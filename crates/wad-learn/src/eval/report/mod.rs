@@ -19,7 +19,7 @@ pub use page::{Page, page};
 pub use pictures::{Thumbnail, thumbnails};
 pub use svg::{Chart, Line};
 pub use table::{Table, csv, latex, markdown};
-pub use tables::tables;
+pub use tables::{overview, tables};
 
 use super::{EpisodeRecord, Manifest, Results, Suite};
 use crate::env::EnvOptions;
@@ -65,7 +65,7 @@ pub struct Section {
     pub suite: Suite,
     /// The settings of the runs.
     pub runs: Vec<(PathBuf, Manifest)>,
-    /// The columns: agents in the order of the command line, each behind its detectors in the order of the runs.
+    /// Who drove: agents in the order of the command line, each behind its detectors in the order of the runs.
     pub drivers: Vec<Driver>,
     /// The episodes.
     pub episodes: Vec<Entry>,
@@ -76,7 +76,7 @@ pub struct Section {
 pub struct Entry {
     /// The folder of its run.
     pub run: PathBuf,
-    /// The column in which it counts.
+    /// The line in which it counts.
     pub driver: Driver,
     /// What happened.
     pub record: EpisodeRecord,
@@ -90,7 +90,7 @@ pub struct Report {
 }
 
 impl Report {
-    /// Gathers runs: runs of the same suite make one section, in which agents of a pool share a column, and each
+    /// Gathers runs: runs of the same suite make one section, in which agents of a pool share a line, and each
     /// detector has its own.
     ///
     /// # Errors
@@ -145,6 +145,12 @@ impl Report {
                 record,
             }));
         }
+        // Where all have one detector, it needs no name.
+        let entries = || report.sections.iter().flat_map(|section| &section.episodes);
+        if entries().filter_map(|e| e.driver.detector.as_ref()).collect::<BTreeSet<_>>().len() < 2 {
+            let all = report.sections.iter_mut().flat_map(|section| &mut section.episodes);
+            all.for_each(|e| e.driver.detector = None);
+        }
         for section in &mut report.sections {
             section.settle();
         }
@@ -178,11 +184,6 @@ impl Section {
             let names = (c.town.clone(), c.spec.weather.name(), c.spec.traffic().to_string());
             (rank(condition), rank(task), names, c.seed, c.episode)
         };
-        // Where all have one detector, it needs no name.
-        let looking = self.episodes.iter().filter_map(|e| e.driver.detector.clone());
-        if looking.collect::<BTreeSet<_>>().len() < 2 {
-            self.episodes.iter_mut().for_each(|e| e.driver.detector = None);
-        }
         let mut drivers: Vec<(usize, Driver)> = Vec::new();
         let agents = self.agents();
         for e in &self.episodes {
@@ -225,6 +226,12 @@ impl Section {
         own.chain(["other".to_string()])
             .filter(|name| self.episodes.iter().any(|e| e.record.case.condition == *name))
             .collect()
+    }
+
+    /// The driven tasks, in the suite's order.
+    pub fn tasks(&self) -> Vec<String> {
+        let own = self.suite.tasks.iter().map(|task| task.name.clone());
+        own.filter(|name| self.episodes.iter().any(|e| e.record.case.task == *name)).collect()
     }
 
     /// The episodes for which `wanted` is true.

@@ -1,7 +1,7 @@
 //! A section's tables.
 
 use super::published::published;
-use super::{Driver, Section, Table};
+use super::{Driver, Report, Section, Table};
 use crate::env::End;
 use crate::eval::{EpisodeRecord, EventCounts, Score, grouped};
 use wad_camera::Preset;
@@ -19,6 +19,59 @@ pub fn tables(section: &Section) -> Vec<Table> {
         all.extend(own.map(|table| table.table(&published.note)));
     }
     all
+}
+
+/// Successes and episodes of every task of every suite, a line for each agent and condition; None of a single suite,
+/// whose own table says as much.
+pub fn overview(report: &Report) -> Option<Table> {
+    let sections = &report.sections;
+    if sections.len() < 2 {
+        return None;
+    }
+    let mut lines: Vec<(&Driver, String)> = Vec::new();
+    for section in sections {
+        let own = section
+            .drivers
+            .iter()
+            .flat_map(|driver| section.conditions().into_iter().map(move |c| (driver, c)));
+        own.for_each(|line| {
+            if !lines.contains(&line) {
+                lines.push(line);
+            }
+        });
+    }
+    // Agents in the order in which they first come, the conditions of each together.
+    let first = |driver: &Driver| lines.iter().position(|(other, _)| *other == driver);
+    let mut ordered = lines.clone();
+    ordered.sort_by_key(|(driver, _)| first(driver));
+    let columns: Vec<(&Section, String)> = sections
+        .iter()
+        .flat_map(|section| section.tasks().into_iter().map(move |task| (section, task)))
+        .collect();
+    let row = |(driver, condition): (&Driver, String)| {
+        let cells = columns.iter().map(|(section, task)| {
+            let score =
+                Score::of(&section.by(driver, |e| e.case.task == *task && e.case.condition == condition));
+            match score.episodes {
+                0 => NOT_DRIVEN.to_string(),
+                n => format!("{} of {n}", score.successes),
+            }
+        });
+        [driver.to_string(), condition.clone()].into_iter().chain(cells).collect()
+    };
+    let own = [(String::new(), 1), (String::new(), 1)];
+    let suites = sections.iter().map(|section| (section.suite.name.clone(), section.tasks().len()));
+    Some(Table {
+        title: "All suites: episodes that succeeded".to_string(),
+        groups: own.into_iter().chain(suites).collect(),
+        head: ["agent", "condition"]
+            .map(String::from)
+            .into_iter()
+            .chain(columns.iter().map(|(_, t)| t.clone()))
+            .collect(),
+        rows: ordered.into_iter().map(row).collect(),
+        ..Table::default()
+    })
 }
 
 /// A cell without episodes.
@@ -64,9 +117,7 @@ fn percent_of(part: u64, all: u64) -> String {
 /// A line for each agent in each condition, so that the table grows downwards with them.
 fn success(section: &Section) -> Table {
     let (drivers, conditions) = (&section.drivers, section.conditions());
-    let tasks = section.suite.tasks.iter().map(|task| task.name.clone());
-    let driven = |task: &String| section.episodes.iter().any(|e| e.record.case.task == *task);
-    let tasks: Vec<String> = tasks.filter(driven).collect();
+    let tasks = section.tasks();
     let lines = drivers.iter().flat_map(|driver| conditions.iter().map(move |condition| (driver, condition)));
     let row = |(driver, condition): (&Driver, &String)| {
         let group =
