@@ -36,12 +36,11 @@ pub fn run(
         .context("cannot make pictures of failures")?;
     let page = report::page(&Page {
         report: &report,
-        overview: overview.as_ref(),
         build: env!("WAD_COSIM_VERSION"),
         pictures: &pictures,
         folder: &folder,
     });
-    let text = page_of_markdown(&report, overview.as_ref(), &tables);
+    let text = page_of_markdown(&report, overview.as_slice(), &tables);
     let mut files =
         vec![("index.html", page), ("report.csv", report::csv(&all)), ("report.tex", report::latex(&all))];
     files.push(("report.md", text.clone()));
@@ -74,14 +73,14 @@ fn write(path: &Path, text: &str) -> anyhow::Result<()> {
 }
 
 /// The tables as a Markdown page, with the runs that they come from.
-fn page_of_markdown(report: &Report, overview: Option<&Table>, tables: &[Vec<Table>]) -> String {
+fn page_of_markdown(report: &Report, overview: &[Table], tables: &[Vec<Table>]) -> String {
     let mut text = String::from(
         "# Results\n\n`wad-cosim report` wrote the tables of this page; [evaluate.md](evaluate.md) says how to measure them \
          again. Each success rate has its standard deviation over weathers and seeds and Wilson's 95 % interval.\n\n",
     );
     text += &detectors(report);
     text += &makings(report);
-    text += &report::markdown(overview.map_or(&[], std::slice::from_ref));
+    text += &report::markdown(overview);
     for (section, tables) in report.sections.iter().zip(tables) {
         text += &format!("## {}\n\n", section.suite.title);
         for (path, manifest) in &section.runs {

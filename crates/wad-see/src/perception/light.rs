@@ -176,8 +176,8 @@ impl SeenLights {
         let moved = speed * tick;
         self.passed = self.passed.map(|passed| passed + moved).filter(|passed| *passed < JUNCTION);
         for track in [&mut self.believed, &mut self.rival] {
-            *track = track.map(|track| track.later(moved, tick)).filter(Track::is_remembered);
-            *track = track.filter(|track| can_be(track.light.distance));
+            let stays = |track: &Track| track.is_remembered() && can_be(track.light.distance);
+            *track = track.map(|track| track.later(moved, tick)).filter(stays);
         }
         if let Some(behind) = self.believed.take_if(|track| track.light.distance < -PASSED) {
             self.passed = Some(-behind.light.distance);

@@ -1,15 +1,13 @@
 //! One self-contained HTML page.
 
 use super::svg::escape;
-use super::{Report, Section, Table, Thumbnail, figures, tables};
+use super::{Report, Section, Table, Thumbnail, figures, overview, tables};
 use std::path::Path;
 
 /// The contents of a page.
 pub struct Page<'a> {
     /// The report.
     pub report: &'a Report,
-    /// The table of all suites, if there are several.
-    pub overview: Option<&'a Table>,
     /// The program's version.
     pub build: &'a str,
     /// Pictures by section.
@@ -44,7 +42,7 @@ pub fn page(page: &Page<'_>) -> String {
         escape(&titles.join(", ")),
         escape(page.build)
     );
-    html += &page.overview.map_or_else(String::new, table_html);
+    html += &overview(page.report).as_ref().map_or_else(String::new, table_html);
     for (index, section) in page.report.sections.iter().enumerate() {
         let pictures = page.pictures.get(index).map_or(&[][..], Vec::as_slice);
         html += &section_html(section, pictures, page.folder);

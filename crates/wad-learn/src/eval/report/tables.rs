@@ -1,4 +1,4 @@
-//! A section's tables.
+//! The tables of a report.
 
 use super::published::published;
 use super::{Driver, Report, Section, Table};
@@ -21,57 +21,62 @@ pub fn tables(section: &Section) -> Vec<Table> {
     all
 }
 
-/// Successes and episodes of every task of every suite, a line for each agent and condition; None of a single suite,
-/// whose own table says as much.
+/// Successes and episodes of every task of every suite; None of a single suite, whose own table says as much.
 pub fn overview(report: &Report) -> Option<Table> {
-    let sections = &report.sections;
-    if sections.len() < 2 {
-        return None;
-    }
-    let mut lines: Vec<(&Driver, String)> = Vec::new();
-    for section in sections {
-        let own = section
-            .drivers
-            .iter()
-            .flat_map(|driver| section.conditions().into_iter().map(move |c| (driver, c)));
-        own.for_each(|line| {
-            if !lines.contains(&line) {
-                lines.push(line);
-            }
-        });
-    }
-    // Agents in the order in which they first come, the conditions of each together.
-    let first = |driver: &Driver| lines.iter().position(|(other, _)| *other == driver);
-    let mut ordered = lines.clone();
-    ordered.sort_by_key(|(driver, _)| first(driver));
-    let columns: Vec<(&Section, String)> = sections
-        .iter()
-        .flat_map(|section| section.tasks().into_iter().map(move |task| (section, task)))
-        .collect();
-    let row = |(driver, condition): (&Driver, String)| {
-        let cells = columns.iter().map(|(section, task)| {
-            let score =
-                Score::of(&section.by(driver, |e| e.case.task == *task && e.case.condition == condition));
-            match score.episodes {
-                0 => NOT_DRIVEN.to_string(),
-                n => format!("{} of {n}", score.successes),
-            }
-        });
-        [driver.to_string(), condition.clone()].into_iter().chain(cells).collect()
+    let sections: Vec<&Section> = report.sections.iter().collect();
+    let count = |group: &[&EpisodeRecord]| {
+        let score = Score::of(group);
+        format!("{} of {}", score.successes, score.episodes)
     };
     let own = [(String::new(), 1), (String::new(), 1)];
     let suites = sections.iter().map(|section| (section.suite.name.clone(), section.tasks().len()));
-    Some(Table {
+    (sections.len() > 1).then(|| Table {
         title: "All suites: episodes that succeeded".to_string(),
         groups: own.into_iter().chain(suites).collect(),
-        head: ["agent", "condition"]
-            .map(String::from)
-            .into_iter()
-            .chain(columns.iter().map(|(_, t)| t.clone()))
-            .collect(),
-        rows: ordered.into_iter().map(row).collect(),
-        ..Table::default()
+        ..by_task(&sections, count)
     })
+}
+
+/// A column for each task, and a line for each agent in each condition, so that the table grows downwards with them.
+fn by_task(sections: &[&Section], cell: impl Fn(&[&EpisodeRecord]) -> String) -> Table {
+    let (mut drivers, mut conditions): (Vec<&Driver>, Vec<String>) = Default::default();
+    for section in sections {
+        drivers.extend(&section.drivers);
+        conditions.extend(section.conditions());
+    }
+    let (drivers, conditions) = (first_of_each(drivers), first_of_each(conditions));
+    let columns =
+        sections.iter().flat_map(|section| section.tasks().into_iter().map(move |task| (section, task)));
+    let columns: Vec<(&&Section, String)> = columns.collect();
+    let lines =
+        drivers.iter().flat_map(|driver| conditions.iter().map(move |condition| (*driver, condition)));
+    let row = |(driver, condition): (&Driver, &String)| {
+        let shown = |(section, task): &(&&Section, String)| {
+            let group = section.by(driver, |e| e.case.task == *task && e.case.condition == *condition);
+            if Score::of(&group).episodes == 0 { NOT_DRIVEN.to_string() } else { cell(&group) }
+        };
+        let cells: Vec<String> = columns.iter().map(shown).collect();
+        let drove = cells.iter().any(|cell| cell != NOT_DRIVEN);
+        drove.then(|| [driver.to_string(), condition.clone()].into_iter().chain(cells).collect())
+    };
+    let rows = lines.filter_map(row).collect();
+    let tasks = columns.iter().map(|(_, task)| task.clone());
+    Table {
+        head: ["agent", "condition"].map(String::from).into_iter().chain(tasks).collect(),
+        rows,
+        ..Table::default()
+    }
+}
+
+/// The same without repetitions.
+fn first_of_each<T: PartialEq>(all: Vec<T>) -> Vec<T> {
+    let mut found = Vec::new();
+    for one in all {
+        if !found.contains(&one) {
+            found.push(one);
+        }
+    }
+    found
 }
 
 /// A cell without episodes.
@@ -114,19 +119,8 @@ fn percent_of(part: u64, all: u64) -> String {
     }
 }
 
-/// A line for each agent in each condition, so that the table grows downwards with them.
 fn success(section: &Section) -> Table {
-    let (drivers, conditions) = (&section.drivers, section.conditions());
-    let tasks = section.tasks();
-    let lines = drivers.iter().flat_map(|driver| conditions.iter().map(move |condition| (driver, condition)));
-    let row = |(driver, condition): (&Driver, &String)| {
-        let group =
-            |task: &String| section.by(driver, |e| e.case.task == *task && e.case.condition == *condition);
-        let rates: Vec<String> = tasks.iter().map(|task| rate(&group(task))).collect();
-        let drove = rates.iter().any(|rate| rate != NOT_DRIVEN);
-        drove.then(|| [driver.to_string(), condition.clone()].into_iter().chain(rates).collect())
-    };
-    let rows = lines.filter_map(row).collect();
+    let drivers = &section.drivers;
     let mut notes = vec![
         "Success rate, its standard deviation over weathers and seeds, Wilson's 95 % interval, number of episodes."
             .to_string(),
@@ -166,13 +160,7 @@ fn success(section: &Section) -> Table {
             trained.join(", ")
         ));
     }
-    Table {
-        title: format!("{}: success", section.suite.title),
-        head: ["agent", "condition"].map(String::from).into_iter().chain(tasks).collect(),
-        rows,
-        notes,
-        ..Table::default()
-    }
+    Table { title: format!("{}: success", section.suite.title), notes, ..by_task(&[section], rate) }
 }
 
 /// The driven weathers of a condition that were (`trained`) or were not trained in.
