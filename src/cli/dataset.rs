@@ -42,6 +42,7 @@ Examples:
   wad-cosim dataset collect --town town5 --frames 2000 --out data/town5              (for measuring only)
   wad-cosim dataset collect --frames 20000 --camera --out data/detector              (pictures for a detector)
   wad-cosim dataset collect --frames 20000 --camera --vary all --out data/varied     (other streets in each shard)
+  wad-cosim dataset collect --frames 5000 --camera --near --out data/near            (close behind others)
   wad-cosim dataset collect --from runs/mine --from runs/yours --out data/runs       (frames of recorded runs)
 
 Run the same command again to continue an interrupted collection. Frames of town5 are test data: `train` refuses them.";
@@ -54,7 +55,7 @@ pub struct CollectArgs {
     town: String,
     /// Instead of new drives: a folder that `run` wrote, driven again in each weather with the
     /// controls of its telemetry. May be given several times.
-    #[arg(long, value_name = "RUN", value_hint = ValueHint::DirPath, conflicts_with_all = ["town", "frames", "per_shard", "noise_pause", "showing"])]
+    #[arg(long, value_name = "RUN", value_hint = ValueHint::DirPath, conflicts_with_all = ["town", "frames", "per_shard", "noise_pause", "showing", "near"])]
     from: Vec<PathBuf>,
     /// Number of frames.
     #[arg(long, value_name = "N", default_value_t = 150_000)]
@@ -84,6 +85,10 @@ pub struct CollectArgs {
     /// bicycle, person, bus, truck, "traffic light", bench.
     #[arg(long, value_name = "CLASS", value_delimiter = ',', value_parser = class)]
     showing: Vec<ObjectClass>,
+    /// Look from places where the autopilot never stands: 0.2 to 5 m behind whoever is next in the ego's lane. Frames with
+    /// nobody there are left out.
+    #[arg(long)]
+    near: bool,
     /// In pictures and labels, signals show lamps drawn at random, lane by lane; traffic obeys the real ones.
     /// For training eyes: real programs show little yellow, and who stands at a line always sees red.
     #[arg(long)]
@@ -172,6 +177,7 @@ fn run_collect(args: &CollectArgs) -> anyhow::Result<Exit> {
     options.every = args.every;
     options.noise.pause = args.noise_pause;
     options.showing.clone_from(&args.showing);
+    options.near = args.near;
     options.random_signals = args.random_signals;
     options.vary = args.vary.clone().unwrap_or_default();
     options.jobs = args.jobs.max(1);

@@ -86,6 +86,33 @@ fn random_signals_change_the_lamps_and_nothing_else() {
     assert!(output.status.code() == Some(2) && error.contains("signals are random"), "{error}");
 }
 
+/// With --near the ego looks from close behind somebody, and the labels are of that place.
+#[test]
+fn near_frames_show_somebody_close_ahead() {
+    let folder = tempfile::tempdir().unwrap();
+    let args =
+        ["--town", "town3", "--frames", "30", "--per-shard", "30", "--every", "1", "--seed", "3", "--near"];
+    let path = folder.path().join("near");
+    collect(&path, &args);
+    let mut reader = Dataset::open(&path, false).unwrap().reader(0).unwrap();
+    let frames: Vec<FrameRecord> = std::iter::from_fn(|| reader.next_record().unwrap()).collect();
+    let gaps: Vec<f64> = frames
+        .iter()
+        .map(|one| one.labels.lead.into_iter().chain(one.labels.pedestrian).fold(f64::INFINITY, f64::min))
+        .collect();
+    assert!(gaps.len() == 30 && gaps.iter().all(|gap| *gap <= 5.5), "{gaps:?}");
+    // The autopilot keeps 2.5 m.
+    assert!(gaps.iter().filter(|gap| **gap < 2.0).count() > 5, "{gaps:?}");
+    // Whoever it is stands in the picture where the label says: the camera is 1.9 m behind the bumper or less.
+    for (frame, gap) in frames.iter().zip(&gaps) {
+        let shown = frame.boxes.iter().any(|b| f64::from(b.depth) > *gap && f64::from(b.depth) < gap + 14.0);
+        assert!(shown, "{gap} m: {:?}", frame.boxes);
+    }
+    let output = wad(&[&["dataset", "collect"], &args[..10]].concat(), &path);
+    let error = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.code() == Some(2) && error.contains("near"), "{error}");
+}
+
 /// Plain images have nothing painted; all else stays.
 #[test]
 fn plain_images_show_the_camera_alone() {

@@ -9,14 +9,16 @@ use wad_cosim::camera::{CameraConfig, Frame, Outputs, Preset};
 use wad_cosim::drive::{Drive, DriveOptions};
 use wad_cosim::eyes::Eyes;
 use wad_cosim::perception::sight_score::{LaneScore, LaneTruth, LeadScore, LeadTruth, MEASURED_AT};
-use wad_cosim::perception::{self, EgoFacts, Perception};
+use wad_cosim::perception::{self, EgoFacts, NearGaps, Perception, lead};
 use wad_cosim::traffic::TrafficSpec;
+use wad_cosim::world::WorldState;
 
 const EXAMPLES: &str = "\
 Examples:
   wad-cosim eval lanes
   wad-cosim eval lanes town3 --ticks 2000 --weather ClearNoon,HardRainNoon --json
-  wad-cosim eval lead --detector truth:faulty";
+  wad-cosim eval lead --detector truth:faulty
+  wad-cosim eval lead --detector eyes --near          (from 0.2 to 5 m behind whoever is next)";
 
 /// Options of both commands.
 #[derive(clap::Args, Debug)]
@@ -42,6 +44,9 @@ pub struct Args {
     /// The detector: truth (the renderer's boxes) or truth:faulty (with a real detector's faults).
     #[arg(long, default_value = "truth", value_name = "NAME")]
     detector: String,
+    /// Look each time from 0.2 to 5 m behind whoever is next in the ego's path, nearer than the autopilot drives (eval lead).
+    #[arg(long)]
+    near: bool,
     /// WIDTHxHEIGHT of the camera's picture in pixels.
     #[arg(long, value_name = "WxH", default_value = "512x512", value_parser = crate::cli::snapshot::size)]
     size: (usize, usize),
@@ -58,7 +63,7 @@ async fn drive(
     args: &Args,
     weathers: &[Preset],
     outputs: Outputs,
-    score: &mut dyn FnMut(usize, &Frame, &Perception, &Drive),
+    score: &mut dyn FnMut(usize, &Frame, &Perception, &EgoFacts<'_>, &WorldState),
 ) -> anyhow::Result<()> {
     let config = bundled::resolve(&args.config).map_err(|e| Exit::Input.because(e))?;
     let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
@@ -78,17 +83,23 @@ async fn drive(
     }
     let bar = progress(args.ticks);
     let mut respawns = 0;
+    let mut gaps = NearGaps::new(args.seed);
     for tick in 0..args.ticks {
         drive.tick().await.map_err(run::with_exit)?;
         let now = drive.respawns();
+        let mut facts = EgoFacts::of(drive.bridge().network(), drive.ego(), drive.bridge().tick());
+        if args.near {
+            let Some(next) = LeadTruth::nearest(&facts, drive.ego().world(), |_| true) else { continue };
+            facts = facts.moved(next.gap - gaps.draw());
+        }
         for (index, (eyes, &weather)) in eyes.iter_mut().zip(weathers).enumerate() {
-            if now != respawns {
+            if args.near || now != respawns {
                 eyes.reset(weather, args.seed);
             }
             eyes.follow(drive.ego().world());
-            eyes.look(&EgoFacts::of(drive.bridge().network(), drive.ego(), drive.bridge().tick()))?;
+            eyes.look(&facts)?;
             if let (Some(frame), Some(perception)) = (eyes.frame(), eyes.perception()) {
-                score(index, frame, perception, &drive);
+                score(index, frame, perception, &facts, drive.ego().world());
             }
         }
         respawns = now;
@@ -120,10 +131,9 @@ const STANDS: f64 = 0.3;
 pub async fn lanes(args: Args) -> anyhow::Result<Exit> {
     let mut scores = vec![LaneScore::default(); args.weather.len()];
     let outputs = Outputs { semantic: true, ..Outputs::RGB };
-    drive(&args, &args.weather, outputs, &mut |index, frame, perception, drive| {
-        let facts = EgoFacts::of(drive.bridge().network(), drive.ego(), drive.bridge().tick());
+    drive(&args, &args.weather, outputs, &mut |index, frame, perception, facts, _| {
         if facts.on_route.state.speed > STANDS
-            && let Some(truth) = LaneTruth::find(&facts, perception.ground(), frame)
+            && let Some(truth) = LaneTruth::find(facts, perception.ground(), frame)
         {
             scores[index].add(&perception.percept().lanes, &truth);
         }
@@ -171,11 +181,14 @@ pub async fn lead(args: Args) -> anyhow::Result<Exit> {
     let mut score = LeadScore::default();
     let outputs = Outputs { boxes: true, ..Outputs::RGB };
     let weather = args.weather.first().copied().unwrap_or_default();
-    drive(&args, &[weather], outputs, &mut |_, frame, perception, drive| {
-        let ego = drive.ego();
-        let facts = EgoFacts::of(drive.bridge().network(), ego, drive.bridge().tick());
-        if facts.on_route.state.speed > STANDS {
-            score.add(LeadTruth::find(&facts, ego.world(), frame), perception.percept().lead);
+    drive(&args, &[weather], outputs, &mut |_, frame, perception, facts, world| {
+        if args.near || facts.on_route.state.speed > STANDS {
+            let percept = perception.percept();
+            let there = LeadTruth::find(facts, world, frame);
+            let nearest = lead::nearest(&percept.detections, perception.ground(), facts);
+            let by = nearest.and_then(|one| percept.detections.get(one.detection));
+            tracing::debug!("lead: {:?} believed, {there:?} there, seen as {by:?}", percept.lead);
+            score.add(there, percept.lead);
         }
     })
     .await?;

@@ -6,7 +6,7 @@ use super::folder::{FORMAT_VERSION, Manifest, State, shard_path};
 use super::image_codec::CameraCodec;
 use super::options::CollectOptions;
 use super::plan::{Segment, plan};
-use super::record::FrameRecord;
+use super::record::{BoxRecord, FrameRecord};
 use super::recorded::RecordedRun;
 use super::run_drive::RunDrive;
 use super::shard::{ShardHeader, ShardReader, ShardWriter};
@@ -17,7 +17,6 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use wad_camera::CameraConfig;
-use wad_camera::model::ObjectClass;
 use wad_sim::assets::Assets;
 use wad_sim::bundled;
 use wad_sim::traffic::TrafficSpec;
@@ -345,7 +344,7 @@ async fn collect_segment(shared: &Shared<'_>, segment: Segment) -> Result<(), Da
             return Ok(());
         }
         let frame = drive.next_frame().await?;
-        if options.showing.is_empty() || shows(&frame.record, &options.showing) {
+        if is_wanted(&frame.record, options) {
             shard.add(&frame)?;
             shared.frames.fetch_add(1, Ordering::Relaxed);
         }
@@ -355,12 +354,16 @@ async fn collect_segment(shared: &Shared<'_>, segment: Segment) -> Result<(), Da
     Ok(())
 }
 
-/// Lowest box that a frame is kept for (pixels).
+/// Lowest box that a frame is kept for (pixels), and widest gap that counts as near (m).
 const SHOWN: u32 = 16;
+const NEAR: f64 = 5.5;
 
-/// Whether an object of one of these classes is in sight.
-fn shows(record: &FrameRecord, classes: &[ObjectClass]) -> bool {
-    record.boxes.iter().any(|b| classes.contains(&b.class) && b.visible[3] - b.visible[1] >= SHOWN)
+/// Whether an object of a class that is to be shown is in sight, and somebody near where that is wanted.
+fn is_wanted(record: &FrameRecord, options: &CollectOptions) -> bool {
+    let shows = |b: &BoxRecord| options.showing.contains(&b.class) && b.visible[3] - b.visible[1] >= SHOWN;
+    let gaps = [record.labels.lead, record.labels.pedestrian];
+    (options.showing.is_empty() || record.boxes.iter().any(shows))
+        && (!options.near || gaps.into_iter().flatten().any(|gap| gap <= NEAR))
 }
 
 async fn collect_run(

@@ -14,7 +14,7 @@ use sumo_network::world::{Actor, WorldState};
 use wad_camera::model::{self, PlacedSign};
 use wad_camera::{CameraConfig, Outputs, Weather};
 use wad_see::eyes::Eyes;
-use wad_see::perception::{EgoFacts, Heads, RoadTruth, TruthDetector};
+use wad_see::perception::{EgoFacts, Heads, NearGaps, RoadTruth, TruthDetector};
 use wad_sim::assets::Assets;
 use wad_sim::bridge::Ego;
 use wad_vehicle::Control;
@@ -34,6 +34,8 @@ pub struct Eye {
     /// The format of camera pictures; None: they are not kept.
     codec: Option<CameraCodec>,
     signals: Option<RandomSignals>,
+    /// Draws gaps, where the ego is to be near.
+    gaps: Option<NearGaps>,
 }
 
 /// A frame's facts that do not come from camera and perception.
@@ -62,8 +64,9 @@ impl Eye {
         let eyes = eyes.with_outputs(outputs).with_image(options.image);
         let codec = options.camera.then(CameraCodec::best);
         let signals = options.random_signals.then(|| RandomSignals::new(segment.seed));
+        let gaps = options.near.then(|| NearGaps::new(segment.seed));
         let weather = segment.varied_weather(&options.vary);
-        let mut eye = Self { segment, weather, eyes, heads, signs, codec, signals };
+        let mut eye = Self { segment, weather, eyes, heads, signs, codec, signals, gaps };
         eye.reset();
         Ok(eye)
     }
@@ -88,7 +91,14 @@ impl Eye {
         if drawn.is_some() {
             self.eyes.follow(world);
         }
-        let facts = EgoFacts { signals: &world.traffic_lights, ..EgoFacts::of(network, ego, moment.since) };
+        let mut facts =
+            EgoFacts { signals: &world.traffic_lights, ..EgoFacts::of(network, ego, moment.since) };
+        if let Some(gaps) = &mut self.gaps {
+            let all = world.vehicles.iter().chain(&world.pedestrians).map(|actor| (actor, SEEN_PIXELS));
+            if let Some(gap) = nearest_in_lane(&facts, all) {
+                facts = facts.moved(gap - gaps.draw());
+            }
+        }
         self.eyes.look(&facts)?;
         let (Some(frame), Some(percept)) = (self.eyes.frame(), self.eyes.percept()) else {
             return Err(DatasetError::Image("the camera gave no frame".to_string()));
@@ -111,8 +121,8 @@ impl Eye {
         let first = world.vehicles.len();
         let people = world.pedestrians.iter().enumerate().map(|(i, a)| (a, pixels(first + i)));
         let labels = Labels {
-            lead: nearest_in_lane(ego, vehicles),
-            pedestrian: nearest_in_lane(ego, people),
+            lead: nearest_in_lane(&facts, vehicles),
+            pedestrian: nearest_in_lane(&facts, people),
             red: percept.light_red,
         };
         let road = RoadTruth::find(&facts, world, &self.heads);
@@ -120,7 +130,7 @@ impl Eye {
         let record = FrameRecord {
             time: moment.time,
             weather: self.segment.weather,
-            ego: ego.state(),
+            ego: facts.on_route.state,
             control: moment.control,
             disturbed: moment.disturbed,
             boxes,
@@ -180,10 +190,10 @@ impl RandomSignals {
 }
 
 /// Gap from the ego's front bumper to the nearest seen actor in its lane (m).
-fn nearest_in_lane<'w>(ego: &Ego, actors: impl Iterator<Item = (&'w Actor, u32)>) -> Option<f64> {
+fn nearest_in_lane<'w>(facts: &EgoFacts<'_>, actors: impl Iterator<Item = (&'w Actor, u32)>) -> Option<f64> {
     const SIGHT: f64 = 60.0;
-    let (route, at) = (ego.route(), ego.on_route());
-    let front = at.s + 0.5 * ego.params().length;
+    let (route, at) = (facts.route, facts.on_route);
+    let front = at.s + 0.5 * facts.length;
     actors
         .filter(|(_, pixels)| *pixels >= SEEN_PIXELS)
         .filter_map(|(actor, _)| {

@@ -87,6 +87,9 @@ pub struct Manifest {
     /// Every frame shows an object of one of these classes; empty: all frames were kept.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub showing: Vec<ObjectClass>,
+    /// Every frame is of a place close behind somebody.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub near: bool,
     /// Signals show lamps drawn at random.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub random_signals: bool,
@@ -114,6 +117,7 @@ impl Manifest {
             program: wad_sim::program::version().to_string(),
             runs: options.runs.iter().map(|run| run.folder.clone()).collect(),
             showing: options.showing.clone(),
+            near: options.near,
             random_signals: options.random_signals,
             vary: options.vary.clone(),
         }
@@ -157,6 +161,7 @@ impl Manifest {
                     m.runs.iter().map(|r| r.display().to_string()).collect::<Vec<_>>().join(","),
                 ),
                 ("the classes shown", m.showing.iter().map(|c| class_name(*c)).collect::<Vec<_>>().join(",")),
+                ("whether all frames are near", m.near.to_string()),
                 ("whether signals are random", m.random_signals.to_string()),
                 ("what varies", m.vary.iter().map(|v| v.name()).collect::<Vec<_>>().join(",")),
                 ("the camera", m.camera.clone()),

@@ -34,6 +34,8 @@ pub struct CollectOptions {
     pub every: f64,
     /// Keep only frames that show an object of one of these classes; empty: all frames.
     pub showing: Vec<ObjectClass>,
+    /// The camera looks from a place close behind whoever is next in the ego's lane; other frames are left out.
+    pub near: bool,
     /// Signals show lamps drawn at random in pictures and labels, lane by lane; traffic obeys the real ones.
     pub random_signals: bool,
     /// What is drawn anew for each segment.
@@ -65,6 +67,7 @@ impl CollectOptions {
             image: ImageKind::Transformed,
             every: 0.5,
             showing: Vec::new(),
+            near: false,
             random_signals: false,
             vary: Vec::new(),
             noise: NoiseParams::default(),

@@ -1,7 +1,11 @@
 //! What the ego knows beside its camera.
 
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
+use sumo_network::geometry::{Pose, wrap_angle};
 use sumo_network::network::{Network, Route};
+use sumo_network::seeds;
 use wad_sim::bridge::Ego;
 use wad_sim::criteria::EgoOnRoute;
 
@@ -33,5 +37,37 @@ impl<'a> EgoFacts<'a> {
             signals: &ego.world().traffic_lights,
             tick,
         }
+    }
+
+    /// The same `distance` m farther along the route, as far from its middle and as askew: for looks from where the ego is
+    /// not.
+    #[must_use]
+    pub fn moved(mut self, distance: f64) -> Self {
+        let at = &mut self.on_route;
+        let s = (at.s + distance).clamp(0.0, self.route.length());
+        let (from, to) = (self.route.at(at.s).pose, self.route.at(s).pose);
+        let is = at.state.pose;
+        let place = to.to_world(from.to_local(is.xy()));
+        let heading = wrap_angle(is.heading + to.heading - from.heading);
+        at.state.pose = Pose::new(place.x, place.y, is.position.z + to.position.z - from.position.z, heading);
+        at.front_s += s - at.s;
+        at.s = s;
+        self
+    }
+}
+
+/// Draws how near the ego is to be put to whoever is next (m): nearer than the autopilot drives, too.
+#[derive(Clone, Debug)]
+pub struct NearGaps(ChaCha8Rng);
+
+impl NearGaps {
+    /// Equal seeds, equal gaps.
+    pub fn new(seed: u64) -> Self {
+        Self(seeds::rng(seed, "gaps"))
+    }
+
+    /// The next one: 0.2 to 5 m.
+    pub fn draw(&mut self) -> f64 {
+        self.0.random_range(0.2..5.0)
     }
 }

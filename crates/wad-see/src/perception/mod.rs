@@ -37,7 +37,7 @@ pub use area::DrivableArea;
 pub use choice::{
     DEFAULT_DETECTOR, DETECTORS, MIN_SCORE, centernet_weights, detector, sees_the_road, weights_hash,
 };
-pub use facts::EgoFacts;
+pub use facts::{EgoFacts, NearGaps};
 pub use ground::GroundPlane;
 pub use image::{ImageKind, TRANSFORMED_SIZE, TransformedImage};
 pub use lanes::{LaneBoundary, LaneDetector, LaneEstimate};

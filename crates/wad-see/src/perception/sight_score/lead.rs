@@ -21,14 +21,18 @@ pub struct LeadTruth {
 impl LeadTruth {
     /// The nearest of `world` in the path of which `frame` (with its objects) shows enough.
     pub fn find(facts: &EgoFacts<'_>, world: &WorldState, frame: &Frame) -> Option<Self> {
+        let shows = |index: usize| {
+            let id = index as u32 + 1;
+            frame.objects.iter().any(|object| object.id == id && object.visible_pixels >= 12)
+        };
+        Self::nearest(facts, world, shows)
+    }
+
+    /// The nearest in the path, of those whose places in `world`, vehicles first, are `wanted`.
+    pub fn nearest(facts: &EgoFacts<'_>, world: &WorldState, wanted: impl Fn(usize) -> bool) -> Option<Self> {
         let actors = world.vehicles.iter().chain(&world.pedestrians).enumerate();
-        actors
-            .filter(|(index, _)| {
-                let id = *index as u32 + 1;
-                frame.objects.iter().any(|object| object.id == id && object.visible_pixels >= 12)
-            })
-            .filter_map(|(_, actor)| Self::of(facts, actor))
-            .min_by(|a, b| a.gap.total_cmp(&b.gap))
+        let actors = actors.filter(|(index, _)| wanted(*index)).filter_map(|(_, one)| Self::of(facts, one));
+        actors.min_by(|a, b| a.gap.total_cmp(&b.gap))
     }
 
     fn of(facts: &EgoFacts<'_>, actor: &Actor) -> Option<Self> {
@@ -62,7 +66,7 @@ impl LeadTruth {
 }
 
 /// Borders of the distances that are reported apart (m).
-const BORDERS: [f64; 5] = [0.0, 10.0, 20.0, 30.0, SIGHT];
+const BORDERS: [f64; 6] = [0.0, 5.0, 10.0, 20.0, 30.0, SIGHT];
 
 /// Pairs of truth and detection over frames.
 #[derive(Clone, Debug, Default)]
@@ -151,7 +155,7 @@ mod tests {
         score.add(None, Some(LeadState { gap: 4.0, closing_speed: 0.0 }));
         score.add(None, None);
         let report = score.report();
-        let bin = report.bins[1];
+        let bin = report.bins[2];
         assert_eq!((bin.frames, bin.recall, bin.gap_error.median), (2, Some(0.5), Some(0.5)));
         assert_eq!((report.free_frames, report.false_leads), (2, Some(0.5)));
         assert_eq!(report.bins[0].recall, None);
