@@ -137,10 +137,17 @@ impl Ir {
     }
 
     /// Convolution of (n, from, h, w) by (to, from, side, side), side odd, with a border of zeros of half a side.
-    pub fn convolution(&mut self, x: Node, weight: Node, side: usize, stride: usize) -> Node {
-        let pad = side / 2;
+    pub fn convolution(
+        &mut self,
+        x: Node,
+        weight: Node,
+        side: usize,
+        stride: usize,
+        dilation: usize,
+    ) -> Node {
+        let pad = side / 2 * dilation;
         let data = format!(
-            "strides=\"{stride},{stride}\" pads_begin=\"{pad},{pad}\" pads_end=\"{pad},{pad}\" dilations=\"1,1\" \
+            "strides=\"{stride},{stride}\" pads_begin=\"{pad},{pad}\" pads_end=\"{pad},{pad}\" dilations=\"{dilation},{dilation}\" \
              auto_pad=\"explicit\""
         );
         self.add("Convolution", 1, &data, &[x, weight])

@@ -131,7 +131,7 @@ const GOES: f64 = 2.0;
 const SURELY: f64 = 0.8;
 const HEADS: f64 = 5.5;
 /// Less sure than that, a lamp there does not stop an ego that drives.
-const FAINT: f64 = 0.3;
+const FAINT: f64 = 0.5;
 /// How sure a light must have been of late to be believed where none is, and to take another's place. Where there is
 /// none, networks are at times half sure of one for a frame, and who brakes for it stands below nothing.
 const FIRST: f64 = 1.0;
@@ -465,7 +465,7 @@ mod tests {
             lights.update(seen, 3.0, 0.1, |_| true).is_some_and(|light| light.stops())
         };
         assert!((0..10).all(|n| !stops(SignalState::GreenMajor, 8.0 - 0.3 * f64::from(n), 0.7)));
-        assert!((10..15).all(|n| !stops(SignalState::Red, 8.0 - 0.3 * f64::from(n), 0.2)));
+        assert!((10..15).all(|n| !stops(SignalState::Red, 8.0 - 0.3 * f64::from(n), 0.4)));
     }
 
     #[test]

@@ -14,6 +14,8 @@ use safetensors::Dtype;
 
 /// Channels at strides 2, 4, 8, 16, 32.
 pub(super) const CHANNELS: [i64; 5] = [16, 24, 48, 96, 160];
+/// Cells between the numbers of the second block at stride 32, which `eyes` have.
+pub(super) const WIDE: i64 = 2;
 /// Channels of the pyramid, and of what the heads see.
 pub(super) const PYRAMID: i64 = 32;
 /// Channels that the heads see.
@@ -104,11 +106,10 @@ pub fn graph(weights: &Weights, sees: Sees, numbers: Numbers<'_>) -> Result<Ir, 
         let (from, to) = (CHANNELS[i - 1], CHANNELS[i]);
         let path = format!("backbone.stride{}", 2 << i);
         let down = net.layer(x, &format!("{path}.down"), [from, to, 3, 2])?;
-        let first = net.layer(down, &format!("{path}.block.first"), [to, to, 3, 1])?;
-        let second = net.convolution(first, &format!("{path}.block.second"), [to, to, 3, 1], true)?;
-        let both = net.ir.sum(second, down);
-        let both = net.ir.relu(both);
-        x = net.rounded(both)?;
+        x = net.block(down, &format!("{path}.block"), to, 1)?;
+        if sees == Sees::Road && i == CHANNELS.len() - 1 {
+            x = net.block(x, "backbone.wide", to, WIDE)?;
+        }
         levels.push(x);
     }
     let mut top: Option<Node> = None;
@@ -215,6 +216,18 @@ impl Builder<'_> {
         self.rounded(x)
     }
 
+    /// Two 3x3 convolutions round a shortcut.
+    fn block(&mut self, x: Node, path: &str, channels: i64, dilation: i64) -> Result<Node, WeightsError> {
+        let shape = [channels, channels, 3, 1];
+        let first = self.dilated(x, &format!("{path}.first"), shape, dilation, true)?;
+        let first = self.ir.relu(first);
+        let first = self.rounded(first)?;
+        let second = self.dilated(first, &format!("{path}.second"), shape, dilation, true)?;
+        let both = self.ir.sum(second, x);
+        let both = self.ir.relu(both);
+        self.rounded(both)
+    }
+
     /// A convolution with a bias, in single precision.
     fn head(&mut self, x: Node, name: &str, shape: [i64; 4]) -> Result<Node, WeightsError> {
         let numbers = std::mem::replace(&mut self.numbers, Numbers::Single);
@@ -228,7 +241,19 @@ impl Builder<'_> {
         &mut self,
         x: Node,
         name: &str,
+        shape: [i64; 4],
+        normed: bool,
+    ) -> Result<Node, WeightsError> {
+        self.dilated(x, name, shape, 1, normed)
+    }
+
+    /// The same with numbers that lie `dilation` cells apart.
+    fn dilated(
+        &mut self,
+        x: Node,
+        name: &str,
         [from, to, side, stride]: [i64; 4],
+        dilation: i64,
         normed: bool,
     ) -> Result<Node, WeightsError> {
         let of = |what: &str| format!("{name}.{what}");
@@ -262,7 +287,7 @@ impl Builder<'_> {
             w = self.ir.round(w, low, high, 255);
         }
         let bias = self.ir.floats(&[1, to_, 1, 1], &bias);
-        let x = self.ir.convolution(x, w, side_, stride as usize);
+        let x = self.ir.convolution(x, w, side_, stride as usize, dilation as usize);
         Ok(self.ir.sum(x, bias))
     }
 }

@@ -44,6 +44,8 @@ pub struct Kernel {
     /// Side, odd (or 4 where `up`).
     pub side: i64,
     pub stride: i64,
+    /// Cells between the numbers that are summed.
+    pub dilation: i64,
     /// Upwards: a transposed convolution.
     pub up: bool,
     /// Followed by batch norm, which then brings the bias.
@@ -53,12 +55,17 @@ pub struct Kernel {
 impl Kernel {
     /// `side` x `side` with batch norm.
     pub const fn normed(side: i64, stride: i64) -> Self {
-        Self { side, stride, up: false, norm: true }
+        Self { side, stride, dilation: 1, up: false, norm: true }
+    }
+
+    /// 3x3 with batch norm, `dilation` cells apart.
+    pub const fn dilated(dilation: i64) -> Self {
+        Self { side: 3, stride: 1, dilation, up: false, norm: true }
     }
 
     /// `side` x `side` with a bias.
     pub const fn plain(side: i64) -> Self {
-        Self { side, stride: 1, up: false, norm: false }
+        Self { side, stride: 1, dilation: 1, up: false, norm: false }
     }
 }
 
@@ -74,7 +81,7 @@ pub struct Conv {
 impl Conv {
     /// A convolution of `from` to `to` channels; He's normal initialisation.
     pub fn new(path: &Path<'_>, from: i64, to: i64, kernel: Kernel) -> Self {
-        let Kernel { side, stride, up, norm } = kernel;
+        let Kernel { side, stride, up, norm, .. } = kernel;
         let (shape, seen) = if up {
             ([from, to, side, side], from * side * side / (stride * stride))
         } else {
@@ -100,12 +107,21 @@ impl Conv {
         })
     }
 
+    /// Batch norm answers 0 at first: a layer round a shortcut that changes nothing until it learns.
+    ///
+    /// # Errors
+    /// torch fails.
+    pub fn begin_silent(&mut self) -> Result<(), TchError> {
+        let Some(norm) = &mut self.norm else { return Ok(()) };
+        tch::no_grad(|| norm.scale.f_fill_(0.0).map(|_| ()))
+    }
+
     /// The convolution, and batch norm after it, in the precision of `x`.
     ///
     /// # Errors
     /// torch fails.
     pub fn forward(&self, x: &Tensor, train: bool) -> Result<Tensor, TchError> {
-        let Kernel { side, stride, up, .. } = self.kernel;
+        let Kernel { side, stride, dilation, up, .. } = self.kernel;
         let weight = self.weight.f_to_kind(x.kind())?;
         let bias = self.bias.as_ref().map(|b| b.f_to_kind(x.kind())).transpose()?;
         let bias = bias.as_ref();
@@ -113,7 +129,7 @@ impl Conv {
             let pad = (side - stride) / 2;
             x.f_conv_transpose2d(&weight, bias, [stride; 2], [pad; 2], [0; 2], 1, [1; 2])?
         } else {
-            x.f_conv2d(&weight, bias, [stride; 2], [side / 2; 2], [1; 2], 1)?
+            x.f_conv2d(&weight, bias, [stride; 2], [side / 2 * dilation; 2], [dilation; 2], 1)?
         };
         self.norm.as_ref().map_or(Ok(x.shallow_clone()), |norm| norm.forward(&x, train))
     }

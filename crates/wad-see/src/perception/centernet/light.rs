@@ -6,10 +6,13 @@
 //!                      32 <--up-- 32 <---up---- 32 <---up----- 32      3x3 at /4 -> 48
 //! ```
 //!
+//! In `eyes` the last level has a second block whose numbers lie [`WIDE`] cells apart: from a near vehicle's middle its
+//! edges are farther away than the others see.
+//!
 //! Plain 3x3 convolutions: on processors they come nearer to the peak than depthwise ones. Batch norm is
 //! folded into them for use.
 
-use super::graph::{CHANNELS, OUT, PYRAMID};
+use super::graph::{CHANNELS, OUT, PYRAMID, WIDE};
 use super::layer::{Conv, Kernel};
 use tch::nn::Path;
 use tch::{TchError, Tensor};
@@ -22,11 +25,14 @@ struct Block {
 }
 
 impl Block {
-    fn new(path: &Path<'_>, channels: i64) -> Self {
-        Self {
-            first: Conv::new(&(path / "first"), channels, channels, Kernel::normed(3, 1)),
-            second: Conv::new(&(path / "second"), channels, channels, Kernel::normed(3, 1)),
-        }
+    fn new(path: &Path<'_>, channels: i64, dilation: i64) -> Self {
+        let conv = |name: &str| Conv::new(&(path / name), channels, channels, Kernel::dilated(dilation));
+        Self { first: conv("first"), second: conv("second") }
+    }
+
+    fn fold(&mut self) -> Result<(), TchError> {
+        self.first.fold()?;
+        self.second.fold()
     }
 
     fn forward(&self, x: &Tensor, train: bool) -> Result<Tensor, TchError> {
@@ -41,14 +47,19 @@ pub struct Light {
     stem: [Conv; 2],
     /// Strides 8, 16, 32: the way down and the block there.
     down: Vec<(Conv, Block)>,
+    /// The last level's second block; None: it has none.
+    wide: Option<Block>,
     /// Strides 4, 8, 16, 32.
     lateral: Vec<Conv>,
     smooth: Conv,
 }
 
 impl Light {
-    /// With variables under `path`.
-    pub fn new(path: &Path<'_>) -> Self {
+    /// With variables under `path`, and `wide` with a second block at the last level.
+    ///
+    /// # Errors
+    /// torch fails.
+    pub fn new(path: &Path<'_>, wide: bool) -> Result<Self, TchError> {
         let [a, b, ..] = CHANNELS;
         let stem = [
             Conv::new(&(path / "stem1"), 3, a, Kernel::normed(3, 2)),
@@ -60,10 +71,14 @@ impl Light {
                 let (from, to) = (CHANNELS[i - 1], CHANNELS[i]);
                 (
                     Conv::new(&(&path / "down"), from, to, Kernel::normed(3, 2)),
-                    Block::new(&(&path / "block"), to),
+                    Block::new(&(&path / "block"), to, 1),
                 )
             })
             .collect();
+        let mut wide = wide.then(|| Block::new(&(path / "wide"), CHANNELS[CHANNELS.len() - 1], WIDE));
+        if let Some(block) = &mut wide {
+            block.second.begin_silent()?;
+        }
         let lateral = (1..CHANNELS.len())
             .map(|i| {
                 let path = path / format!("lateral{}", 2 << i);
@@ -71,7 +86,7 @@ impl Light {
             })
             .collect();
         let smooth = Conv::new(&(path / "smooth"), PYRAMID, OUT, Kernel::normed(3, 1));
-        Self { stem, down, lateral, smooth }
+        Ok(Self { stem, down, wide, lateral, smooth })
     }
 
     /// Pictures (n, 3, h, w) to (n, [`OUT`], h / 4, w / 4).
@@ -86,6 +101,9 @@ impl Light {
             let last = &levels[levels.len() - 1];
             let x = down.forward(last, train)?.f_relu_()?;
             levels.push(block.forward(&x, train)?);
+        }
+        if let (Some(block), Some(last)) = (&self.wide, levels.last_mut()) {
+            *last = block.forward(last, train)?;
         }
         let mut top: Option<Tensor> = None;
         for (level, lateral) in levels.iter().zip(&self.lateral).rev() {
@@ -111,9 +129,8 @@ impl Light {
         }
         for (down, block) in &mut self.down {
             down.fold()?;
-            block.first.fold()?;
-            block.second.fold()?;
+            block.fold()?;
         }
-        Ok(())
+        self.wide.as_mut().map_or(Ok(()), Block::fold)
     }
 }

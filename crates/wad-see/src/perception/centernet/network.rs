@@ -60,7 +60,10 @@ impl CenterNet {
         let store = nn::VarStore::new(device);
         let root = store.root();
         let (features, channels) = match backbone {
-            Backbone::Light => (Features::Light(Light::new(&(&root / "backbone"))), OUT),
+            Backbone::Light => {
+                let wide = sees == Sees::Road;
+                (Features::Light(Light::new(&(&root / "backbone"), wide)?), OUT)
+            }
             Backbone::Resnet50V2 => (Features::Resnet(Resnet50V2::new(&(&root / "backbone"))), resnet::OUT),
         };
         let head = |name: &str, to: i64| {
@@ -198,7 +201,8 @@ impl CenterNet {
         device: Device,
     ) -> Result<Self, WeightsError> {
         let has = |name: &str| weights.tensors.iter().any(|(one, _)| one == name);
-        Self::filled(weights, known, sees, device, |name| name.starts_with("road.") && !has(name))
+        let of_eyes = |name: &str| ["road.", "backbone.wide."].iter().any(|part| name.starts_with(part));
+        Self::filled(weights, known, sees, device, |name| of_eyes(name) && !has(name))
     }
 
     fn filled(

@@ -5,7 +5,7 @@ use super::kind::{Backbone, Sees};
 use super::network::CenterNet;
 use super::{CenterNetDetector, resnet};
 use crate::weights::WeightsError;
-use tch::Device;
+use tch::{Device, Kind, Tensor};
 use wad_camera::{CameraConfig, Frame};
 
 #[test]
@@ -63,4 +63,27 @@ fn the_weights_that_travel_with_the_program_are_of_its_camera() {
     detector.detect(&frame, &CameraConfig::default(), &mut found).unwrap();
     // Nothing is there to be seen.
     assert!(found.len() <= 2, "{found:?}");
+}
+
+#[test]
+fn eyes_from_before_their_wide_block_see_as_they_did() {
+    let network = CenterNet::new(Backbone::Light, Sees::Road, Device::Cpu).unwrap();
+    let mut weights = network.weights(&[]).unwrap();
+    let all = weights.tensors.len();
+    weights.tensors.retain(|(name, _)| !name.starts_with("backbone.wide."));
+    assert_eq!(all - weights.tensors.len(), 10);
+    let begun = CenterNet::begun_with(&weights, Sees::Road, Sees::Road, Device::Cpu).unwrap();
+    let error = CenterNet::from_weights(&weights, Sees::Road, Device::Cpu).unwrap_err().to_string();
+    assert!(error.contains("backbone.wide."), "{error}");
+
+    // CenterNet has no such block.
+    weights.metadata.insert("network".to_string(), "centernet".to_string());
+    let without = CenterNet::from_weights(&weights, Sees::Objects, Device::Cpu).unwrap();
+    let pictures = Tensor::f_rand([1, 3, 64, 64], (Kind::Float, Device::Cpu)).unwrap();
+    let heat = |network: &CenterNet| network.forward(&pictures, false).unwrap().heat;
+    let before = heat(&without);
+    assert_eq!(heat(&begun).f_sub(&before).unwrap().abs().max().double_value(&[]), 0.0);
+    let mut scale = begun.store.variables().remove("backbone.wide.second.scale").unwrap();
+    tch::no_grad(|| scale.f_fill_(1.0).map(|_| ())).unwrap();
+    assert!(heat(&begun).f_sub(&before).unwrap().abs().max().double_value(&[]) > 1e-3);
 }
