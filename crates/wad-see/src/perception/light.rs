@@ -126,12 +126,10 @@ const HALF: f64 = 0.4;
 const FADES: f64 = 0.6;
 /// Green after red or yellow must have been seen so many times as much as both: it may be another lane's.
 const GOES: f64 = 2.0;
-/// And so surely, as long as the ego's own heads are in the picture: this far before the line (m). Nearer to it only faint ones
-/// across the junction are seen.
+/// And so surely, as long as the ego's own heads are in the picture: this far before the line (m). Nearer to it only those across
+/// the junction are seen, often of others: a light that turns there does not stop an ego that drives.
 const SURELY: f64 = 0.8;
 const HEADS: f64 = 5.5;
-/// Less sure than that, a lamp there does not stop an ego that drives.
-const FAINT: f64 = 0.5;
 /// How sure a light must have been of late to be believed where none is, and to take another's place. Where there is
 /// none, networks are at times half sure of one for a frame, and who brakes for it stands below nothing.
 const FIRST: f64 = 1.0;
@@ -147,9 +145,7 @@ const JUNCTION: f64 = 12.0;
 /// The ego is to stop this much before the line (m), where it still sees when the near heads turn green: drivers stop 2 m
 /// before what they are told, and from 8 m on the heads over the lane are in the rows that networks see.
 const STAND: f64 = 6.0;
-/// A light that turns while the ego drives does not stop it within this of the line (m), or where it cannot stop with
-/// this (m/s2). There the network sees far heads only, often of others.
-const LATE: f64 = 3.0;
+/// Nor does one that turns where the ego cannot stop with this (m/s2).
 const BRAKE: f64 = 6.0;
 /// Below this the ego stands (m/s).
 const CREEPS: f64 = 0.5;
@@ -231,8 +227,7 @@ impl Track {
     /// Seen again, after a tick (s) at a speed (m/s) by which it is nearer.
     fn again(&mut self, seen: SeenLight, speed: f64, tick: f64) {
         let certainty = f64::from(seen.certainty);
-        let blind = if certainty < FAINT { HEADS } else { LATE };
-        let late = blind.max(speed * speed / (2.0 * BRAKE));
+        let late = HEADS.max(speed * speed / (2.0 * BRAKE));
         // From green to yellow or red, or from yellow to red: who has not braked for yellow crosses.
         let turns = lamp(seen.state) < lamp(self.light.state);
         if turns && speed > CREEPS && self.light.distance < late {
@@ -458,14 +453,14 @@ mod tests {
         let mut stops = |seen| lights.update(seen, 5.0, 0.1, |_| true).is_some_and(|light| light.stops());
         assert!((0..20).all(|n| !stops(seen(SignalState::GreenMajor, 12.0 - 0.5 * f64::from(n)))));
         assert!((0..15).all(|_| !stops(seen(SignalState::Red, 2.2))));
-        // Nor by faint heads across the junction, once its own are above the picture.
+        // Nor by heads across the junction, once its own are above the picture.
         let mut lights = SeenLights::default();
         let mut stops = |state, distance, certainty| {
             let seen = Some(SeenLight { state, distance, certainty });
             lights.update(seen, 3.0, 0.1, |_| true).is_some_and(|light| light.stops())
         };
         assert!((0..10).all(|n| !stops(SignalState::GreenMajor, 8.0 - 0.3 * f64::from(n), 0.7)));
-        assert!((10..15).all(|n| !stops(SignalState::Red, 8.0 - 0.3 * f64::from(n), 0.4)));
+        assert!((10..15).all(|n| !stops(SignalState::Red, 8.0 - 0.3 * f64::from(n), 0.8)));
     }
 
     #[test]

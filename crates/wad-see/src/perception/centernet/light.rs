@@ -6,7 +6,7 @@
 //!                      32 <--up-- 32 <---up---- 32 <---up----- 32      3x3 at /4 -> 48
 //! ```
 //!
-//! In `eyes` the last level has a second block whose numbers lie [`WIDE`] cells apart: from a near vehicle's middle its
+//! In `eyes` the last level has a second block whose numbers lie two cells apart: from a near vehicle's middle its
 //! edges are farther away than the others see.
 //!
 //! Plain 3x3 convolutions: on processors they come nearer to the peak than depthwise ones. Batch norm is
