@@ -19,7 +19,7 @@ pub(super) const FIRST_ANSWER: f64 = -2.19;
 
 #[derive(Debug)]
 enum Features {
-    Light(Light),
+    Light(Box<Light>),
     Resnet(Resnet50V2),
 }
 
@@ -62,7 +62,7 @@ impl CenterNet {
         let (features, channels) = match backbone {
             Backbone::Light => {
                 let wide = sees == Sees::Road;
-                (Features::Light(Light::new(&(&root / "backbone"), wide)?), OUT)
+                (Features::Light(Box::new(Light::new(&(&root / "backbone"), wide)?)), OUT)
             }
             Backbone::Resnet50V2 => (Features::Resnet(Resnet50V2::new(&(&root / "backbone"))), resnet::OUT),
         };
