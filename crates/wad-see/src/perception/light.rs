@@ -66,13 +66,14 @@ impl StopLight {
         *self = Self::default();
     }
 
-    /// The distance (m) to the line where an ego at `speed` (m/s) has to stop.
-    pub fn update(&mut self, light: Option<&LightAhead>, speed: f64) -> Option<f64> {
+    /// The distance (m) to the place where an ego at `speed` (m/s) has to stop. That place is `early` (m) before the line: who
+    /// can stop at the line has to.
+    pub fn update(&mut self, light: Option<&LightAhead>, early: f64, speed: f64) -> Option<f64> {
         let light = light.filter(|light| light.stops());
         self.decided = light.and_then(|light| {
             // Further ahead than before: another light.
             let same = self.decided.is_some_and(|before| light.distance < before + 1.0);
-            let room = (light.distance - speed * DELAY).max(0.01);
+            let room = (light.distance + early - speed * DELAY).max(0.01);
             let can = speed * speed <= 2.0 * YELLOW * room;
             (same || can || light.state.is_red()).then_some(light.distance)
         });
@@ -144,7 +145,7 @@ const PASSED: f64 = 1.5;
 const JUNCTION: f64 = 12.0;
 /// The ego is to stop this much before the line (m), where it still sees when the near heads turn green: drivers stop 2 m
 /// before what they are told, and from 8 m on the heads over the lane are in the rows that networks see.
-const STAND: f64 = 6.0;
+pub const STAND: f64 = 6.0;
 /// Nor does one that turns where the ego cannot stop with this (m/s2).
 const BRAKE: f64 = 6.0;
 /// Below this the ego stands (m/s).
@@ -313,17 +314,20 @@ mod tests {
         let yellow = |distance| LightAhead { state: SignalState::Yellow, distance };
         let mut light = StopLight::default();
         // 10 m/s: 16.7 m at 3 m/s2, and 2 m before it begins.
-        assert_eq!(light.update(Some(&yellow(18.0)), 10.0), None);
-        assert_eq!(light.update(Some(&yellow(19.0)), 10.0), Some(19.0));
-        assert_eq!(light.update(Some(&yellow(17.0)), 10.0), Some(17.0), "it began to brake");
+        assert_eq!(light.update(Some(&yellow(18.0)), 0.0, 10.0), None);
+        assert_eq!(light.update(Some(&yellow(19.0)), 0.0, 10.0), Some(19.0));
+        assert_eq!(light.update(Some(&yellow(17.0)), 0.0, 10.0), Some(17.0), "it began to brake");
         // The next light is another matter.
-        assert_eq!(light.update(Some(&yellow(18.5)), 10.0), None);
+        assert_eq!(light.update(Some(&yellow(18.5)), 0.0, 10.0), None);
         let red = LightAhead { state: SignalState::Red, distance: 5.0 };
-        assert_eq!(light.update(Some(&red), 14.0), Some(5.0));
-        assert_eq!(light.update(None, 14.0), None);
-        light.update(Some(&yellow(19.0)), 10.0);
+        assert_eq!(light.update(Some(&red), 0.0, 14.0), Some(5.0));
+        assert_eq!(light.update(None, 0.0, 14.0), None);
+        light.update(Some(&yellow(19.0)), 0.0, 10.0);
         light.reset();
-        assert_eq!(light.update(Some(&yellow(17.0)), 10.0), None);
+        assert_eq!(light.update(Some(&yellow(17.0)), 0.0, 10.0), None);
+        // A place to stop at that is before the line changes where to stop, not whether.
+        assert_eq!(light.update(Some(&yellow(12.0)), STAND, 10.0), None);
+        assert_eq!(light.update(Some(&yellow(13.0)), STAND, 10.0), Some(13.0));
     }
 
     #[test]

@@ -197,7 +197,8 @@ impl Perception {
         (self.percept.lead, self.percept.crossing) = (lead, crossing);
         let lead = lead.into_iter().chain(crossing).min_by(|a, b| a.gap.total_cmp(&b.gap));
         let speed = facts.on_route.state.speed;
-        let stop_light = self.stop_light.update(light.as_ref(), speed).filter(|d| *d <= lead::SIGHT);
+        let early = if self.detector.seen().is_some() { light::STAND } else { 0.0 };
+        let stop_light = self.stop_light.update(light.as_ref(), early, speed).filter(|d| *d <= lead::SIGHT);
         self.percept.raw = RawState::of(facts.route, &facts.on_route, lead, stop_light);
     }
 
