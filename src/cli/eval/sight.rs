@@ -9,7 +9,7 @@ use wad_cosim::camera::{CameraConfig, Frame, Outputs, Preset};
 use wad_cosim::drive::{Drive, DriveOptions};
 use wad_cosim::eyes::Eyes;
 use wad_cosim::perception::sight_score::{LaneScore, LaneTruth, LeadScore, LeadTruth, MEASURED_AT};
-use wad_cosim::perception::{self, EgoFacts, NearGaps, Perception, lead};
+use wad_cosim::perception::{self, EgoFacts, NearGaps, Perception};
 use wad_cosim::traffic::TrafficSpec;
 use wad_cosim::world::WorldState;
 
@@ -86,23 +86,6 @@ async fn drive(
     let mut gaps = NearGaps::new(args.seed);
     for tick in 0..args.ticks {
         drive.tick().await.map_err(run::with_exit)?;
-        let now = drive.respawns();
-        let mut facts = EgoFacts::of(drive.bridge().network(), drive.ego(), drive.bridge().tick());
-        if args.near {
-            let Some(next) = LeadTruth::nearest(&facts, drive.ego().world(), |_| true) else { continue };
-            facts = facts.moved(next.gap - gaps.draw());
-        }
-        for (index, (eyes, &weather)) in eyes.iter_mut().zip(weathers).enumerate() {
-            if args.near || now != respawns {
-                eyes.reset(weather, args.seed);
-            }
-            eyes.follow(drive.ego().world());
-            eyes.look(&facts)?;
-            if let (Some(frame), Some(perception)) = (eyes.frame(), eyes.perception()) {
-                score(index, frame, perception, &facts, drive.ego().world());
-            }
-        }
-        respawns = now;
         match &bar {
             Some(bar) => bar.inc(1),
             None if (tick + 1) % 300 == 0 => {
@@ -110,6 +93,24 @@ async fn drive(
             }
             None => {}
         }
+        let now = drive.respawns();
+        let world = drive.ego().world();
+        let mut facts = EgoFacts::of(drive.bridge().network(), drive.ego(), drive.bridge().tick());
+        if args.near {
+            let Some(next) = LeadTruth::nearest(&facts, world, |_| true) else { continue };
+            facts = facts.moved(next.gap - gaps.draw());
+        }
+        for (index, (eyes, &weather)) in eyes.iter_mut().zip(weathers).enumerate() {
+            if args.near || now != respawns {
+                eyes.reset(weather, args.seed);
+            }
+            eyes.follow(world);
+            eyes.look(&facts)?;
+            if let (Some(frame), Some(perception)) = (eyes.frame(), eyes.perception()) {
+                score(index, frame, perception, &facts, world);
+            }
+        }
+        respawns = now;
     }
     if let Some(bar) = bar {
         bar.finish_and_clear();
@@ -185,9 +186,11 @@ pub async fn lead(args: Args) -> anyhow::Result<Exit> {
         if args.near || facts.on_route.state.speed > STANDS {
             let percept = perception.percept();
             let there = LeadTruth::find(facts, world, frame);
-            let nearest = lead::nearest(&percept.detections, perception.ground(), facts);
-            let by = nearest.and_then(|one| percept.detections.get(one.detection));
-            tracing::debug!("lead: {:?} believed, {there:?} there, seen as {by:?}", percept.lead);
+            tracing::debug!(
+                "lead: {:?} believed, {there:?} there, by {:?}",
+                percept.lead,
+                percept.detections
+            );
             score.add(there, percept.lead);
         }
     })

@@ -17,6 +17,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use wad_camera::CameraConfig;
+use wad_see::perception::NearGaps;
 use wad_sim::assets::Assets;
 use wad_sim::bundled;
 use wad_sim::traffic::TrafficSpec;
@@ -354,9 +355,9 @@ async fn collect_segment(shared: &Shared<'_>, segment: Segment) -> Result<(), Da
     Ok(())
 }
 
-/// Lowest box that a frame is kept for (pixels), and widest gap that counts as near (m).
+/// Lowest box that a frame is kept for (pixels), and widest gap that counts as near (m): bends change one that was drawn.
 const SHOWN: u32 = 16;
-const NEAR: f64 = 5.5;
+const NEAR: f64 = NearGaps::RANGE.end + 0.5;
 
 /// Whether an object of a class that is to be shown is in sight, and somebody near where that is wanted.
 fn is_wanted(record: &FrameRecord, options: &CollectOptions) -> bool {

@@ -94,7 +94,8 @@ impl Eye {
         let mut facts =
             EgoFacts { signals: &world.traffic_lights, ..EgoFacts::of(network, ego, moment.since) };
         if let Some(gaps) = &mut self.gaps {
-            let all = world.vehicles.iter().chain(&world.pedestrians).map(|actor| (actor, SEEN_PIXELS));
+            // Whoever is there, for nobody has looked yet.
+            let all = world.vehicles.iter().chain(&world.pedestrians).map(|actor| (actor, u32::MAX));
             if let Some(gap) = nearest_in_lane(&facts, all) {
                 facts = facts.moved(gap - gaps.draw());
             }

@@ -2,6 +2,7 @@
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
+use std::ops::Range;
 use std::sync::Arc;
 use sumo_network::geometry::{Pose, wrap_angle};
 use sumo_network::network::{Network, Route};
@@ -61,13 +62,16 @@ impl<'a> EgoFacts<'a> {
 pub struct NearGaps(ChaCha8Rng);
 
 impl NearGaps {
+    /// What is drawn from.
+    pub const RANGE: Range<f64> = 0.2..5.0;
+
     /// Equal seeds, equal gaps.
     pub fn new(seed: u64) -> Self {
         Self(seeds::rng(seed, "gaps"))
     }
 
-    /// The next one: 0.2 to 5 m.
+    /// The next one.
     pub fn draw(&mut self) -> f64 {
-        self.0.random_range(0.2..5.0)
+        self.0.random_range(Self::RANGE)
     }
 }

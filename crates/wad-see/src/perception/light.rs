@@ -145,7 +145,7 @@ const PASSED: f64 = 1.5;
 const JUNCTION: f64 = 12.0;
 /// The ego is to stop this much before the line (m), where it still sees when the near heads turn green: drivers stop 2 m
 /// before what they are told, and from 8 m on the heads over the lane are in the rows that networks see.
-pub const STAND: f64 = 6.0;
+pub(super) const STAND: f64 = 6.0;
 /// Nor does one that turns where the ego cannot stop with this (m/s2).
 const BRAKE: f64 = 6.0;
 /// Below this the ego stands (m/s).

@@ -60,7 +60,7 @@ impl Kernel {
 
     /// 3x3 with batch norm, `dilation` cells apart.
     pub const fn dilated(dilation: i64) -> Self {
-        Self { side: 3, stride: 1, dilation, up: false, norm: true }
+        Self { dilation, ..Self::normed(3, 1) }
     }
 
     /// `side` x `side` with a bias.

@@ -73,7 +73,7 @@ impl Resnet50V2 {
             }
         }
         let after = Norm::new(&(path / "after"), from);
-        let kernel = Kernel { side: 4, stride: 2, up: true, ..Kernel::normed(4, 2) };
+        let kernel = Kernel { up: true, ..Kernel::normed(4, 2) };
         let up = UP
             .iter()
             .enumerate()
