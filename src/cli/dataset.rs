@@ -43,6 +43,7 @@ Examples:
   wad-cosim dataset collect --frames 20000 --camera --out data/detector              (pictures for a detector)
   wad-cosim dataset collect --frames 20000 --camera --vary all --out data/varied     (other streets in each shard)
   wad-cosim dataset collect --frames 5000 --camera --near --out data/near            (close behind others)
+  wad-cosim dataset collect --frames 5000 --camera --near --showing person --out data/people
   wad-cosim dataset collect --from runs/mine --from runs/yours --out data/runs       (frames of recorded runs)
 
 Run the same command again to continue an interrupted collection. Frames of town5 are test data: `train` refuses them.";
@@ -86,7 +87,7 @@ pub struct CollectArgs {
     #[arg(long, value_name = "CLASS", value_delimiter = ',', value_parser = class)]
     showing: Vec<ObjectClass>,
     /// Look from places where the autopilot never stands: 0.2 to 5 m behind whoever is next in the ego's lane. Frames with
-    /// nobody there are left out.
+    /// nobody there are left out. With `--showing person` (or without person) behind the next person (or vehicle).
     #[arg(long)]
     near: bool,
     /// In pictures and labels, signals show lamps drawn at random, lane by lane; traffic obeys the real ones.

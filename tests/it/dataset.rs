@@ -3,7 +3,8 @@
 use serde_json::Value;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
-use wad_cosim::dataset::{Dataset, FrameRecord};
+use wad_cosim::camera::model::ObjectClass;
+use wad_cosim::dataset::{BoxRecord, Dataset, FrameRecord};
 use wad_cosim::world::SignalState;
 
 fn wad(args: &[&str], folder: &Path) -> Output {
@@ -111,6 +112,25 @@ fn near_frames_show_somebody_close_ahead() {
     let output = wad(&[&["dataset", "collect"], &args[..10]].concat(), &path);
     let error = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(output.status.code() == Some(2) && error.contains("near"), "{error}");
+}
+
+/// With `--showing person` it looks from close behind people, whoever else is nearer.
+#[test]
+fn near_people_are_people() {
+    let folder = tempfile::tempdir().unwrap();
+    let args =
+        ["--town", "town3", "--frames", "12", "--per-shard", "12", "--every", "1", "--seed", "3", "--near"];
+    let path = folder.path().join("people");
+    collect(&path, &[&args[..], &["--showing", "person"]].concat());
+    let mut reader = Dataset::open(&path, false).unwrap().reader(0).unwrap();
+    let frames: Vec<FrameRecord> = std::iter::from_fn(|| reader.next_record().unwrap()).collect();
+    assert_eq!(frames.len(), 12);
+    for frame in frames {
+        let gap = frame.labels.pedestrian.unwrap_or(f64::INFINITY);
+        let stands = |b: &&BoxRecord| f64::from(b.depth) > gap && f64::from(b.depth) < gap + 6.0;
+        let shown = frame.boxes.iter().filter(|b| b.class == ObjectClass::Person).find(stands);
+        assert!(gap <= 5.5 && shown.is_some(), "{gap} m: {:?}", frame.boxes);
+    }
 }
 
 /// Plain images have nothing painted; all else stays.

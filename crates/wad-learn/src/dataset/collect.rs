@@ -362,9 +362,10 @@ const NEAR: f64 = NearGaps::RANGE.end + 0.5;
 /// Whether an object of a class that is to be shown is in sight, and somebody near where that is wanted.
 fn is_wanted(record: &FrameRecord, options: &CollectOptions) -> bool {
     let shows = |b: &BoxRecord| options.showing.contains(&b.class) && b.visible[3] - b.visible[1] >= SHOWN;
-    let gaps = [record.labels.lead, record.labels.pedestrian];
+    let gaps = [record.labels.lead, record.labels.pedestrian].into_iter().zip(options.shows());
+    let mut near = gaps.filter_map(|(gap, counts)| gap.filter(|_| counts));
     (options.showing.is_empty() || record.boxes.iter().any(shows))
-        && (!options.near || gaps.into_iter().flatten().any(|gap| gap <= NEAR))
+        && (!options.near || near.any(|gap| gap <= NEAR))
 }
 
 async fn collect_run(

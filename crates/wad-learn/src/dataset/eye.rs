@@ -34,8 +34,8 @@ pub struct Eye {
     /// The format of camera pictures; None: they are not kept.
     codec: Option<CameraCodec>,
     signals: Option<RandomSignals>,
-    /// Draws gaps, where the ego is to be near.
-    gaps: Option<NearGaps>,
+    /// Draws gaps, where the ego is to be near; whether to vehicles and to people.
+    near: Option<(NearGaps, [bool; 2])>,
 }
 
 /// A frame's facts that do not come from camera and perception.
@@ -64,9 +64,9 @@ impl Eye {
         let eyes = eyes.with_outputs(outputs).with_image(options.image);
         let codec = options.camera.then(CameraCodec::best);
         let signals = options.random_signals.then(|| RandomSignals::new(segment.seed));
-        let gaps = options.near.then(|| NearGaps::new(segment.seed));
+        let near = options.near.then(|| (NearGaps::new(segment.seed), options.shows()));
         let weather = segment.varied_weather(&options.vary);
-        let mut eye = Self { segment, weather, eyes, heads, signs, codec, signals, gaps };
+        let mut eye = Self { segment, weather, eyes, heads, signs, codec, signals, near };
         eye.reset();
         Ok(eye)
     }
@@ -93,9 +93,11 @@ impl Eye {
         }
         let mut facts =
             EgoFacts { signals: &world.traffic_lights, ..EgoFacts::of(network, ego, moment.since) };
-        if let Some(gaps) = &mut self.gaps {
+        if let Some((gaps, counts)) = &mut self.near {
             // Whoever is there, for nobody has looked yet.
-            let all = world.vehicles.iter().chain(&world.pedestrians).map(|actor| (actor, u32::MAX));
+            let kinds =
+                [&world.vehicles, &world.pedestrians].into_iter().zip(*counts).filter(|(_, count)| *count);
+            let all = kinds.flat_map(|(actors, _)| actors).map(|actor| (actor, u32::MAX));
             if let Some(gap) = nearest_in_lane(&facts, all) {
                 facts = facts.moved(gap - gaps.draw());
             }

@@ -34,7 +34,8 @@ pub struct CollectOptions {
     pub every: f64,
     /// Keep only frames that show an object of one of these classes; empty: all frames.
     pub showing: Vec<ObjectClass>,
-    /// The camera looks from a place close behind whoever is next in the ego's lane; other frames are left out.
+    /// The camera looks from a place close behind whoever is next in the ego's lane, of what is to be shown; other frames
+    /// are left out.
     pub near: bool,
     /// Signals show lamps drawn at random in pictures and labels, lane by lane; traffic obeys the real ones.
     pub random_signals: bool,
@@ -74,5 +75,12 @@ impl CollectOptions {
             jobs: 1,
             time_limit: None,
         }
+    }
+
+    /// Whether vehicles, and people, are to be shown.
+    pub(super) fn shows(&self) -> [bool; 2] {
+        let any =
+            |is_person: bool| self.showing.iter().any(|class| (*class == ObjectClass::Person) == is_person);
+        [false, true].map(|is_person| self.showing.is_empty() || any(is_person))
     }
 }
