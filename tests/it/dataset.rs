@@ -20,6 +20,12 @@ fn collect(folder: &Path, args: &[&str]) -> Value {
     serde_json::from_str(text.lines().last().unwrap_or_default()).expect("a JSON line")
 }
 
+/// The frames of a dataset's first shard.
+fn records(folder: &Path) -> Vec<FrameRecord> {
+    let mut reader = Dataset::open(folder, false).unwrap().reader(0).unwrap();
+    std::iter::from_fn(|| reader.next_record().unwrap()).collect()
+}
+
 fn shards(folder: &Path) -> Vec<(String, Vec<u8>)> {
     let mut shards: Vec<_> = std::fs::read_dir(folder)
         .unwrap()
@@ -63,8 +69,7 @@ fn random_signals_change_the_lamps_and_nothing_else() {
     let frames = |name: &str, more: &[&str]| -> Vec<FrameRecord> {
         let path = folder.path().join(name);
         collect(&path, &[&args[..], more].concat());
-        let mut reader = Dataset::open(&path, false).unwrap().reader(0).unwrap();
-        std::iter::from_fn(|| reader.next_record().unwrap()).collect()
+        records(&path)
     };
     let (real, drawn) = (frames("real", &[]), frames("drawn", &["--random-signals"]));
     assert_eq!((real.len(), drawn.len()), (50, 50));
@@ -95,8 +100,7 @@ fn near_frames_show_somebody_close_ahead() {
         ["--town", "town3", "--frames", "30", "--per-shard", "30", "--every", "1", "--seed", "3", "--near"];
     let path = folder.path().join("near");
     collect(&path, &args);
-    let mut reader = Dataset::open(&path, false).unwrap().reader(0).unwrap();
-    let frames: Vec<FrameRecord> = std::iter::from_fn(|| reader.next_record().unwrap()).collect();
+    let frames = records(&path);
     let gaps: Vec<f64> = frames
         .iter()
         .map(|one| one.labels.lead.into_iter().chain(one.labels.pedestrian).fold(f64::INFINITY, f64::min))
@@ -122,8 +126,7 @@ fn near_people_are_people() {
         ["--town", "town3", "--frames", "12", "--per-shard", "12", "--every", "1", "--seed", "3", "--near"];
     let path = folder.path().join("people");
     collect(&path, &[&args[..], &["--showing", "person"]].concat());
-    let mut reader = Dataset::open(&path, false).unwrap().reader(0).unwrap();
-    let frames: Vec<FrameRecord> = std::iter::from_fn(|| reader.next_record().unwrap()).collect();
+    let frames = records(&path);
     assert_eq!(frames.len(), 12);
     for frame in frames {
         let gap = frame.labels.pedestrian.unwrap_or(f64::INFINITY);
