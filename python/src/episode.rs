@@ -203,7 +203,7 @@ fn painter(tasks: &Tasks, setup: &Setup, recorded: bool) -> Result<Eyes, EyesErr
     if !recorded || setup.options.observation.looks() {
         return Eyes::camera(town, camera);
     }
-    let detector = perception::detector("truth", perception::MIN_SCORE)?;
+    let detector = perception::detector("truth", perception::LeastScore::Usual)?;
     Ok(Eyes::new(town, camera, detector)?.with_outputs(Outputs::RGB))
 }
 

@@ -12,7 +12,7 @@ use wad_cosim::camera::{CameraConfig, Instructions, Outputs, Preset};
 use wad_cosim::drive::DriveOptions;
 use wad_cosim::eyes::EyesError;
 use wad_cosim::latent::Encoder;
-use wad_cosim::perception::{self, DEFAULT_DETECTOR, DETECTORS, MIN_SCORE};
+use wad_cosim::perception::{self, DEFAULT_DETECTOR, DETECTORS, LeastScore};
 use wad_cosim::traffic::TrafficSpec;
 
 const EXAMPLES: &str = "\
@@ -84,7 +84,7 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
     let config = bundled::resolve(&args.config).map_err(|e| Exit::Input.because(e))?;
     let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
     let detector = (!args.no_perception)
-        .then(|| perception::detector(&args.detector, MIN_SCORE))
+        .then(|| perception::detector(&args.detector, LeastScore::Usual))
         .transpose()
         .map_err(|e| Exit::Input.because(e))?;
     let encoder = if detector.is_some() { encoder(&args.encoder)? } else { None };

@@ -52,7 +52,7 @@ impl Film {
         let inset = filmed.is_some() && wanted.view == RecordView::All;
         let looks = wanted.perception || inset || logged.is_some();
         if looks {
-            let detector = perception::detector(wanted.detector, perception::MIN_SCORE)
+            let detector = perception::detector(wanted.detector, perception::LeastScore::Usual)
                 .map_err(|e| Exit::Input.because(e))?;
             let eyes = Eyes::new(drive.assets().town(), CameraConfig::default(), detector)
                 .map_err(|e| Exit::Input.because(e))?;

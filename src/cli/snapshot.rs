@@ -163,8 +163,8 @@ struct StageParts {
 }
 
 fn stage_parts(args: &Args, stage: Stage) -> anyhow::Result<StageParts> {
-    let detector =
-        perception::detector(&args.detector, perception::MIN_SCORE).map_err(|e| Exit::Input.because(e))?;
+    let detector = perception::detector(&args.detector, perception::LeastScore::Usual)
+        .map_err(|e| Exit::Input.because(e))?;
     Ok(StageParts { stage, detector, decoder: decoder(args, stage)? })
 }
 

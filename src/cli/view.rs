@@ -164,7 +164,7 @@ pub fn artist(
     seed: u64,
 ) -> anyhow::Result<Artist> {
     let detector =
-        perception::detector(detector, perception::MIN_SCORE).map_err(|e| Exit::Input.because(e))?;
+        perception::detector(detector, perception::LeastScore::Usual).map_err(|e| Exit::Input.because(e))?;
     let mut eyes = Eyes::new(assets.town(), CameraConfig::default(), detector)?;
     eyes.reset(Preset::default(), seed);
     let decoder = agents::decoder(encoder.unwrap_or("default"));

@@ -11,7 +11,7 @@ use wad_cosim::criteria::Event;
 use wad_cosim::env::{Env, EnvOptions};
 use wad_cosim::eyes::Eyes;
 use wad_cosim::latent::PooledEncoder;
-use wad_cosim::perception::EgoFacts;
+use wad_cosim::perception::{EgoFacts, LeastScore};
 use wad_cosim::seeds;
 use wad_cosim::session::{Act, Itinerary, Seat, Session};
 use wad_cosim::tasks::{TaskKind, TaskSpec};
@@ -140,7 +140,7 @@ fn a_film_shows_what_the_agent_sees_whatever_the_seed() {
         ..BridgeOptions::new(assets.config(), dir.path().join("sumo"))
     };
     let options = wad_cosim::drive::DriveOptions::new(bridge, dir.path().join("again"));
-    let detector = wad_cosim::perception::detector("truth", 0.3).unwrap();
+    let detector = wad_cosim::perception::detector("truth", LeastScore::Usual).unwrap();
     let eyes = wad_cosim::eyes::Eyes::new(assets.town(), Default::default(), detector).unwrap();
     runtime().block_on(async {
         let mut drive = wad_cosim::drive::Drive::start(options).await.unwrap();
@@ -237,7 +237,7 @@ fn gaps(town: &str, seed: u64, counts: Counts) -> Vec<[Option<f64>; 2]> {
     let folder = tempfile::tempdir().unwrap();
     let assets = Assets::load(town).unwrap();
     let mut eyes = ["truth", "outlines"].map(|name| {
-        let detector = wad_cosim::perception::detector(name, 0.3).unwrap();
+        let detector = wad_cosim::perception::detector(name, LeastScore::Usual).unwrap();
         let mut eyes = Eyes::new(assets.town(), CameraConfig::default(), detector).unwrap();
         eyes.reset(Preset::ClearNoon, seed);
         eyes

@@ -40,7 +40,7 @@ async fn main() -> Result<(), Box<dyn Error>> {
     let mut session = Session::start(&assets, &options, vec![seat]).await?;
 
     // `truth`: the renderer's own boxes.
-    let detector = perception::detector("truth", perception::MIN_SCORE)?;
+    let detector = perception::detector("truth", perception::LeastScore::Usual)?;
     let mut eyes = Eyes::new(assets.town(), CameraConfig::default(), detector)?;
     eyes.reset(Preset::ClearNoon, seed);
 

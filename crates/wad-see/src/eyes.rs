@@ -159,7 +159,7 @@ impl Eyes {
             return Err(PerceptionError::Detector { name: detector.to_string(), why: why.to_string() }.into());
         }
         let eyes = if mode.looks() {
-            let detector = perception::detector(detector, perception::MIN_SCORE)?;
+            let detector = perception::detector(detector, perception::LeastScore::Usual)?;
             Self::new(assets.town(), camera, detector)?
         } else {
             Self::blind()

@@ -20,7 +20,8 @@ use wad_cosim::perception::score::{
 };
 use wad_cosim::perception::sight_score::{RoadReport, RoadScore};
 use wad_cosim::perception::{
-    DETECTORS, Detection, Detector, GroundPlane, Heads, LaneDetector, LightAhead, RoadTruth, Seen, detector,
+    DETECTORS, Detection, Detector, GroundPlane, Heads, LaneDetector, LeastScore, LightAhead, RoadTruth,
+    Seen, detector,
 };
 use wad_cosim::tour::Tour;
 use wad_cosim::traffic::TrafficSpec;
@@ -152,7 +153,8 @@ impl Roads {
 /// Runs the command.
 pub fn run(args: Args, what: Scored) -> anyhow::Result<Exit> {
     let config = bundled::resolve(&args.town).map_err(|e| Exit::Input.because(e))?;
-    let mut detector = detector(&args.detector, args.min_score).map_err(|e| Exit::Input.because(e))?;
+    let mut detector =
+        detector(&args.detector, LeastScore::Fixed(args.min_score)).map_err(|e| Exit::Input.because(e))?;
     let weathers = if args.weather.is_empty() { Preset::ALL.to_vec() } else { args.weather.clone() };
     let runtime = crate::cli::runtime()?;
     let mut times = Vec::new();

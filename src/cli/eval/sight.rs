@@ -68,7 +68,8 @@ async fn drive(
     let config = bundled::resolve(&args.config).map_err(|e| Exit::Input.because(e))?;
     let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
     let (width, height) = args.size;
-    let detectors = weathers.iter().map(|_| perception::detector(&args.detector, perception::MIN_SCORE));
+    let detectors =
+        weathers.iter().map(|_| perception::detector(&args.detector, perception::LeastScore::Usual));
     let detectors: Vec<_> = detectors.collect::<Result<_, _>>().map_err(|e| Exit::Input.because(e))?;
     let mut drive = Drive::start(DriveOptions::passing(config, args.seed, args.traffic, scratch.path()))
         .await

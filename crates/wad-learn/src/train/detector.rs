@@ -24,7 +24,7 @@ use wad_see::perception::coco::{class_index, class_name};
 use wad_see::perception::metrics::{Found, Scored, average_precision, mean};
 use wad_see::perception::score::{SMALL, TALL};
 use wad_see::perception::sight_score::{RoadReport, RoadScore};
-use wad_see::perception::{Detector, centernet_weights};
+use wad_see::perception::{Detector, LeastScore, centernet_weights};
 use wad_see::weights::{Stored, Weights, WeightsError};
 
 /// Options of a detector's training.
@@ -186,7 +186,7 @@ const REPORT_EVERY: u64 = 10;
 /// Pictures by which ranges are found.
 const WATCHED: usize = 200;
 /// Lowest score that counts in validation.
-const LEAST_SCORE: f32 = 0.05;
+const LEAST_SCORE: LeastScore = LeastScore::Fixed(0.05);
 
 /// The progress in a checkpoint.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]

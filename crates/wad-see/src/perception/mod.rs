@@ -35,7 +35,7 @@ mod truth;
 
 pub use area::DrivableArea;
 pub use choice::{
-    DEFAULT_DETECTOR, DETECTORS, MIN_SCORE, centernet_weights, detector, sees_the_road, weights_hash,
+    DEFAULT_DETECTOR, DETECTORS, LeastScore, centernet_weights, detector, sees_the_road, weights_hash,
 };
 pub use facts::{EgoFacts, NearGaps};
 pub use ground::GroundPlane;

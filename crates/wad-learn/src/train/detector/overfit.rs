@@ -2,6 +2,7 @@
 
 use crate::optim::AdamW;
 use tch::{Device, Kind, Tensor};
+use wad_see::perception::LeastScore;
 use wad_see::perception::centernet::loss::{Target, loss};
 use wad_see::perception::centernet::targets::{Wanted, encode};
 use wad_see::perception::centernet::{Backbone, CenterNet, CenterNetDetector, Sees};
@@ -71,7 +72,8 @@ fn overfit(backbone: Backbone, steps: usize, rate: f64) {
 
     let weights = network.weights(&[]).unwrap();
     let mut detector =
-        CenterNetDetector::from_weights("test".to_string(), &weights, Sees::Objects, 0.3).unwrap();
+        CenterNetDetector::from_weights("test".to_string(), &weights, Sees::Objects, LeastScore::Fixed(0.3))
+            .unwrap();
     for (rgb, wanted) in &pictures {
         let found = detector.detect_rgb(rgb, WIDTH, HEIGHT).unwrap();
         for one in wanted {

@@ -66,7 +66,8 @@ fn a_broken_off_training_goes_on_and_is_not_overwritten() {
     let error = go(&other, true).unwrap_err().to_string();
     assert!(error.contains("resnet50_v2") && error.contains("light"), "{error}");
     // What was trained is a detector.
-    let mut detector = CenterNetDetector::load(&trained.detector, Sees::Objects, 0.0).unwrap();
+    let mut detector =
+        CenterNetDetector::load(&trained.detector, Sees::Objects, LeastScore::Fixed(0.0)).unwrap();
     assert!(detector.detect_rgb(&vec![120; SIDE * SIDE * 3], SIDE, SIDE).is_ok());
     assert!(std::fs::metadata(&trained.detector).unwrap().len() < 6_000_000);
 }

@@ -9,7 +9,7 @@ use super::reader::{self, SignReader};
 use crate::inference::{self, InferenceError};
 use crate::perception::coco::join_guesses;
 use crate::perception::heads::{self, Head, Tensor as Output};
-use crate::perception::{Detection, Detector, GroundPlane, PerceptionError, Seen, SeenSign};
+use crate::perception::{Detection, Detector, GroundPlane, LeastScore, PerceptionError, Seen, SeenSign};
 use crate::weights::{Weights, WeightsError};
 use std::path::Path;
 #[cfg(feature = "learn")]
@@ -22,7 +22,7 @@ pub struct CenterNetDetector {
     name: String,
     backbone: Backbone,
     engine: Engine,
-    min_score: f32,
+    least: LeastScore,
     outputs: Outputs,
     ground: GroundPlane,
     /// Where it sees signs.
@@ -98,14 +98,14 @@ fn how(weights: &Weights, sees: Sees) -> Result<How, WeightsError> {
 }
 
 impl CenterNetDetector {
-    /// Reads a weights file. Detections below `min_score` (0 to 1) are dropped.
+    /// Reads a weights file. Detections with less than the `least` score are dropped.
     ///
     /// # Errors
     /// The file cannot be read, or belongs to another network or camera.
-    pub fn load(path: &Path, sees: Sees, min_score: f32) -> Result<Self, PerceptionError> {
+    pub fn load(path: &Path, sees: Sees, least: LeastScore) -> Result<Self, PerceptionError> {
         let name = format!("{}:{}", sees.network(), path.display());
         Weights::load(path)
-            .and_then(|weights| Self::from_weights(name.clone(), &weights, sees, min_score))
+            .and_then(|weights| Self::from_weights(name.clone(), &weights, sees, least))
             .map_err(|e| PerceptionError::Detector { name, why: e.to_string() })
     }
 
@@ -117,13 +117,13 @@ impl CenterNetDetector {
         name: String,
         weights: &Weights,
         sees: Sees,
-        min_score: f32,
+        least: LeastScore,
     ) -> Result<Self, WeightsError> {
         match how(weights, sees)? {
             #[cfg(feature = "learn")]
             How::Torch => {
                 let network = CenterNet::from_weights(weights, sees, Device::Cpu)?;
-                Ok(Self::new(name, network, Device::Cpu, min_score)?)
+                Ok(Self::new(name, network, Device::Cpu, least)?)
             }
             #[cfg(not(feature = "learn"))]
             How::Torch => Err(WeightsError::NoTorch),
@@ -134,7 +134,7 @@ impl CenterNetDetector {
                 let reader = (sees == Sees::Road)
                     .then(|| SignReader::new(|name, shape| weights.floats(name, shape)))
                     .transpose()?;
-                Ok(Self::of(name, Backbone::Light, engine, reader, min_score))
+                Ok(Self::of(name, Backbone::Light, engine, reader, least))
             }
         }
     }
@@ -148,11 +148,11 @@ impl CenterNetDetector {
         name: String,
         mut network: CenterNet,
         device: Device,
-        min_score: f32,
+        least: LeastScore,
     ) -> Result<Self, TchError> {
         network.fold()?;
         let (backbone, reader) = (network.backbone, network.sign_reader()?);
-        Ok(Self::of(name, backbone, Engine::Torch { network: Box::new(network), device }, reader, min_score))
+        Ok(Self::of(name, backbone, Engine::Torch { network: Box::new(network), device }, reader, least))
     }
 
     fn of(
@@ -160,10 +160,10 @@ impl CenterNetDetector {
         backbone: Backbone,
         engine: Engine,
         reader: Option<SignReader>,
-        min_score: f32,
+        least: LeastScore,
     ) -> Self {
         let ground = GroundPlane::new(&CameraConfig::default());
-        Self { name, backbone, engine, min_score, outputs: Outputs::default(), ground, reader, seen: None }
+        Self { name, backbone, engine, least, outputs: Outputs::default(), ground, reader, seen: None }
     }
 
     /// The backbone.
@@ -225,9 +225,9 @@ impl CenterNetDetector {
             Output { name: "offset", shape: &[2, *h, *w], values: offsets },
         ];
         let head = Head::SizeOffset { heat: 0, size: 1, offset: 2, classes: CLASSES as usize };
-        let mut found = heads::decode(&head, &tensors, width, self.min_score.min(LEAST_SHARE));
+        let mut found = heads::decode(&head, &tensors, width, self.least.of(f32::INFINITY).min(LEAST_SHARE));
         join_guesses(&mut found, ONE_VEHICLE);
-        found.retain(|d| d.score >= self.min_score);
+        found.retain(|d| d.score >= self.least.of(d.size()[1]));
         let (right, bottom) = (width as f32, height as f32);
         for detection in &mut found {
             let [l, t, r, b] = detection.bounds;

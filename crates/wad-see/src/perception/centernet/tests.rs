@@ -4,6 +4,7 @@ use super::graph::OUT;
 use super::kind::{Backbone, Sees};
 use super::network::CenterNet;
 use super::{CenterNetDetector, resnet};
+use crate::perception::LeastScore;
 use crate::weights::WeightsError;
 use tch::{Device, Kind, Tensor};
 use wad_camera::{CameraConfig, Frame};
@@ -43,7 +44,8 @@ fn weights_of_something_else_are_refused_by_name() {
 #[test]
 fn a_picture_of_a_wrong_size_is_an_error_that_names_it() {
     let network = CenterNet::new(Backbone::Light, Sees::Objects, Device::Cpu).unwrap();
-    let mut detector = CenterNetDetector::new("test".to_string(), network, Device::Cpu, 0.3).unwrap();
+    let mut detector =
+        CenterNetDetector::new("test".to_string(), network, Device::Cpu, LeastScore::Usual).unwrap();
     for (width, height) in [(100, 64), (64, 100), (0, 0)] {
         let error = detector.detect_rgb(&vec![0; width * height * 3], width, height).unwrap_err().to_string();
         assert!(error.contains(&format!("{width}")) && error.contains("512"), "{error}");
@@ -55,7 +57,7 @@ fn the_weights_that_travel_with_the_program_are_of_its_camera() {
     crate::torch::one_thread();
     let bytes = wad_sim::bundled::detector("light").unwrap();
     assert!(bytes.len() < 6_000_000, "{}", bytes.len());
-    let mut detector = crate::perception::detector("centernet", 0.3).unwrap();
+    let mut detector = crate::perception::detector("centernet", LeastScore::Usual).unwrap();
     assert_eq!(detector.name(), "centernet");
     let (width, height) = (512, 512);
     let frame = Frame { width, height, rgb: vec![128; 3 * width * height], ..Frame::default() };
