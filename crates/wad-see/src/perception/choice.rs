@@ -32,9 +32,6 @@ pub enum LeastScore {
 const SMALL: [f32; 2] = [12.0, 0.4];
 const LARGE: [f32; 2] = [32.0, 0.2];
 
-/// The least score of other networks' detections.
-const OTHERS: f32 = 0.3;
-
 impl LeastScore {
     /// For a detection of one of our networks of this height (pixels).
     pub fn of(self, height: f32) -> f32 {
@@ -122,7 +119,7 @@ fn onnx(name: &str, file: Option<&str>, least: LeastScore) -> Result<Box<dyn Det
                 failed(name, why.to_string())
             },
         )?;
-    let least = if let LeastScore::Fixed(score) = least { score } else { OTHERS };
+    let least = if let LeastScore::Fixed(score) = least { score } else { 0.3 };
     Ok(Box::new(OnnxDetector::load(&path, least)?))
 }
 
