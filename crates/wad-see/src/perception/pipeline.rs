@@ -195,6 +195,7 @@ impl Perception {
         let lead = self.lead.update(nearest.as_ref(), &self.ground, facts);
         let crossing = self.crossing.update(&self.percept.detections, &self.ground, facts);
         (self.percept.lead, self.percept.crossing) = (lead, crossing);
+        tracing::debug!("in front: {lead:?}, will cross: {crossing:?}, by {:?}", self.percept.detections);
         let lead = lead.into_iter().chain(crossing).min_by(|a, b| a.gap.total_cmp(&b.gap));
         let speed = facts.on_route.state.speed;
         let early = if self.detector.seen().is_some() { light::STAND } else { 0.0 };
