@@ -5,7 +5,7 @@ use super::graph::PICTURE;
 use super::kind::{Backbone, Part, STRIDE};
 use super::loss::focal;
 use super::road::{RoadAnswer, WHOLE};
-use super::targets::{NO_MATTER, Wanted, encode};
+use super::targets::{NO_MATTER, Wanted, corners, encode};
 use crate::perception::area::{CELL, COLUMNS, HORIZON, ROWS};
 use crate::perception::road_truth::y_at;
 use crate::perception::{GroundPlane, RoadWanted};
@@ -65,7 +65,7 @@ impl RoadTargets {
                 None => boxes.extend((0..LAMPS).map(|class| one(class, true))),
             }
         }
-        let centres = encode(&boxes, (w, h), &mut self.heat[n * planes..]);
+        let centres = encode(&boxes, (w, h), &mut self.heat[n * planes..], corners);
         if let Some((_, distance)) = wanted.light {
             for centre in centres {
                 self.cells.push((n * cells + centre.cell) as i64);
@@ -112,7 +112,7 @@ impl RoadTargets {
             }
         }
         // Centres come in the order of the boxes that count.
-        let centres = encode(&boxes, (w, h), &mut self.signs[n * planes..]);
+        let centres = encode(&boxes, (w, h), &mut self.signs[n * planes..], corners);
         self.sign_cells.extend(centres.iter().map(|centre| (n * w * h + centre.cell) as i64));
         self.sign_distances.extend(distances);
     }

@@ -1,6 +1,7 @@
 //! The network's training targets for a picture (Zhou et al. 2019, section 3).
 
 use super::kind::{Backbone, STRIDE};
+use std::collections::BTreeMap;
 
 /// A target box, or a box that does not count.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -78,8 +79,13 @@ impl Window {
 }
 
 /// The heatmap, classes x h x w written over `heat`, and the centres of boxes in the coordinates of a
-/// window of (w, h) cells.
-pub fn encode(wanted: &[Wanted], (w, h): (usize, usize), heat: &mut [f32]) -> Vec<Centre> {
+/// window of (w, h) cells. `reach` says of a box of some cells how far its peak reaches: [`shares`] or [`corners`].
+pub fn encode(
+    wanted: &[Wanted],
+    (w, h): (usize, usize),
+    heat: &mut [f32],
+    reach: impl Fn([f32; 2]) -> [usize; 2],
+) -> Vec<Centre> {
     heat.fill(0.0);
     let cells = |bounds: [f32; 4]| bounds.map(|v| v / STRIDE as f32);
     for one in wanted.iter().filter(|o| o.ignored) {
@@ -99,10 +105,72 @@ pub fn encode(wanted: &[Wanted], (w, h): (usize, usize), heat: &mut [f32]) -> Ve
         let (cx, cy) = (cx.clamp(0.0, w as f32 - 0.01), cy.clamp(0.0, h as f32 - 0.01));
         let (x, y) = (cx as usize, cy as usize);
         let size = [r - l, b - t];
-        splat(&mut heat[one.class * w * h..][..w * h], (w, h), (x, y), radius(size));
+        splat(&mut heat[one.class * w * h..][..w * h], (w, h), (x, y), reach(size));
         centres.push(Centre { cell: y * w + x, size, offset: [cx - x as f32, cy - y as f32] });
     }
     centres
+}
+
+/// A cell that is taught where an object is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Taught {
+    /// y * width + x of the cell.
+    pub cell: usize,
+    /// The object's left, top, right and bottom from the cell's corner, in cells.
+    pub bounds: [f32; 4],
+    /// How much it counts; those of an object sum up to 1.
+    pub weight: f32,
+}
+
+/// Cells up to this share of an object's width and height from its centre are taught its box, with a Gaussian whose
+/// deviation is [`DEVIATION`] of them.
+const REACH: f32 = 0.25;
+const DEVIATION: f32 = 1.0 / 6.0;
+
+/// The cells round the centres of objects that are taught their boxes (Liu et al. 2020, "Training-Time-Friendly Network"),
+/// so that a peak beside the centre's cell has the right box too. Where two objects meet, the cell is the smaller one's; each
+/// object has its centre's.
+pub fn round_centres(centres: &[Centre], (w, h): (usize, usize)) -> Vec<Taught> {
+    let column_row = |cell: usize| [cell % w, cell / w];
+    // From the object's centre to a cell's middle, as shares of its width and height.
+    let away = |one: &Centre, cell: usize| -> [f32; 2] {
+        let (at, own) = (column_row(cell), column_row(one.cell));
+        [0, 1].map(|k| (at[k] as f32 + 0.5 - own[k] as f32 - one.offset[k]) / one.size[k].max(1.0))
+    };
+    let mut by_area: Vec<usize> = (0..centres.len()).collect();
+    let area = |i: usize| centres[i].size[0] * centres[i].size[1];
+    by_area.sort_by(|&a, &b| area(b).total_cmp(&area(a)));
+    let mut owners = BTreeMap::new();
+    for &i in &by_area {
+        let one = &centres[i];
+        let own = column_row(one.cell);
+        let [columns, rows] = [(0, w), (1, h)].map(|(k, end)| {
+            let reach = (REACH * one.size[k]).ceil() as usize;
+            own[k].saturating_sub(reach)..(own[k] + reach + 1).min(end)
+        });
+        let cells = rows.flat_map(|y| columns.clone().map(move |x| y * w + x));
+        owners.extend(
+            cells.filter(|&cell| away(one, cell).iter().all(|d| d.abs() <= REACH)).map(|cell| (cell, i)),
+        );
+    }
+    let mut cells: Vec<Vec<usize>> = centres.iter().map(|one| vec![one.cell]).collect();
+    for (cell, i) in owners.into_iter().filter(|&(cell, i)| cell != centres[i].cell) {
+        cells[i].push(cell);
+    }
+    let taught = |(one, cells): (&Centre, Vec<usize>)| -> Vec<Taught> {
+        let weight = |cell: usize| {
+            let far: f32 = away(one, cell).iter().map(|d| (d / DEVIATION).powi(2)).sum();
+            (-0.5 * far).exp()
+        };
+        let sum: f32 = cells.iter().map(|&cell| weight(cell)).sum();
+        let bounds = |cell: usize| -> [f32; 4] {
+            let (at, own) = (column_row(cell), column_row(one.cell));
+            let middle = [0, 1].map(|k| own[k] as f32 + one.offset[k] - at[k] as f32);
+            [(0, -0.5), (1, -0.5), (0, 0.5), (1, 0.5)].map(|(k, half)| middle[k] + half * one.size[k])
+        };
+        cells.iter().map(|&cell| Taught { cell, bounds: bounds(cell), weight: weight(cell) / sum }).collect()
+    };
+    centres.iter().zip(cells).flat_map(taught).collect()
 }
 
 /// How far (cells) both corners of a box may be off, in the worst directions, so that it still overlaps
@@ -120,18 +188,30 @@ fn radius([w, h]: [f32; 2]) -> f32 {
     shifted.min(smaller).min(larger).max(0.0)
 }
 
-/// Puts a Gaussian (deviation a third of the radius) with its peak of 1 at the cell; the larger value stays.
-fn splat(plane: &mut [f32], (w, h): (usize, usize), (x, y): (usize, usize), radius: f32) {
-    let reach = radius.floor() as i64;
-    let deviation = (2 * reach + 1) as f32 / 6.0;
-    for dy in -reach..=reach {
-        for dx in -reach..=reach {
-            let (xx, yy) = (x as i64 + dx, y as i64 + dy);
-            if (0..w as i64).contains(&xx) && (0..h as i64).contains(&yy) {
-                let value = (-((dx * dx + dy * dy) as f32) / (2.0 * deviation * deviation)).exp();
-                let cell = &mut plane[yy as usize * w + xx as usize];
-                *cell = cell.max(value);
-            }
+/// How far (cells, across and down) a peak may be from a lamp's or a sign's centre: [CornerNet's radius](radius).
+pub fn corners([w, h]: [f32; 2]) -> [usize; 2] {
+    [radius([w, h]) as usize; 2]
+}
+
+/// The same of an object: in proportion to its width and to its height (Liu et al. 2020, "Training-Time-Friendly Network").
+/// CornerNet's radius of somebody seen from the side, 3 cells wide and 16 high, is less than one cell, so whoever says a cell
+/// higher or lower is as wrong as whoever sees somebody where nobody is; and where on such a column the middle is, no network
+/// tells to a cell. It says nothing then.
+pub fn shares(size: [f32; 2]) -> [usize; 2] {
+    size.map(|side| (SHARE * side) as usize)
+}
+
+/// Share of an object's width and height.
+const SHARE: f32 = 0.27;
+
+/// Puts a Gaussian (its deviations a third of how far it reaches) with its peak of 1 at the cell; the larger value stays.
+fn splat(plane: &mut [f32], (w, h): (usize, usize), (x, y): (usize, usize), reach: [usize; 2]) {
+    let deviation = reach.map(|reach| (2 * reach + 1) as f32 / 6.0);
+    for yy in y.saturating_sub(reach[1])..(y + reach[1] + 1).min(h) {
+        for xx in x.saturating_sub(reach[0])..(x + reach[0] + 1).min(w) {
+            let away = [xx.abs_diff(x) as f32 / deviation[0], yy.abs_diff(y) as f32 / deviation[1]];
+            let cell = &mut plane[yy * w + xx];
+            *cell = cell.max((-0.5 * (away[0] * away[0] + away[1] * away[1])).exp());
         }
     }
 }
@@ -175,7 +255,7 @@ mod tests {
         assert_eq!((w, h), (128, 80));
         let mut heat = vec![9.0; 8 * w * h];
         let shown: Vec<Wanted> = wanted.iter().filter_map(|o| window.view(o, false)).collect();
-        let centres = encode(&shown, (w, h), &mut heat);
+        let centres = encode(&shown, (w, h), &mut heat, shares);
         let (mut size, mut offset) = (vec![0.0; 2 * w * h], vec![0.0; 2 * w * h]);
         for c in &centres {
             for k in 0..2 {
@@ -204,11 +284,66 @@ mod tests {
     }
 
     #[test]
+    fn where_the_middle_of_somebody_tall_and_narrow_is_need_not_be_told_to_a_cell() {
+        let (w, h) = (20, 30);
+        let person = Wanted { class: 3, bounds: [32.0, 24.0, 44.0, 88.0], ignored: false };
+        let map = |reach: fn([f32; 2]) -> [usize; 2]| {
+            let mut heat = vec![0.0; 8 * w * h];
+            let centres = encode(&[person], (w, h), &mut heat, reach);
+            let cell = (3 * w * h + centres[0].cell) as i64;
+            move |dx: i64, dy: i64| heat[(cell + dy * w as i64 + dx) as usize]
+        };
+        let wide = map(shares);
+        assert_eq!(wide(0, 0), 1.0);
+        assert!(wide(0, 1) > 0.75 && wide(0, -2) > 0.4 && wide(0, 4) > 0.0 && wide(0, 5) == 0.0);
+        assert!(wide(1, 0) == 0.0 && wide(-1, 0) == 0.0, "beside it may be another");
+        let narrow = map(corners);
+        assert!(narrow(0, 0) == 1.0 && narrow(0, 1) == 0.0 && narrow(0, -1) == 0.0);
+    }
+
+    #[test]
+    fn cells_round_a_centre_are_taught_its_box() {
+        let (w, h) = (40, 30);
+        let truck = [4.0, 6.0, 24.0, 18.0];
+        let car = [14.0, 10.0, 22.0, 15.0];
+        let tiny = [30.2, 20.1, 31.1, 21.4];
+        let wanted = [truck, car, tiny].map(|bounds| Wanted {
+            class: 0,
+            bounds: bounds.map(|v| v * STRIDE as f32),
+            ignored: false,
+        });
+        let centres = encode(&wanted, (w, h), &mut vec![0.0; 8 * w * h], shares);
+        let taught = round_centres(&centres, (w, h));
+        let of = |bounds: [f32; 4]| -> Vec<Taught> {
+            let is_it = |one: &&Taught| {
+                let (x, y) = ((one.cell % w) as f32, (one.cell / w) as f32);
+                let shift = [x, y, x, y];
+                (0..4).all(|k| (one.bounds[k] + shift[k] - bounds[k]).abs() < 1e-4)
+            };
+            taught.iter().filter(is_it).copied().collect()
+        };
+        let (truck, car, tiny) = (of(truck), of(car), of(tiny));
+        assert_eq!(taught.len(), truck.len() + car.len() + tiny.len());
+        for object in [&truck, &car, &tiny] {
+            let sum: f32 = object.iter().map(|one| one.weight).sum();
+            assert!((sum - 1.0).abs() < 1e-5, "{sum}");
+        }
+        assert_eq!(tiny.len(), 1);
+        assert_eq!(car.len(), 4 * 3, "a half of its width and of its height");
+        // Half of its 20 x 12 cells, but those that the car covers; its centre among them.
+        assert!((40..60).contains(&truck.len()), "{}", truck.len());
+        assert!(truck.iter().any(|one| one.cell == 12 * w + 14));
+        assert!(
+            car.iter().all(|one| one.cell == 12 * w + 14 || truck.iter().all(|other| other.cell != one.cell))
+        );
+    }
+
+    #[test]
     fn what_does_not_count_is_no_background_but_never_hides_an_object() {
         let ignored = Wanted { class: 0, bounds: [100.0, 200.0, 140.0, 240.0], ignored: true };
         let object = Wanted { class: 0, bounds: [104.0, 204.0, 136.0, 236.0], ignored: false };
         let mut heat = vec![0.0; 8 * 128 * 80];
-        encode(&[object, ignored], (128, 80), &mut heat);
+        encode(&[object, ignored], (128, 80), &mut heat, shares);
         assert_eq!(heat.iter().filter(|v| **v == 1.0).count(), 1);
         assert!(heat[..128 * 80].contains(&NO_MATTER));
         assert!(!heat[128 * 80..].contains(&NO_MATTER));
