@@ -17,6 +17,7 @@ pub mod heads;
 mod image;
 mod lanes;
 pub mod lead;
+mod least_score;
 mod light;
 pub mod metrics;
 #[cfg(feature = "vision")]
@@ -34,13 +35,12 @@ pub(crate) mod testing;
 mod truth;
 
 pub use area::DrivableArea;
-pub use choice::{
-    DEFAULT_DETECTOR, DETECTORS, LeastScore, centernet_weights, detector, sees_the_road, weights_hash,
-};
+pub use choice::{DEFAULT_DETECTOR, DETECTORS, centernet_weights, detector, sees_the_road, weights_hash};
 pub use facts::{EgoFacts, NearGaps};
 pub use ground::GroundPlane;
 pub use image::{ImageKind, TRANSFORMED_SIZE, TransformedImage};
 pub use lanes::{LaneBoundary, LaneDetector, LaneEstimate};
+pub use least_score::LeastScore;
 pub use light::{AT_INTERSECTION, LightAhead, SeenLights, StopLight};
 #[cfg(feature = "vision")]
 pub use onnx::OnnxDetector;
