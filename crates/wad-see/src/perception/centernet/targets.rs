@@ -188,7 +188,7 @@ fn radius([w, h]: [f32; 2]) -> f32 {
     shifted.min(smaller).min(larger).max(0.0)
 }
 
-/// How far (cells, across and down) a peak may be from a lamp's or a sign's centre: [CornerNet's radius](radius).
+/// How far (cells, across and down) a peak may be from a lamp's or a sign's centre: CornerNet's radius.
 pub fn corners([w, h]: [f32; 2]) -> [usize; 2] {
     [radius([w, h]) as usize; 2]
 }
