@@ -187,11 +187,7 @@ pub async fn lead(args: Args) -> anyhow::Result<Exit> {
         if args.near || facts.on_route.state.speed > STANDS {
             let percept = perception.percept();
             let there = LeadTruth::find(facts, world, frame);
-            tracing::debug!(
-                "lead: {:?} believed, {there:?} there, by {:?}",
-                percept.lead,
-                percept.detections
-            );
+            tracing::debug!("in front: {there:?} there");
             score.add(there, percept.lead);
         }
     })
