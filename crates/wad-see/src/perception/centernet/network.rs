@@ -115,10 +115,9 @@ impl CenterNet {
             Features::Resnet(net) => net.forward(&pictures, train),
         };
         let x = if self.only.is_some() { tch::no_grad(x)? } else { x()? };
-        let x = x.f_to_kind(Kind::Float)?;
-        let head = |(first, last): &(Option<Conv>, Conv)| match first {
-            Some(first) => last.forward(&first.forward(&x, train)?.f_relu()?, train),
-            None => last.forward(&x, train),
+        let head = |(first, last): &(Option<Conv>, Conv)| {
+            let hidden = first.as_ref().map(|first| first.forward(&x, train)?.f_relu()).transpose()?;
+            last.forward(&hidden.as_ref().unwrap_or(&x).f_to_kind(Kind::Float)?, train)
         };
         let [heat, size, offset] = &self.heads;
         let looked = |road: &RoadHeads| road.forward(&x, &pictures, learns);

@@ -135,7 +135,7 @@ impl RoadHeads {
         }
         let half = x.f_avg_pool2d([2, 2], [2, 2], [0, 0], false, true, None)?;
         let below = half.f_narrow(2, size[2] / 2 - ROWS as i64, ROWS as i64)?;
-        let hidden = self.hidden.forward(&below, train)?.f_relu()?;
+        let hidden = self.hidden.forward(&below, train)?.f_relu()?.f_to_kind(Kind::Float)?;
         let answers = self.lanes.forward(&hidden, train)?;
         let none = answers.f_narrow(1, 2, 2)?.f_mean_dim([3_i64].as_slice(), true, Kind::Float)?;
         let lanes = Tensor::f_cat(&[answers.f_narrow(1, 0, 2)?, none], 3)?;
@@ -145,9 +145,10 @@ impl RoadHeads {
         let place = self.place.f_expand([size[0], -1, -1, -1], false)?;
         let beside = Tensor::f_cat(&[colours, place], 1)?;
         let beside = self.light_colours.forward(&beside, train)?;
-        let hidden = self.light_hidden.forward(x, train)?.f_add(&beside)?.f_relu()?;
+        let hidden = self.light_hidden.forward(x, train)?.f_to_kind(Kind::Float)?.f_add(&beside)?.f_relu()?;
         let light = self.light.forward(&hidden, train)?;
         let hidden = self.area_hidden.forward(&below, learns.part(Part::Area))?.f_relu()?;
+        let hidden = hidden.f_to_kind(Kind::Float)?;
         let area = self.area.forward(&hidden, train)?;
         let signs = self.find_signs(x, pictures, learns.part(Part::Signs))?;
         Ok(Some(RoadAnswer { light, lanes, signs, area }))
@@ -160,10 +161,10 @@ impl RoadHeads {
         let [stem1, stem2, third] = &self.signs_pixels;
         let pixels = stem1.forward(&pixels, train)?.f_relu()?;
         let pixels = stem2.forward(&pixels, train)?.f_relu()?;
-        let pixels = third.forward(&pixels.f_to_kind(Kind::Float)?, train)?;
+        let pixels = third.forward(&pixels, train)?;
         let near = self.signs_features.forward(&x.f_narrow(2, first, last - first)?, train)?;
         let hidden = self.signs_hidden.forward(&near.f_add(&pixels)?.f_relu()?, train)?.f_relu()?;
-        self.signs.forward(&hidden, train)
+        self.signs.forward(&hidden.f_to_kind(Kind::Float)?, train)
     }
 
     /// Folds every batch norm.
