@@ -15,8 +15,8 @@ use wad_cosim::camera::{Camera, CameraConfig, Frame, Outputs, Picture, Preset, W
 use wad_cosim::dataset::TRAINING_WEATHERS;
 use wad_cosim::drive::DriveOptions;
 use wad_cosim::perception::score::{
-    BELIEVED, FALSE_ALARM_GOAL, GROUPS, LEAST_VISIBLE, Precision, Realism, View, precision, realism,
-    visible_share,
+    BELIEVED, BySureness, FALSE_ALARM_GOAL, GROUPS, LEAST_VISIBLE, Precision, Realism, View, precision,
+    realism, sureness, visible_share,
 };
 use wad_cosim::perception::sight_score::{RoadReport, RoadScore};
 use wad_cosim::perception::{
@@ -89,6 +89,8 @@ struct Report {
     detect_ms: f64,
     realism: Realism,
     realism_by_weather: Vec<(Preset, Realism)>,
+    /// What is found by height, from some scores on.
+    sureness: Vec<BySureness>,
     precision: Vec<Precision>,
     precision_by_weather: Vec<(Preset, Vec<Precision>)>,
     /// In the weathers that detectors are trained in, and in all others.
@@ -174,6 +176,7 @@ pub fn run(args: Args, what: Scored) -> anyhow::Result<Exit> {
         detect_ms: times.get(times.len() / 2).copied().unwrap_or(f64::NAN),
         realism: realism(&views),
         realism_by_weather: weathers.iter().map(|&w| (w, realism(of(w)))).collect(),
+        sureness: sureness(&views, args.min_score),
         precision: precision(&views.iter().collect::<Vec<_>>()),
         precision_by_weather: weathers.iter().map(|&w| (w, precision(&of(w).collect::<Vec<_>>()))).collect(),
         precision_training_weathers: precision(&trained),
@@ -300,6 +303,30 @@ fn road_text(rows: &[(String, RoadReport)]) -> String {
     out
 }
 
+/// The rows of what is found by height.
+fn sureness_text(rows: &[BySureness]) -> String {
+    let mut out = String::from(
+        "Found (a box of its group overlaps by 0.4), and how many a frame are where nothing is, from a score on\n",
+    );
+    let least =
+        |least: Option<f32>| least.map_or("as agents drive by".to_string(), |s| format!("from {s:.1}"));
+    let first = rows.first().map_or(&[][..], |row| &row.from);
+    let columns: Vec<String> = first.iter().map(|one| least(one.least)).collect();
+    let _ =
+        writeln!(out, "| | truths | {} |\n|---|---{}|", columns.join(" | "), "|---".repeat(columns.len()));
+    for row in rows {
+        let cells = row.from.iter().map(|one| {
+            let recall = one.recall.map_or("-".to_string(), |recall| format!("{:.1} %", 100.0 * recall));
+            format!("{recall}; {:.2}", one.false_alarms_per_frame)
+        });
+        let cells: Vec<String> = cells.collect();
+        let height = row.high.map_or_else(|| "px or more".to_string(), |high| format!("to {high} px"));
+        let _ =
+            writeln!(out, "| {}, {} {height} | {} | {} |", row.group, row.low, row.truths, cells.join(" | "));
+    }
+    out + "\n"
+}
+
 fn text(report: &Report) -> String {
     let mut out = format!(
         "{} on {} frames of {}, {:.1} ms a frame\n\nRecall at a score of {BELIEVED} (hits / truths), and false alarms per frame\n",
@@ -332,6 +359,7 @@ fn text(report: &Report) -> String {
     out += "\n\n";
 
     let cell = |v: Option<f64>| v.map_or("-".to_string(), |v| format!("{v:.3}"));
+    out += &sureness_text(&report.sureness);
     out += "Average precision of boxes 24 px high or more, and of 12 to 24 px\n";
     out += "| class | truths | AP@0.5 | training weathers | unseen weathers | AP@[.5:.95] | truths 12-24 | AP@0.5 12-24 |\n";
     out += "|---|---|---|---|---|---|---|---|\n";

@@ -8,9 +8,9 @@
 //! [`LEAST_VISIBLE`] visible, or lower than the wanted height, count neither as misses nor as false alarms:
 //! detections that lie in their box by half or more do not count.
 
-use super::Detection;
 use super::coco::{CLASSES, VEHICLES, class_index, class_name};
 use super::metrics::{Fate, Found, Scored, Truth, average_precision, coco_ious, fates, mean};
+use super::{Detection, LeastScore};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use wad_camera::model::ObjectClass;
@@ -50,6 +50,9 @@ pub const GROUPS: [Group; 5] = [
     Group { name: "traffic light", classes: &[ObjectClass::TrafficLight], height: 24.0, goal: None },
     Group { name: "bench", classes: &[ObjectClass::Bench], height: 24.0, goal: None },
 ];
+/// Their indices.
+const VEHICLE: usize = 0;
+const PERSON: usize = 1;
 /// False alarms per frame that are too many.
 pub const FALSE_ALARM_GOAL: f64 = 1.0;
 
@@ -100,25 +103,30 @@ impl View {
     }
 
     /// For the realism score: labels are indices of [`GROUPS`]; only detections with a score of [`BELIEVED`]
-    /// or more. A rider is part of the motorcycle or bicycle here and a person to COCO: people found on one
-    /// do not count.
+    /// or more, and only objects as high as their group wants.
     pub fn by_group(&self) -> Scored {
-        const PERSON: usize = 1;
+        let mut scored = self.grouped(LeastScore::Fixed(BELIEVED));
+        for truth in &mut scored.truths {
+            truth.ignored |= truth.bounds[3] - truth.bounds[1] < GROUPS[truth.label].height;
+        }
+        scored
+    }
+
+    /// Labels are indices of [`GROUPS`]. A rider is part of the motorcycle or bicycle here and a person to COCO: people
+    /// found on one do not count.
+    fn grouped(&self, least: LeastScore) -> Scored {
         let group = |class| GROUPS.iter().position(|g| g.classes.contains(&class)).unwrap_or(0);
         let mut truths: Vec<Truth> = Vec::with_capacity(self.objects.len());
         for object in &self.objects {
-            let label = group(object.class);
-            let mut one = truth(object, label);
-            let low = one.bounds[3] - one.bounds[1] < GROUPS[label].height;
-            one.ignored |= low;
+            let one = truth(object, group(object.class));
             truths.push(one);
             if has_rider(object.class) {
                 truths.push(Truth { label: PERSON, ignored: true, ..one });
             }
         }
-        let believed = self.found.iter().filter(|d| d.score >= BELIEVED);
-        let found = believed.map(|d| Found { label: group(d.class), detection: *d }).collect();
-        Scored { truths, found }
+        let counts = |d: &&Detection| d.score >= least.of(d.bounds[3] - d.bounds[1]);
+        let found = self.found.iter().filter(counts);
+        Scored { truths, found: found.map(|d| Found { label: group(d.class), detection: *d }).collect() }
     }
 }
 
@@ -199,6 +207,70 @@ pub fn realism<'a>(views: impl IntoIterator<Item = &'a View>) -> Realism {
     }
     score.false_alarms_per_frame = f64::from(false_alarms) / score.frames.max(1) as f64;
     score
+}
+
+/// Bounds of the heights that are told apart (pixels).
+const HEIGHTS: [f32; 5] = [8.0, 16.0, 24.0, 40.0, f32::INFINITY];
+/// Overlap from which a vehicle or somebody is found, for driving: the lower edge says how far away.
+const FOUND_IOU: f32 = 0.4;
+
+/// What of one group is found by height, and how many detections of that height are where nothing is, from some scores on.
+#[derive(Clone, Debug, Serialize)]
+pub struct BySureness {
+    /// The group's name.
+    pub group: &'static str,
+    /// Lowest height (pixels).
+    pub low: f32,
+    /// The height (pixels) below which all are; None: any.
+    pub high: Option<f32>,
+    /// Objects that count.
+    pub truths: usize,
+    /// From each of [`sureness`]'s least scores on.
+    pub from: Vec<Sureness>,
+}
+
+/// A part of it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Sureness {
+    /// The least score; None: [`LeastScore::Usual`], by which agents drive.
+    pub least: Option<f32>,
+    /// Share of the objects that are found; None without any.
+    pub recall: Option<f64>,
+    /// Detections a frame where nothing is.
+    pub false_alarms_per_frame: f64,
+}
+
+/// Vehicles and people by height, from several scores on ("How sure is sure enough" in docs/detector.md): those of which
+/// detections with `kept` or more leave none out.
+pub fn sureness(views: &[View], kept: f32) -> Vec<BySureness> {
+    let lowest = |least: &Option<f32>| least.unwrap_or(LeastScore::Usual.of(f32::INFINITY));
+    let least = [Some(0.2), Some(0.3), Some(0.4), None].into_iter().filter(|least| lowest(least) >= kept);
+    let scored = |least: &Option<f32>| -> Vec<Scored> {
+        views.iter().map(|view| view.grouped(least.map_or(LeastScore::Usual, LeastScore::Fixed))).collect()
+    };
+    let scored: Vec<_> = least.map(|least| (least, scored(&least))).collect();
+    let row = |label: usize, low: f32, high: f32| {
+        let is_in = |height: f32| (low..high).contains(&height);
+        let is_one = |t: &&Truth| t.label == label && !t.ignored && is_in(t.bounds[3] - t.bounds[1]);
+        let truths = scored.iter().take(1).flat_map(|(_, views)| views);
+        let truths = truths.map(|view| view.truths.iter().filter(is_one).count()).sum();
+        let from = |(least, views): &(Option<f32>, Vec<Scored>)| {
+            let (mut hits, mut wrong) = (0_usize, 0_usize);
+            for view in views {
+                for (found, fate) in view.found.iter().zip(fates(view, FOUND_IOU, is_in)) {
+                    hits += usize::from(found.label == label && matches!(fate, Fate::Hit(_)));
+                    wrong += usize::from(found.label == label && fate == Fate::False);
+                }
+            }
+            let recall = (truths > 0).then(|| hits as f64 / truths as f64);
+            let false_alarms_per_frame = wrong as f64 / views.len().max(1) as f64;
+            Sureness { least: *least, recall, false_alarms_per_frame }
+        };
+        let high = high.is_finite().then_some(high);
+        BySureness { group: GROUPS[label].name, low, high, truths, from: scored.iter().map(from).collect() }
+    };
+    let bands = |label| HEIGHTS.windows(2).map(move |w| (label, w[0], w[1]));
+    [VEHICLE, PERSON].into_iter().flat_map(bands).map(|(label, low, high)| row(label, low, high)).collect()
 }
 
 /// Average precision of one class, or the mean of all.
@@ -297,6 +369,38 @@ mod tests {
         let rows = precision(&[&view]);
         assert_eq!((rows[0].truths, rows[0].ap50), (2, Some(0.0)));
         assert_eq!((rows[0].truths_small, rows[0].ap50_small), (1, Some(1.0)));
+    }
+
+    #[test]
+    fn what_is_found_by_height_from_a_score_on() {
+        let view = View {
+            weather: Preset::ClearNoon,
+            objects: vec![
+                object(ObjectClass::Car, [0, 0, 60, 50]),
+                object(ObjectClass::Car, [100, 0, 160, 50]),
+                object(ObjectClass::Car, [200, 0, 230, 20]),
+            ],
+            found: vec![
+                seen(ObjectClass::Truck, [0.0, 0.0, 60.0, 40.0], 0.25),
+                seen(ObjectClass::Car, [100.0, 0.0, 160.0, 25.0], 0.9),
+                seen(ObjectClass::Car, [200.0, 0.0, 230.0, 20.0], 0.25),
+                seen(ObjectClass::Car, [300.0, 0.0, 360.0, 50.0], 0.3),
+            ],
+        };
+        let rows = sureness(std::slice::from_ref(&view), 0.2);
+        let row = |low: f32| {
+            let row = rows.iter().find(|row| row.group == "car, bus, truck" && row.low == low).unwrap();
+            (
+                row.truths,
+                row.from.iter().map(|s| (s.recall.unwrap(), s.false_alarms_per_frame)).collect::<Vec<_>>(),
+            )
+        };
+        // Half of the second car is enough. What agents drive by: 0.2 for the large ones, 0.32 for one of 20 px.
+        assert_eq!(row(40.0), (2, vec![(1.0, 1.0), (0.5, 1.0), (0.5, 0.0), (1.0, 1.0)]));
+        assert_eq!(row(16.0), (1, vec![(1.0, 0.0), (0.0, 0.0), (0.0, 0.0), (0.0, 0.0)]));
+        assert!(rows.iter().filter(|row| row.group == "person").all(|row| row.truths == 0));
+        let left = sureness(&[view], 0.25);
+        assert!(left.iter().all(|row| row.from.iter().map(|s| s.least).eq([Some(0.3), Some(0.4)])));
     }
 
     #[test]
