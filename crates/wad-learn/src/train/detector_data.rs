@@ -12,7 +12,7 @@ use wad_camera::model::{ObjectClass, Sign};
 use wad_see::perception::centernet::decode::decode_signs;
 use wad_see::perception::centernet::reader::{self, PLATE};
 use wad_see::perception::centernet::road_targets::{RoadTargets, UNKNOWN};
-use wad_see::perception::centernet::targets::{Taught, Wanted, Window, encode, round_centres, shares};
+use wad_see::perception::centernet::targets::{Centre, Wanted, Window, encode, shares};
 use wad_see::perception::centernet::{Backbone, Part, kind::STRIDE, loss::Target};
 use wad_see::perception::coco::class_index;
 use wad_see::perception::metrics::{Scored, Truth};
@@ -268,8 +268,8 @@ pub struct Batch {
     pixels: Vec<u8>,
     /// count x 8 x h x w.
     heat: Vec<f32>,
-    /// What cells of which picture are taught of objects.
-    taught: Vec<(usize, Taught)>,
+    /// The objects' centres, and in which picture each is.
+    centres: Vec<(usize, Centre)>,
     /// For whole pictures.
     road: Option<RoadTargets>,
     /// Of whole pictures: the signs in each, and the plates (3 x 24 x 24) of those that are to be read with what they say.
@@ -294,7 +294,7 @@ impl Batch {
             size,
             pixels: Vec::with_capacity(count * bytes),
             heat: vec![0.0; count * cells],
-            taught: Vec::new(),
+            centres: Vec::new(),
             road: None,
             signs: Vec::new(),
             plates: Default::default(),
@@ -341,7 +341,7 @@ impl Batch {
             });
             let shown: Vec<Wanted> = shown.collect();
             let centres = encode(&shown, shape, &mut batch.heat[n * cells..][..cells], shares);
-            batch.taught.extend(round_centres(&centres, shape).into_iter().map(|one| (n, one)));
+            batch.centres.extend(centres.into_iter().map(|one| (n, one)));
             roads.push(road.map(|road| if mirrored { road.mirrored(width as f32) } else { road }));
         }
         if is_whole {
@@ -420,7 +420,7 @@ impl Batch {
         let x = x.f_permute([0, 3, 1, 2])?;
         let (h, w) = (height / STRIDE as i64, width / STRIDE as i64);
         let heat = Tensor::f_from_slice(&self.heat)?.f_view([n, 8, h, w])?;
-        Ok((x, Target::new(heat, &self.taught, device)?))
+        Ok((x, Target::new(heat, &self.centres, device)?))
     }
 }
 

@@ -4,7 +4,7 @@ use crate::optim::AdamW;
 use tch::{Device, Kind, Tensor};
 use wad_see::perception::LeastScore;
 use wad_see::perception::centernet::loss::{Target, loss};
-use wad_see::perception::centernet::targets::{Wanted, encode, round_centres, shares};
+use wad_see::perception::centernet::targets::{Wanted, encode, shares};
 use wad_see::perception::centernet::{Backbone, CenterNet, CenterNetDetector, Sees};
 use wad_see::perception::coco::class_index;
 
@@ -36,12 +36,11 @@ fn overfit(backbone: Backbone, steps: usize, rate: f64) {
         picture(&[(4, [30, 8, 86, 56], [220, 200, 30])]),
     ];
     let (h, w) = (HEIGHT / 4, WIDTH / 4);
-    let (mut pixels, mut heat, mut taught) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut pixels, mut heat, mut centres) = (Vec::new(), Vec::new(), Vec::new());
     for (n, (rgb, wanted)) in pictures.iter().enumerate() {
         pixels.extend(rgb);
         let mut one = vec![0.0; 8 * h * w];
-        let centres = encode(wanted, (w, h), &mut one, shares);
-        taught.extend(round_centres(&centres, (w, h)).into_iter().map(|cell| (n, cell)));
+        centres.extend(encode(wanted, (w, h), &mut one, shares).into_iter().map(|centre| (n, centre)));
         heat.extend(one);
     }
     let (n, h, w) = (pictures.len() as i64, h as i64, w as i64);
@@ -49,7 +48,7 @@ fn overfit(backbone: Backbone, steps: usize, rate: f64) {
     let x = Tensor::from_data_size(&pixels, &shape, Kind::Uint8).to_kind(Kind::Float).permute([0, 3, 1, 2])
         / 255.0;
     let heat = Tensor::from_slice(&heat).view([n, 8, h, w]);
-    let target = Target::new(heat, &taught, Device::Cpu).unwrap();
+    let target = Target::new(heat, &centres, Device::Cpu).unwrap();
     let network = CenterNet::new(backbone, Sees::Objects, Device::Cpu).unwrap();
     let mut adam = AdamW::new(&network.store, 0.0).unwrap();
     let mut losses = Vec::new();

@@ -1,7 +1,6 @@
 //! The network's training targets for a picture (Zhou et al. 2019, section 3).
 
 use super::kind::{Backbone, STRIDE};
-use std::collections::BTreeMap;
 
 /// A target box, or a box that does not count.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -109,68 +108,6 @@ pub fn encode(
         centres.push(Centre { cell: y * w + x, size, offset: [cx - x as f32, cy - y as f32] });
     }
     centres
-}
-
-/// A cell that is taught where an object is.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Taught {
-    /// y * width + x of the cell.
-    pub cell: usize,
-    /// The object's left, top, right and bottom from the cell's corner, in cells.
-    pub bounds: [f32; 4],
-    /// How much it counts; those of an object sum up to 1.
-    pub weight: f32,
-}
-
-/// Cells up to this share of an object's width and height from its centre are taught its box, with a Gaussian whose
-/// deviation is [`DEVIATION`] of them.
-const REACH: f32 = 0.25;
-const DEVIATION: f32 = 1.0 / 6.0;
-
-/// The cells round the centres of objects that are taught their boxes (Liu et al. 2020, "Training-Time-Friendly Network"),
-/// so that a peak beside the centre's cell has the right box too. Where two objects meet, the cell is the smaller one's; each
-/// object has its centre's.
-pub fn round_centres(centres: &[Centre], (w, h): (usize, usize)) -> Vec<Taught> {
-    let column_row = |cell: usize| [cell % w, cell / w];
-    // From the object's centre to a cell's middle, as shares of its width and height.
-    let away = |one: &Centre, cell: usize| -> [f32; 2] {
-        let (at, own) = (column_row(cell), column_row(one.cell));
-        [0, 1].map(|k| (at[k] as f32 + 0.5 - own[k] as f32 - one.offset[k]) / one.size[k].max(1.0))
-    };
-    let mut by_area: Vec<usize> = (0..centres.len()).collect();
-    let area = |i: usize| centres[i].size[0] * centres[i].size[1];
-    by_area.sort_by(|&a, &b| area(b).total_cmp(&area(a)));
-    let mut owners = BTreeMap::new();
-    for &i in &by_area {
-        let one = &centres[i];
-        let own = column_row(one.cell);
-        let [columns, rows] = [(0, w), (1, h)].map(|(k, end)| {
-            let reach = (REACH * one.size[k]).ceil() as usize;
-            own[k].saturating_sub(reach)..(own[k] + reach + 1).min(end)
-        });
-        let cells = rows.flat_map(|y| columns.clone().map(move |x| y * w + x));
-        owners.extend(
-            cells.filter(|&cell| away(one, cell).iter().all(|d| d.abs() <= REACH)).map(|cell| (cell, i)),
-        );
-    }
-    let mut cells: Vec<Vec<usize>> = centres.iter().map(|one| vec![one.cell]).collect();
-    for (cell, i) in owners.into_iter().filter(|&(cell, i)| cell != centres[i].cell) {
-        cells[i].push(cell);
-    }
-    let taught = |(one, cells): (&Centre, Vec<usize>)| -> Vec<Taught> {
-        let weight = |cell: usize| {
-            let far: f32 = away(one, cell).iter().map(|d| (d / DEVIATION).powi(2)).sum();
-            (-0.5 * far).exp()
-        };
-        let sum: f32 = cells.iter().map(|&cell| weight(cell)).sum();
-        let bounds = |cell: usize| -> [f32; 4] {
-            let (at, own) = (column_row(cell), column_row(one.cell));
-            let middle = [0, 1].map(|k| own[k] as f32 + one.offset[k] - at[k] as f32);
-            [(0, -0.5), (1, -0.5), (0, 0.5), (1, 0.5)].map(|(k, half)| middle[k] + half * one.size[k])
-        };
-        cells.iter().map(|&cell| Taught { cell, bounds: bounds(cell), weight: weight(cell) / sum }).collect()
-    };
-    centres.iter().zip(cells).flat_map(taught).collect()
 }
 
 /// How far (cells) both corners of a box may be off, in the worst directions, so that it still overlaps
@@ -299,43 +236,6 @@ mod tests {
         assert!(wide(1, 0) == 0.0 && wide(-1, 0) == 0.0, "beside it may be another");
         let narrow = map(corners);
         assert!(narrow(0, 0) == 1.0 && narrow(0, 1) == 0.0 && narrow(0, -1) == 0.0);
-    }
-
-    #[test]
-    fn cells_round_a_centre_are_taught_its_box() {
-        let (w, h) = (40, 30);
-        let truck = [4.0, 6.0, 24.0, 18.0];
-        let car = [14.0, 10.0, 22.0, 15.0];
-        let tiny = [30.2, 20.1, 31.1, 21.4];
-        let wanted = [truck, car, tiny].map(|bounds| Wanted {
-            class: 0,
-            bounds: bounds.map(|v| v * STRIDE as f32),
-            ignored: false,
-        });
-        let centres = encode(&wanted, (w, h), &mut vec![0.0; 8 * w * h], shares);
-        let taught = round_centres(&centres, (w, h));
-        let of = |bounds: [f32; 4]| -> Vec<Taught> {
-            let is_it = |one: &&Taught| {
-                let (x, y) = ((one.cell % w) as f32, (one.cell / w) as f32);
-                let shift = [x, y, x, y];
-                (0..4).all(|k| (one.bounds[k] + shift[k] - bounds[k]).abs() < 1e-4)
-            };
-            taught.iter().filter(is_it).copied().collect()
-        };
-        let (truck, car, tiny) = (of(truck), of(car), of(tiny));
-        assert_eq!(taught.len(), truck.len() + car.len() + tiny.len());
-        for object in [&truck, &car, &tiny] {
-            let sum: f32 = object.iter().map(|one| one.weight).sum();
-            assert!((sum - 1.0).abs() < 1e-5, "{sum}");
-        }
-        assert_eq!(tiny.len(), 1);
-        assert_eq!(car.len(), 4 * 3, "a half of its width and of its height");
-        // Half of its 20 x 12 cells, but those that the car covers; its centre among them.
-        assert!((40..60).contains(&truck.len()), "{}", truck.len());
-        assert!(truck.iter().any(|one| one.cell == 12 * w + 14));
-        assert!(
-            car.iter().all(|one| one.cell == 12 * w + 14 || truck.iter().all(|other| other.cell != one.cell))
-        );
     }
 
     #[test]
