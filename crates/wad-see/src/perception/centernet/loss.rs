@@ -47,7 +47,8 @@ pub struct Loss {
     /// Focal loss of the heat map.
     pub heat: Tensor,
     /// How far off the boxes' edges are, as shares of the true width and height: where they overlap well, nearly 1 less the
-    /// overlap. (With the overlap itself, and boxes that are taught round the centre too, near ones were too small: models/detector/README.md.)
+    /// overlap. (With the overlap itself, and boxes that are taught round the centre too, near ones were too small:
+    /// models/detector/README.md.)
     pub boxes: Tensor,
 }
 
