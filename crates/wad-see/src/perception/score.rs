@@ -245,15 +245,14 @@ pub struct Sureness {
 pub fn sureness(views: &[View], kept: f32) -> Vec<BySureness> {
     let lowest = |least: &Option<f32>| least.unwrap_or(LeastScore::Usual.of(f32::INFINITY));
     let least = [Some(0.2), Some(0.3), Some(0.4), None].into_iter().filter(|least| lowest(least) >= kept);
-    let scored = |least: &Option<f32>| -> Vec<Scored> {
-        views.iter().map(|view| view.grouped(least.map_or(LeastScore::Usual, LeastScore::Fixed))).collect()
-    };
-    let scored: Vec<_> = least.map(|least| (least, scored(&least))).collect();
+    let grouped = |least| -> Vec<Scored> { views.iter().map(|view| view.grouped(least)).collect() };
+    let all = grouped(LeastScore::Fixed(kept));
+    let from = |least: Option<f32>| (least, grouped(least.map_or(LeastScore::Usual, LeastScore::Fixed)));
+    let scored: Vec<_> = least.map(from).collect();
     let row = |label: usize, low: f32, high: f32| {
         let is_in = |height: f32| (low..high).contains(&height);
         let is_one = |t: &&Truth| t.label == label && !t.ignored && is_in(t.bounds[3] - t.bounds[1]);
-        let truths = scored.iter().take(1).flat_map(|(_, views)| views);
-        let truths = truths.map(|view| view.truths.iter().filter(is_one).count()).sum();
+        let truths = all.iter().map(|view| view.truths.iter().filter(is_one).count()).sum();
         let from = |(least, views): &(Option<f32>, Vec<Scored>)| {
             let (mut hits, mut wrong) = (0_usize, 0_usize);
             for view in views {
