@@ -117,16 +117,14 @@ pub struct Validation {
 }
 
 impl Validation {
-    /// Which network is better: the mean of mAP, boundaries found, lights right, signs right and the area's IoU.
+    /// Which network is better: the mean of both mAPs, boundaries found, lights right, signs right and the area's IoU.
     fn score(&self) -> f64 {
-        match &self.road {
-            None => self.map50,
-            Some(road) => {
-                let RoadReport { boundaries_found, lights_right, signs_right, area_iou, .. } = road;
-                let parts = [&Some(self.map50), boundaries_found, lights_right, signs_right, area_iou];
-                parts.into_iter().flatten().sum::<f64>() / parts.into_iter().flatten().count() as f64
-            }
+        let mut parts = vec![self.map50, self.map50_small];
+        if let Some(road) = &self.road {
+            let RoadReport { boundaries_found, lights_right, signs_right, area_iou, .. } = road;
+            parts.extend([boundaries_found, lights_right, signs_right, area_iou].into_iter().flatten());
         }
+        parts.iter().sum::<f64>() / parts.len() as f64
     }
 }
 
@@ -246,9 +244,12 @@ fn find_ranges(options: &TrainOptions, file: &Path) -> Result<(), TrainError> {
     }
     let weights = Weights::load(file)?;
     let mut watcher = Watcher::new(&weights, options.sees)?;
-    let dataset = Dataset::open(&options.data, options.partial)?;
-    for sample in samples(&dataset, &dataset.split().0, WATCHED)? {
-        watcher.show(&sample.rgb()?)?;
+    let folders: Vec<&PathBuf> = std::iter::once(&options.data).chain(&options.more).collect();
+    for folder in &folders {
+        let dataset = Dataset::open(folder, options.partial)?;
+        for sample in samples(&dataset, &dataset.split().0, WATCHED.div_ceil(folders.len()))? {
+            watcher.show(&sample.rgb()?)?;
+        }
     }
     let before = options.init.as_ref().filter(|_| options.only.is_some());
     let before = before.map(|name| centernet_weights(name)).transpose()?;

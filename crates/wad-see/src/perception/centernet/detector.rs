@@ -324,8 +324,19 @@ pub struct Watcher {
     network: inference::Network,
     /// Outputs before the watched places.
     answers: usize,
-    ranges: Ranges,
-    pictures: usize,
+    /// The largest number that counts of each place, picture by picture.
+    most: Vec<Vec<f32>>,
+}
+
+/// Share of the pictures whose numbers lie within a place's range.
+const WITHIN: f64 = 0.99;
+
+/// A place's range, by what is the largest number that counts in each picture. Not their mean: few pictures show what is near, whose size
+/// is a large number, and what is beyond the range looks as small as the range.
+fn range(mut most: Vec<f32>) -> f32 {
+    most.sort_by(f32::total_cmp);
+    let within = (WITHIN * most.len().saturating_sub(1) as f64).round() as usize;
+    most.get(within).map_or(0.0, |most| *most).max(1e-6)
 }
 
 impl Watcher {
@@ -340,7 +351,7 @@ impl Watcher {
         let ir = graph::graph(weights, sees, Numbers::Watched)?;
         let network = inference::Network::new(&ir, &SHAPE)?;
         let answers = if sees == Sees::Road { 7 } else { 3 };
-        Ok(Self { network, answers, ranges: vec![0.0; ir.outputs() - answers], pictures: 0 })
+        Ok(Self { network, answers, most: vec![Vec::new(); ir.outputs() - answers] })
     }
 
     /// Shows it a picture of the camera (512x512 RGB).
@@ -350,21 +361,20 @@ impl Watcher {
     pub fn show(&mut self, rgb: &[u8]) -> Result<(), WeightsError> {
         let (first, rows) = Backbone::Light.rows(PICTURE[1]);
         let bytes = &rgb[first * PICTURE[1] * 3..][..rows * PICTURE[1] * 3];
-        let Self { network, answers, ranges, pictures } = self;
+        let Self { network, answers, most } = self;
         let mut sorted = Vec::new();
         network.run(bytes, |at, numbers| {
             let Some(place) = at.checked_sub(*answers) else { return };
             sorted.clear();
             sorted.extend_from_slice(numbers);
             let beyond = (numbers.len() as f64 * Self::BEYOND) as usize;
-            let (_, most, _) = sorted.select_nth_unstable_by(beyond, |a, b| b.total_cmp(a));
-            ranges[place] += *most;
+            let (_, counts, _) = sorted.select_nth_unstable_by(beyond, |a, b| b.total_cmp(a));
+            most[place].push(*counts);
         })?;
-        *pictures += 1;
         Ok(())
     }
 
-    /// The same weights with the ranges: the means over the pictures; all but the head's own are those of `before`, of which the
+    /// The same weights with the ranges of nearly all pictures; all but the head's own are those of `before`, of which the
     /// network was made and which differs in that head alone.
     ///
     /// # Errors
@@ -374,8 +384,7 @@ impl Watcher {
         mut weights: Weights,
         before: Option<(&Weights, Part)>,
     ) -> Result<Weights, WeightsError> {
-        let ranges = self.ranges.iter().map(|sum| (sum / self.pictures.max(1) as f32).max(1e-6));
-        let mut ranges: Ranges = ranges.collect();
+        let mut ranges: Ranges = self.most.into_iter().map(range).collect();
         if let Some((before, part)) = before {
             let others = ranges.len().saturating_sub(graph::ranges_of(part));
             let kept = graph::ranges(before)?.unwrap_or_default();
@@ -383,5 +392,20 @@ impl Watcher {
         }
         graph::set_ranges(&mut weights, &ranges);
         Ok(weights)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::range;
+
+    #[test]
+    fn what_few_pictures_show_is_within_the_range() {
+        // Of 100 pictures four show something near, one something that nobody sees twice.
+        let mut most = vec![1.0; 95];
+        most.extend([4.0; 4]);
+        most.push(100.0);
+        assert_eq!(range(most), 4.0);
+        assert!(range(Vec::new()) > 0.0 && range(vec![0.0; 3]) > 0.0, "a range that can be divided by");
     }
 }
