@@ -8,7 +8,7 @@
 use super::detector_data::{Plate, SIDE, Sample, Show, epoch, plates, samples, steps};
 pub use super::run::TrainError;
 use super::run::{self, Pass, Training};
-use crate::dataset::Dataset;
+use crate::dataset::{Dataset, DatasetError};
 use crate::optim::AdamW;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
@@ -101,6 +101,13 @@ impl TrainOptions {
             validation_frames: 300,
             time_limit: None,
         }
+    }
+}
+
+impl TrainOptions {
+    fn datasets(&self) -> Result<Vec<Dataset>, DatasetError> {
+        let folders = std::iter::once(&self.data).chain(&self.more);
+        folders.map(|folder| Dataset::open(folder, self.partial)).collect()
     }
 }
 
@@ -244,10 +251,9 @@ fn find_ranges(options: &TrainOptions, file: &Path) -> Result<(), TrainError> {
     }
     let weights = Weights::load(file)?;
     let mut watcher = Watcher::new(&weights, options.sees)?;
-    let folders: Vec<&PathBuf> = std::iter::once(&options.data).chain(&options.more).collect();
-    for folder in &folders {
-        let dataset = Dataset::open(folder, options.partial)?;
-        for sample in samples(&dataset, &dataset.split().0, WATCHED.div_ceil(folders.len()))? {
+    let datasets = options.datasets()?;
+    for dataset in &datasets {
+        for sample in samples(dataset, &dataset.split().0, WATCHED.div_ceil(datasets.len()))? {
             watcher.show(&sample.rgb()?)?;
         }
     }
@@ -261,9 +267,7 @@ impl<'a> Trainer<'a> {
     fn start(options: &'a TrainOptions, device: Device, resume: bool) -> Result<Self, TrainError> {
         wad_see::torch::one_thread();
         let checkpoint = run::checkpoint(&options.out);
-        let folders = std::iter::once(&options.data).chain(&options.more);
-        let datasets: Vec<Dataset> =
-            folders.map(|folder| Dataset::open(folder, options.partial)).collect::<Result<_, _>>()?;
+        let datasets = options.datasets()?;
         datasets.iter().try_for_each(Dataset::require_training)?;
         run::write_json(&options.out.join("config.json"), options)?;
         let (mut training, mut validation) = (Vec::new(), Vec::new());

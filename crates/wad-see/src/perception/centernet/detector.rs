@@ -15,6 +15,7 @@ use std::path::Path;
 #[cfg(feature = "learn")]
 use tch::{Device, Kind, TchError, Tensor};
 use wad_camera::{CameraConfig, Frame};
+use wad_sim::stats::quantile;
 
 /// Runs on one thread of the processor, or on a GPU.
 #[derive(Debug)]
@@ -325,24 +326,21 @@ pub struct Watcher {
     /// Outputs before the watched places.
     answers: usize,
     /// The largest number that counts of each place, picture by picture.
-    most: Vec<Vec<f32>>,
+    most: Vec<Vec<f64>>,
 }
 
-/// Share of the pictures whose numbers lie within a place's range.
+/// Share of a place's numbers in a picture that may lie beyond its range: outliers would make all others coarse.
+const BEYOND: f64 = 1e-4;
+/// Share of the pictures of which no more do.
 const WITHIN: f64 = 0.99;
 
 /// A place's range, by what is the largest number that counts in each picture. Not their mean: few pictures show what is near, whose size
 /// is a large number, and what is beyond the range looks as small as the range.
-fn range(mut most: Vec<f32>) -> f32 {
-    most.sort_by(f32::total_cmp);
-    let within = (WITHIN * most.len().saturating_sub(1) as f64).round() as usize;
-    most.get(within).map_or(0.0, |most| *most).max(1e-6)
+fn range(most: Vec<f64>) -> f32 {
+    quantile(most, WITHIN).max(1e-6) as f32 // none: 1e-6
 }
 
 impl Watcher {
-    /// Share of a place's numbers in a picture that may lie beyond its range: outliers would make all others coarse.
-    const BEYOND: f64 = 1e-4;
-
     /// Watches the network of some weights.
     ///
     /// # Errors
@@ -367,9 +365,9 @@ impl Watcher {
             let Some(place) = at.checked_sub(*answers) else { return };
             sorted.clear();
             sorted.extend_from_slice(numbers);
-            let beyond = (numbers.len() as f64 * Self::BEYOND) as usize;
+            let beyond = (numbers.len() as f64 * BEYOND) as usize;
             let (_, counts, _) = sorted.select_nth_unstable_by(beyond, |a, b| b.total_cmp(a));
-            most[place].push(*counts);
+            most[place].push(f64::from(*counts));
         })?;
         Ok(())
     }
@@ -401,8 +399,8 @@ mod tests {
 
     #[test]
     fn what_few_pictures_show_is_within_the_range() {
-        // Of 100 pictures four show something near, one something that nobody sees twice.
-        let mut most = vec![1.0; 95];
+        // Of 101 pictures four show something near, one something that nobody sees twice.
+        let mut most = vec![1.0; 96];
         most.extend([4.0; 4]);
         most.push(100.0);
         assert_eq!(range(most), 4.0);
