@@ -325,17 +325,15 @@ pub struct Watcher {
     network: inference::Network,
     /// Outputs before the watched places.
     answers: usize,
-    /// The largest number that counts of each place, picture by picture.
+    /// The largest number of each place, picture by picture.
     most: Vec<Vec<f64>>,
 }
 
-/// Share of a place's numbers in a picture that may lie beyond its range: outliers would make all others coarse.
-const BEYOND: f64 = 1e-4;
-/// Share of the pictures of which no more do.
+/// Share of the pictures of which no number lies beyond its place's range.
 const WITHIN: f64 = 0.99;
 
-/// A place's range, by what is the largest number that counts in each picture. Not their mean: few pictures show what is near, whose size
-/// is a large number, and what is beyond the range looks as small as the range.
+/// A place's range, by the largest number in each picture. Not their mean: few pictures show what is near, whose size is a
+/// large number, and what is beyond the range looks as small as the range.
 fn range(most: Vec<f64>) -> f32 {
     quantile(most, WITHIN).max(1e-6) as f32 // none: 1e-6
 }
@@ -360,14 +358,9 @@ impl Watcher {
         let (first, rows) = Backbone::Light.rows(PICTURE[1]);
         let bytes = &rgb[first * PICTURE[1] * 3..][..rows * PICTURE[1] * 3];
         let Self { network, answers, most } = self;
-        let mut sorted = Vec::new();
         network.run(bytes, |at, numbers| {
             let Some(place) = at.checked_sub(*answers) else { return };
-            sorted.clear();
-            sorted.extend_from_slice(numbers);
-            let beyond = (numbers.len() as f64 * BEYOND) as usize;
-            let (_, counts, _) = sorted.select_nth_unstable_by(beyond, |a, b| b.total_cmp(a));
-            most[place].push(f64::from(*counts));
+            most[place].push(f64::from(numbers.iter().copied().fold(0.0, f32::max)));
         })?;
         Ok(())
     }

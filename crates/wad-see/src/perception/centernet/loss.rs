@@ -46,9 +46,9 @@ const BOXES: f64 = 5.0;
 pub struct Loss {
     /// Focal loss of the heat map.
     pub heat: Tensor,
-    /// How far off the boxes' edges are, as shares of the true width and height: where they overlap well, nearly 1 less the
-    /// overlap. (With the overlap itself, and boxes that are taught round the centre too, near ones were too small:
-    /// models/detector/README.md.)
+    /// How far off the boxes' edges are, as shares of the width and height that were answered. (As shares of the true ones,
+    /// what is taken for too large counts more than what is taken for too small, and where sizes are unsure, boxes are too
+    /// small: models/detector/README.md.)
     pub boxes: Tensor,
 }
 
@@ -86,12 +86,12 @@ pub fn loss(answer: &Answer, target: &Target) -> Result<Loss, TchError> {
     let rows = |answer: &Tensor| {
         answer.f_permute([0, 2, 3, 1])?.f_reshape([-1, 2])?.f_index_select(0, &target.cells)
     };
-    let half = rows(&answer.size)?.f_mul_scalar(0.5)?;
+    let size = rows(&answer.size)?;
+    let half = size.f_mul_scalar(0.5)?;
     let middle = rows(&answer.offset)?;
     let edges = Tensor::f_cat(&[middle.f_sub(&half)?, middle.f_add(&half)?], 1)?;
-    let corner = |first: i64| target.bounds.f_narrow(1, first, 2);
-    let size = corner(2)?.f_sub(&corner(0)?)?.f_clamp_min(LEAST)?.f_repeat([1, 2])?;
-    let off = edges.f_sub(&target.bounds)?.f_abs()?.f_div(&size)?;
+    let unit = size.f_detach()?.f_clamp_min(LEAST)?.f_repeat([1, 2])?;
+    let off = edges.f_sub(&target.bounds)?.f_abs()?.f_div(&unit)?;
     Ok(Loss {
         heat: focal(&answer.heat, &target.heat)?.f_div_scalar(objects)?,
         boxes: off.f_sum(tch::Kind::Float)?.f_div_scalar(objects)?,
@@ -129,5 +129,16 @@ mod tests {
         let boxes = 0.5 * 1.0 + 0.5 * 2.0;
         assert!((loss.boxes.double_value(&[]) - boxes).abs() < 1e-6, "{:?}", loss.boxes);
         assert!((loss.total().unwrap().double_value(&[]) - (heat + 5.0 * boxes)).abs() < 1e-5);
+    }
+
+    #[test]
+    fn an_unsure_size_is_neither_too_small_nor_too_large() {
+        // What looks alike is 1, 2 or 8 cells wide and high: 2 leaves as many larger as smaller.
+        let size = Tensor::full([1, 2, 1, 1], 2.0, (Kind::Float, Device::Cpu)).set_requires_grad(true);
+        let map = |planes: i64| Tensor::zeros([1, planes, 1, 1], (Kind::Float, Device::Cpu));
+        let answer = Answer { heat: map(1), size: size.shallow_clone(), offset: map(2), road: None };
+        let centres = [1.0, 2.0, 8.0].map(|side| (0, Centre { cell: 0, size: [side; 2], offset: [0.0; 2] }));
+        loss(&answer, &Target::new(map(1), &centres, Device::Cpu).unwrap()).unwrap().boxes.backward();
+        assert!(size.grad().abs().max().double_value(&[]) < 1e-6, "{:?}", size.grad());
     }
 }
