@@ -46,9 +46,9 @@ const BOXES: f64 = 5.0;
 pub struct Loss {
     /// Focal loss of the heat map.
     pub heat: Tensor,
-    /// How far off the boxes' edges are, as shares of the width and height that were answered. (As shares of the true ones,
-    /// what is taken for too large counts more than what is taken for too small, and where sizes are unsure, boxes are too
-    /// small: models/detector/README.md.)
+    /// How far off the boxes' edges are, as shares of the width and height that were answered; of large ones a share counts
+    /// more. (As shares of the true ones, an answer is the less wrong the larger its object is, so that where sizes are
+    /// unsure boxes are too small: models/detector/README.md.)
     pub boxes: Tensor,
 }
 
@@ -90,7 +90,8 @@ pub fn loss(answer: &Answer, target: &Target) -> Result<Loss, TchError> {
     let half = size.f_mul_scalar(0.5)?;
     let middle = rows(&answer.offset)?;
     let edges = Tensor::f_cat(&[middle.f_sub(&half)?, middle.f_add(&half)?], 1)?;
-    let unit = size.f_detach()?.f_clamp_min(LEAST)?.f_repeat([1, 2])?;
+    let size = size.f_detach()?.f_clamp_min(LEAST)?;
+    let unit = size.f_minimum(&size.f_mul_scalar(LARGE)?.f_sqrt()?)?.f_repeat([1, 2])?;
     let off = edges.f_sub(&target.bounds)?.f_abs()?.f_div(&unit)?;
     Ok(Loss {
         heat: focal(&answer.heat, &target.heat)?.f_div_scalar(objects)?,
@@ -100,6 +101,8 @@ pub fn loss(answer: &Answer, target: &Target) -> Result<Loss, TchError> {
 
 /// Narrower boxes are judged as if they were as wide (cells).
 const LEAST: f64 = 1.0;
+/// Of wider ones a share counts more, by the square root (cells): how near they are is told by their edges, to the pixel.
+const LARGE: f64 = 5.0;
 
 #[cfg(test)]
 mod tests {
