@@ -93,7 +93,9 @@ fn one_begins_with_the_weights_it_is_told_to() {
     let mut compared = 0;
     for (name, tensor) in first.tensors.iter().filter(|(name, _)| trained(name)) {
         let shape: Vec<i64> = tensor.shape.iter().map(|&n| n as i64).collect();
-        assert_eq!(tensor, second.stored(name, &shape).unwrap(), "{name}");
+        // As numbers: the smallest step turns 0 into -0.
+        let [before, after] = [&first, &second].map(|weights| weights.get(name, &shape).unwrap());
+        assert!(before.eq_tensor(&after).all().int64_value(&[]) == 1, "{name}");
         compared += 1;
     }
     assert!(compared > 20, "{compared}");
