@@ -165,6 +165,9 @@ fn success(section: &Section) -> Table {
 
 /// The driven weathers of a condition that were (`trained`) or were not trained in.
 fn odd_weathers(section: &Section, condition: &str, trained: bool) -> Vec<&'static str> {
+    if !section.conditions().iter().any(|driven| driven == condition) {
+        return Vec::new();
+    }
     let own = section.suite.conditions.iter().filter(|c| c.name == condition).flat_map(|c| &c.weathers);
     own.filter(|weather| TRAINED_IN.contains(weather) == trained).map(|weather| weather.name()).collect()
 }
