@@ -398,8 +398,7 @@ fn an_external_agent_drives_and_one_that_fails_costs_its_episode_only() {
     // who is not there: docs/agents.md, Limits.)
     let part =
         ["--condition", "development", "--traffic", "empty", "--weather", "WetSunset", "--episodes", "1"];
-    let part = [&part[..], &["--detector", "truth"]].concat();
-    let mut eval = wad(&["eval", "nocrash", "--json", "--agent", &python]);
+    let mut eval = wad(&["eval", "nocrash", "--json", "--detector", "truth", "--agent", &python]);
     assert_eq!(json(&ok(eval.args(part)))["totals"][0]["successes"], 1);
 }
 

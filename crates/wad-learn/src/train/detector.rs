@@ -102,9 +102,7 @@ impl TrainOptions {
             time_limit: None,
         }
     }
-}
 
-impl TrainOptions {
     fn datasets(&self) -> Result<Vec<Dataset>, DatasetError> {
         let folders = std::iter::once(&self.data).chain(&self.more);
         folders.map(|folder| Dataset::open(folder, self.partial)).collect()

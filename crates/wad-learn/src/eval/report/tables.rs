@@ -165,11 +165,12 @@ fn success(section: &Section) -> Table {
 
 /// The driven weathers of a condition that were (`trained`) or were not trained in.
 fn odd_weathers(section: &Section, condition: &str, trained: bool) -> Vec<&'static str> {
-    if !section.conditions().iter().any(|driven| driven == condition) {
-        return Vec::new();
-    }
-    let own = section.suite.conditions.iter().filter(|c| c.name == condition).flat_map(|c| &c.weathers);
-    own.filter(|weather| TRAINED_IN.contains(weather) == trained).map(|weather| weather.name()).collect()
+    let driven = section.conditions();
+    let own = section.suite.conditions.iter().filter(|c| c.name == condition && driven.contains(&c.name));
+    own.flat_map(|c| &c.weathers)
+        .filter(|weather| TRAINED_IN.contains(weather) == trained)
+        .map(|weather| weather.name())
+        .collect()
 }
 
 /// Groups by agent, condition and task, in that order, with their names.

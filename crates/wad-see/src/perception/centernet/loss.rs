@@ -90,6 +90,7 @@ pub fn loss(answer: &Answer, target: &Target) -> Result<Loss, TchError> {
     let half = size.f_mul_scalar(0.5)?;
     let middle = rows(&answer.offset)?;
     let edges = Tensor::f_cat(&[middle.f_sub(&half)?, middle.f_add(&half)?], 1)?;
+    // A unit is not learned: a larger answer would make all errors small.
     let size = size.f_detach()?.f_clamp_min(LEAST)?;
     let unit = size.f_minimum(&size.f_mul_scalar(LARGE)?.f_sqrt()?)?.f_repeat([1, 2])?;
     let off = edges.f_sub(&target.bounds)?.f_abs()?.f_div(&unit)?;
