@@ -394,11 +394,10 @@ fn an_external_agent_drives_and_one_that_fails_costs_its_episode_only() {
     let summary = json(&ok(run.arg(&out)));
     assert_eq!(summary["ticks"], 20);
 
-    // It is an example worth copying: it arrives in time. Slower in bends, it did not. (Behind `eyes` it stops here for a person
-    // who is not there: docs/agents.md, Limits.)
+    // It is an example worth copying: it arrives in time. Slower in bends, it did not.
     let part =
         ["--condition", "development", "--traffic", "empty", "--weather", "WetSunset", "--episodes", "1"];
-    let mut eval = wad(&["eval", "nocrash", "--json", "--detector", "truth", "--agent", &python]);
+    let mut eval = wad(&["eval", "nocrash", "--json", "--agent", &python]);
     assert_eq!(json(&ok(eval.args(part)))["totals"][0]["successes"], 1);
 }
 

@@ -173,6 +173,23 @@ pub fn decode(head: &Head, outputs: &[Tensor<'_>], width: usize, min_score: f32)
     found
 }
 
+/// A box's side that is nearer to the picture's side than this share of the box's width is where the picture cuts the object.
+/// `eyes` put the sides of the vehicles that are cut there to a pixel in 58 %, to this in 96 % (of 98 in a drive through town3; of
+/// 37 that end within 60 pixels of it, 5 seem cut). Who is passed would be in the ego's path, by the breadth that is not seen.
+const AT_SIDE: f32 = 0.1;
+
+/// Cuts the boxes at the borders of a picture of this width and height (pixels), and leaves out what is outside.
+pub fn clip(found: &mut Vec<Detection>, [width, height]: [f32; 2]) {
+    for detection in found.iter_mut() {
+        let [l, t, r, b] = detection.bounds;
+        let near = AT_SIDE * (r - l);
+        let left = if l < near { 0.0 } else { l };
+        let right = if r > width - near { width } else { r };
+        detection.bounds = [left, t.max(0.0), right, b.min(height)];
+    }
+    found.retain(|d| d.size().iter().all(|&side| side > 0.0));
+}
+
 fn cells(map: &Tensor<'_>) -> usize {
     map.shape[1] * map.shape[2]
 }
@@ -271,5 +288,21 @@ mod tests {
         let other = Tensor { name: "o", shape: &[85, 3], values: &columns };
         let head = Head::Rows { rows: 3, classes: 80, objectness: true, transposed: true };
         assert_eq!(decode(&head, &[other], 512, 0.3), found);
+    }
+
+    #[test]
+    fn a_box_that_ends_beside_the_pictures_side_ends_there() {
+        let at = |bounds| Detection { class: ObjectClass::Car, bounds, score: 0.5 };
+        let cut = |bounds| {
+            let mut found = vec![at(bounds)];
+            clip(&mut found, [512.0, 512.0]);
+            found.first().map(|d| d.bounds)
+        };
+        assert_eq!(cut([9.0, 200.0, 109.0, 300.0]), Some([0.0, 200.0, 109.0, 300.0]));
+        assert_eq!(cut([11.0, 200.0, 111.0, 300.0]), Some([11.0, 200.0, 111.0, 300.0]));
+        assert_eq!(cut([403.0, -5.0, 503.0, 600.0]), Some([403.0, 0.0, 512.0, 512.0]));
+        assert_eq!(cut([-30.0, 200.0, 520.0, 300.0]), Some([0.0, 200.0, 512.0, 300.0]));
+        assert_eq!(cut([-30.0, 200.0, -2.0, 300.0]), None);
+        assert_eq!(cut([520.0, 200.0, 560.0, 300.0]), None);
     }
 }

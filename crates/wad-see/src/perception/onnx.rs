@@ -175,13 +175,10 @@ impl Detector for OnnxDetector {
         }
         *found = heads::decode(&self.head, &tensors, self.size.0, self.min_score);
         let scale = self.scale(frame);
-        let (width, height) = (frame.width as f32, frame.height as f32);
         for detection in found.iter_mut() {
-            let [l, t, r, b] = detection.bounds.map(|v| v / scale);
-            detection.bounds =
-                [l.clamp(0.0, width), t.clamp(0.0, height), r.clamp(0.0, width), b.clamp(0.0, height)];
+            detection.bounds = detection.bounds.map(|v| v / scale);
         }
-        found.retain(|d| d.size().iter().all(|&side| side > 0.0));
+        heads::clip(found, [frame.width as f32, frame.height as f32]);
         Ok(())
     }
 }

@@ -229,13 +229,11 @@ impl CenterNetDetector {
         let mut found = heads::decode(&head, &tensors, width, self.least.of(f32::INFINITY).min(LEAST_SHARE));
         join_guesses(&mut found, ONE_VEHICLE);
         found.retain(|d| d.score >= self.least.of(d.size()[1]));
-        let (right, bottom) = (width as f32, height as f32);
         for detection in &mut found {
             let [l, t, r, b] = detection.bounds;
-            let [t, b] = [t + first as f32, b + first as f32];
-            detection.bounds = [l.max(0.0), t.max(0.0), r.min(right), b.min(bottom)];
+            detection.bounds = [l, t + first as f32, r, b + first as f32];
         }
-        found.retain(|d| d.size().iter().all(|&side| side > 0.0));
+        heads::clip(&mut found, [width as f32, height as f32]);
         Ok(found)
     }
 }
