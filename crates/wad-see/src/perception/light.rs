@@ -117,8 +117,8 @@ const SAME: (f64, f64) = (0.35, 4.0);
 /// Standard deviation of a distance in one frame: metres, and share of it. So what is seen from near counts more.
 const DOUBT: (f64, f64) = (0.5, 0.15);
 /// Sure frames that a distance is averaged over. The ego's own way is exact, but errors hold from frame to frame: a line 60 m
-/// ahead is seen too near for a second, and what comes nearer is seen the better. (Until 27 November 2026 12: an ego that saw
-/// yellow 36 m before the line believed in 28, where it could not stop any more.)
+/// ahead is seen too near for a second, and what comes nearer is seen the better (docs/detector.md, "The light from tick to
+/// tick").
 const AVERAGED: f64 = 3.0;
 /// Most certainty that a light has: sure frames.
 const SUREST: f64 = 12.0;
