@@ -123,6 +123,41 @@ impl From<RecordingFolder> for String {
 }
 
 #[cfg(test)]
+impl EpisodeRecord {
+    /// One that went well for a tick.
+    pub(super) fn of_a_tick(case: Case) -> Self {
+        let spot = || wad_sim::tasks::Spot { lane: "a_0".into(), s: 1.0 };
+        Self {
+            episode_seed: case.episode_seed(),
+            case,
+            placement: Placement { from: spot(), to: spot(), obstacle: None, via: Vec::new() },
+            ending: Ending { end: crate::env::End::Survived, cause: "alive".into(), success: true },
+            fault: None,
+            ticks: 1,
+            tick_s: 0.167,
+            route_length_m: 1.0,
+            driven_m: 1.0,
+            distance_m: 1.0,
+            mean_speed_mps: 1.0,
+            top_speed_mps: 1.0,
+            rms_acceleration: 0.0,
+            rms_steer_change: 0.0,
+            episodic_return: 0.0,
+            terms: RewardTerms::default(),
+            vehicles_mean: 0.0,
+            pedestrians_mean: 0.0,
+            events: EventCounts::default(),
+            speeds: Histogram::default(),
+            gaps: Histogram::default(),
+            light: None,
+            limit: None,
+            end_at: [0.0; 2],
+            recording: None,
+        }
+    }
+}
+
+#[cfg(test)]
 mod tests {
     use super::*;
 

@@ -410,11 +410,9 @@ fn plain_files(run: &Path, recording: &RecordingFolder) -> Result<Vec<PathBuf>, 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::env::{End, Ending, EnvOptions};
-    use crate::eval::{DriverSpec, EventCounts, Histogram, Selection, Suite};
-    use crate::reward::RewardTerms;
+    use crate::env::EnvOptions;
+    use crate::eval::{DriverSpec, Selection, Suite};
     use std::collections::BTreeMap;
-    use wad_sim::tasks::{Placement, Spot};
 
     fn manifest() -> Manifest {
         Manifest {
@@ -437,37 +435,6 @@ mod tests {
         }
     }
 
-    fn record(case: Case) -> EpisodeRecord {
-        let spot = || Spot { lane: "a_0".into(), s: 1.0 };
-        EpisodeRecord {
-            episode_seed: case.episode_seed(),
-            case,
-            placement: Placement { from: spot(), to: spot(), obstacle: None, via: Vec::new() },
-            ending: Ending { end: End::Survived, cause: "alive".into(), success: true },
-            fault: None,
-            ticks: 1,
-            tick_s: 0.167,
-            route_length_m: 1.0,
-            driven_m: 1.0,
-            distance_m: 1.0,
-            mean_speed_mps: 1.0,
-            top_speed_mps: 1.0,
-            rms_acceleration: 0.0,
-            rms_steer_change: 0.0,
-            episodic_return: 0.0,
-            terms: RewardTerms::default(),
-            vehicles_mean: 0.0,
-            pedestrians_mean: 0.0,
-            events: EventCounts::default(),
-            speeds: Histogram::default(),
-            gaps: Histogram::default(),
-            light: None,
-            limit: None,
-            end_at: [0.0; 2],
-            recording: None,
-        }
-    }
-
     fn cases(manifest: &Manifest) -> Vec<Case> {
         manifest.selection.cases(&manifest.suite).unwrap().into_iter().map(|(case, _)| case).collect()
     }
@@ -477,7 +444,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let (path, manifest) = (folder.path(), manifest());
         let (mut store, _) = Store::open(path, &manifest, false).unwrap();
-        store.add(&record(cases(&manifest)[0].clone())).unwrap();
+        store.add(&EpisodeRecord::of_a_tick(cases(&manifest)[0].clone())).unwrap();
         drop(store);
         std::fs::remove_file(path.join(CONFIG)).unwrap();
         for resume in [false, true] {
@@ -496,8 +463,8 @@ mod tests {
         let (path, manifest) = (folder.path(), manifest());
         let all = cases(&manifest);
         let (mut store, _) = Store::open(path, &manifest, false).unwrap();
-        store.add(&record(all[0].clone())).unwrap();
-        store.add(&record(Case { seed: 7, ..all[1].clone() })).unwrap();
+        store.add(&EpisodeRecord::of_a_tick(all[0].clone())).unwrap();
+        store.add(&EpisodeRecord::of_a_tick(Case { seed: 7, ..all[1].clone() })).unwrap();
         drop(store);
         let lines = path.join(EPISODES);
         let mut text = std::fs::read_to_string(&lines).unwrap();
@@ -532,7 +499,8 @@ mod tests {
         let (store, _) = Store::open(path, &manifest, false).unwrap();
         drop(store);
         for out in ["/etc", "../../b"] {
-            let mut line = serde_json::to_value(record(cases(&manifest)[0].clone())).unwrap();
+            let mut line =
+                serde_json::to_value(EpisodeRecord::of_a_tick(cases(&manifest)[0].clone())).unwrap();
             line["recording"] = out.into();
             std::fs::write(path.join(EPISODES), format!("{line}\n")).unwrap();
             let error = Results::open(path).unwrap_err().to_string();
@@ -549,7 +517,7 @@ mod tests {
         let (run, out, manifest) = (folder.path().join("run"), folder.path().join("out"), manifest());
         let case = cases(&manifest)[0].clone();
         let recording = RecordingFolder::of(&case);
-        let episode = EpisodeRecord { recording: Some(recording.clone()), ..record(case) };
+        let episode = EpisodeRecord { recording: Some(recording.clone()), ..EpisodeRecord::of_a_tick(case) };
         let merge = || Store::merge(&out, &manifest, &[(&run, &episode)], &"summary");
         assert!(merge().unwrap_err().to_string().contains("cannot be copied"), "the recording is gone");
         assert!(!out.exists(), "nothing is written");

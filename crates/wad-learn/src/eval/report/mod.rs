@@ -8,6 +8,7 @@
 mod driver;
 mod figures;
 mod page;
+mod paired;
 mod pictures;
 mod published;
 mod svg;

@@ -1,5 +1,6 @@
 //! The tables of a report.
 
+use super::paired::beside_autopilot;
 use super::published::published;
 use super::{Driver, Report, Section, Table};
 use crate::env::End;
@@ -12,7 +13,7 @@ const TRAINED_IN: [Preset; 3] = [Preset::ClearNoon, Preset::CloudyNoon, Preset::
 /// All tables of a section, the published ones last.
 pub fn tables(section: &Section) -> Vec<Table> {
     let mut all = vec![success(section), driving(section), infractions(section)];
-    all.extend(lights(section));
+    all.extend(lights(section).into_iter().chain(beside_autopilot(section)));
     all.extend([ends(section), weathers(section)]);
     if let Some(published) = published() {
         let own = published.tables.iter().filter(|t| t.suite == section.suite.name);
@@ -174,7 +175,7 @@ fn odd_weathers(section: &Section, condition: &str, trained: bool) -> Vec<&'stat
 }
 
 /// Groups by agent, condition and task, in that order, with their names.
-fn lines(section: &Section) -> Vec<(Vec<String>, Vec<&EpisodeRecord>)> {
+pub(super) fn lines(section: &Section) -> Vec<(Vec<String>, Vec<&EpisodeRecord>)> {
     let (drivers, conditions) = (&section.drivers, section.conditions());
     let mut all = Vec::new();
     for driver in drivers {
@@ -191,7 +192,8 @@ fn lines(section: &Section) -> Vec<(Vec<String>, Vec<&EpisodeRecord>)> {
     all
 }
 
-fn columns(more: &[&str]) -> Vec<String> {
+/// The head of a table of such groups.
+pub(super) fn columns(more: &[&str]) -> Vec<String> {
     ["agent", "condition", "task"].iter().chain(more).map(ToString::to_string).collect()
 }
 
