@@ -80,6 +80,16 @@ pub struct SeenSign {
     pub certainty: f32,
 }
 
+/// From this certainty on one picture is enough.
+const SURE_AT_ONCE: f32 = 0.6;
+
+impl SeenSign {
+    /// Sure enough to count by this picture alone: lamps and leaves are taken for signs, but seldom surely.
+    pub fn is_sure(&self) -> bool {
+        self.certainty >= SURE_AT_ONCE
+    }
+}
+
 /// The limit before the first sign (km/h): the general one within towns in most of Europe.
 pub const IN_TOWNS: u32 = 50;
 
@@ -108,8 +118,6 @@ struct Track {
 const SAME: (f64, f64) = (2.0, 0.2);
 /// From this far on (m) digits grow too small: what is read counts less, by the square of the distance.
 const CLEAR: f64 = 10.0;
-/// A picture counts that is surer than this: lamps and leaves are taken for signs, but seldom surely.
-const LEAST_LOOK: f32 = 0.7;
 /// The ego moves at least this far between pictures that count (m).
 const STEP: f64 = 0.5;
 /// How sure all pictures together must be of a sign that sets a limit.
@@ -134,7 +142,7 @@ impl SeenLimit {
         if moved {
             self.looked = Some(pose.xy());
         }
-        for sign in seen.iter().filter(|sign| moved && sign.certainty >= LEAST_LOOK) {
+        for sign in seen.iter().filter(|_| moved) {
             let [x, y] = sign.at.map(f64::from);
             let at = pose.to_world(Vector::new(x, y));
             let near = SAME.0 + SAME.1 * x;

@@ -68,7 +68,7 @@ fn tint_area(picture: &mut Picture, percept: &Percept) {
 }
 
 fn label_signs(picture: &mut Picture, percept: &Percept) {
-    for sign in &percept.signs {
+    for sign in percept.signs.iter().filter(|sign| sign.is_sure()) {
         let [x, y] = sign.pixel.map(|v| v.max(0.0) as usize);
         let words = format!("{} {:.0}", sign.sign, 100.0 * sign.certainty);
         picture.label(&words, x, y.saturating_sub(20), 1);

@@ -211,7 +211,7 @@ impl CenterNetDetector {
         self.seen = sees_road.then(|| decode::decode(road, &self.ground));
         if let (Some(seen), Some(reader)) = (&mut self.seen, &self.reader) {
             for place in &mut seen.signs {
-                // What is less sure than that cannot be read surely.
+                // What is less sure than that cannot be read more surely.
                 *place = place.filter(|found| found.certainty >= LEAST_READ).and_then(|found| {
                     let plate = reader::plate(rgb, width, found.pixel, found.radius);
                     let (sign, likely) = reader.read(&plate)?;
@@ -242,8 +242,9 @@ impl CenterNetDetector {
 const LEAST_SHARE: f32 = 0.05;
 const ONE_VEHICLE: f32 = 0.6;
 
-/// Least certainty that a sign is there and says what was read.
-const LEAST_READ: f32 = 0.6;
+/// Least certainty that a sign is there and says what was read. What is unsure in one picture [votes](crate::perception::SeenLimit)
+/// in many.
+const LEAST_READ: f32 = 0.4;
 
 /// The shape of OpenVINO's input.
 const SHAPE: [usize; 4] = [1, PICTURE[0], PICTURE[1], 3];

@@ -135,7 +135,7 @@ impl RoadScore {
         let is_there = |sign: &SignTruth, seen: &SeenSign| {
             sign.away(seen.pixel) <= (0.5 * (sign.bounds[2] - sign.bounds[0])).max(NEAR_SIGN)
         };
-        let seen = || seen.signs.iter().flatten();
+        let seen = || seen.signs.iter().flatten().filter(|sign| sign.is_sure());
         for sign in wanted.iter().filter(|sign| sign.is_plain) {
             // The surest comes first.
             let found = seen().find(|seen| is_there(sign, seen));
