@@ -249,4 +249,22 @@ impl Section {
             .filter(|e| wanted(e))
             .collect()
     }
+
+    /// Groups by agent, condition and task, in that order, with their names.
+    fn lines(&self) -> Vec<(Vec<String>, Vec<&EpisodeRecord>)> {
+        let conditions = self.conditions();
+        let mut all = Vec::new();
+        for driver in &self.drivers {
+            for condition in &conditions {
+                for task in &self.suite.tasks {
+                    let group =
+                        self.by(driver, |e| e.case.task == task.name && e.case.condition == *condition);
+                    if !group.is_empty() {
+                        all.push((vec![driver.to_string(), condition.clone(), task.name.clone()], group));
+                    }
+                }
+            }
+        }
+        all
+    }
 }

@@ -1,7 +1,7 @@
 //! Each driver that looks beside the autopilot on the same routes in the same traffic: what the one finishes and the other does
 //! not, and who loses less time.
 
-use super::tables::{columns, lines};
+use super::table::columns;
 use super::{Section, Table};
 use crate::driver::DriverSpec;
 use crate::eval::store::key;
@@ -61,7 +61,7 @@ pub(super) fn beside_autopilot(section: &Section) -> Option<Table> {
         cells.push(format!("{} of {}", found.quicker, found.both));
         (!pairs.is_empty()).then_some(cells)
     };
-    let rows: Vec<Vec<String>> = lines(section).into_iter().filter_map(row).collect();
+    let rows: Vec<Vec<String>> = section.lines().into_iter().filter_map(row).collect();
     (!rows.is_empty()).then(|| Table {
         title: format!("{}: beside the autopilot on the same routes", section.suite.title),
         head: columns(&["routes", "both succeed", "only it", "only the autopilot", "time", "quicker"]),

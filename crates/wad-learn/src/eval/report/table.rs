@@ -118,6 +118,11 @@ fn tex(text: &str) -> String {
     out
 }
 
+/// The head of a table whose lines are [`Section::lines`](super::Section).
+pub(super) fn columns(more: &[&str]) -> Vec<String> {
+    ["agent", "condition", "task"].iter().chain(more).map(ToString::to_string).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -2,6 +2,7 @@
 
 use super::paired::beside_autopilot;
 use super::published::published;
+use super::table::columns;
 use super::{Driver, Report, Section, Table};
 use crate::env::End;
 use crate::eval::{EpisodeRecord, EventCounts, Score, grouped};
@@ -174,29 +175,6 @@ fn odd_weathers(section: &Section, condition: &str, trained: bool) -> Vec<&'stat
         .collect()
 }
 
-/// Groups by agent, condition and task, in that order, with their names.
-pub(super) fn lines(section: &Section) -> Vec<(Vec<String>, Vec<&EpisodeRecord>)> {
-    let (drivers, conditions) = (&section.drivers, section.conditions());
-    let mut all = Vec::new();
-    for driver in drivers {
-        for condition in &conditions {
-            for task in &section.suite.tasks {
-                let group =
-                    section.by(driver, |e| e.case.task == task.name && e.case.condition == *condition);
-                if !group.is_empty() {
-                    all.push((vec![driver.to_string(), condition.clone(), task.name.clone()], group));
-                }
-            }
-        }
-    }
-    all
-}
-
-/// The head of a table of such groups.
-pub(super) fn columns(more: &[&str]) -> Vec<String> {
-    ["agent", "condition", "task"].iter().chain(more).map(ToString::to_string).collect()
-}
-
 fn driving(section: &Section) -> Table {
     let row = |(mut cells, group): (Vec<String>, Vec<&EpisodeRecord>)| {
         let s = Score::of(&group);
@@ -233,7 +211,7 @@ fn driving(section: &Section) -> Table {
             "route done",
             "rms acceleration (m/s2)",
         ]),
-        rows: lines(section).into_iter().map(row).collect(),
+        rows: section.lines().into_iter().map(row).collect(),
         notes: vec![
             "Mean ± standard deviation over episodes. Drivers that do not look have no return: their reward knows \
              no vehicle in front."
@@ -267,7 +245,7 @@ fn infractions(section: &Section) -> Table {
     Table {
         title: format!("{}: infractions per km (and how many)", section.suite.title),
         head,
-        rows: lines(section).into_iter().map(row).collect(),
+        rows: section.lines().into_iter().map(row).collect(),
         ..Table::default()
     }
 }
@@ -288,7 +266,7 @@ fn lights(section: &Section) -> Option<Table> {
         cells.push(share(limit.right, limit.ticks));
         Some(cells)
     };
-    let rows: Vec<Vec<String>> = lines(section).into_iter().filter_map(row).collect();
+    let rows: Vec<Vec<String>> = section.lines().into_iter().filter_map(row).collect();
     (!rows.is_empty()).then(|| Table {
         title: format!("{}: light and speed limit as they were believed, by ticks", section.suite.title),
         head: columns(&[
@@ -319,7 +297,7 @@ fn ends(section: &Section) -> Table {
     Table {
         title: format!("{}: how episodes ended", section.suite.title),
         head,
-        rows: lines(section).into_iter().map(row).collect(),
+        rows: section.lines().into_iter().map(row).collect(),
         notes: vec!["“error” is an external agent that died, hung or gave an invalid answer.".to_string()],
         ..Table::default()
     }
