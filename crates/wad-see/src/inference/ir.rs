@@ -110,9 +110,9 @@ impl Ir {
         self.add("Convert", 1, "destination_type=\"f32\"", &[x])
     }
 
-    /// Dimensions in another order.
-    pub fn transpose(&mut self, x: Node, order: &[i64]) -> Node {
-        let order = self.integers(order);
+    /// (n, rows, columns, channels) to (n, channels, rows, columns).
+    pub fn channels_first(&mut self, x: Node) -> Node {
+        let order = self.integers(&[0, 3, 1, 2]);
         self.add("Transpose", 1, "", &[x, order])
     }
 
@@ -129,11 +129,6 @@ impl Ir {
     /// Numbers below 0 become 0.
     pub fn relu(&mut self, x: Node) -> Node {
         self.add("ReLU", 1, "", &[x])
-    }
-
-    /// 1 / (1 + exp(-x)).
-    pub fn sigmoid(&mut self, x: Node) -> Node {
-        self.add("Sigmoid", 1, "", &[x])
     }
 
     /// Convolution of (n, from, h, w) by (to, from, side, side), side odd, with a border of zeros of half a side.

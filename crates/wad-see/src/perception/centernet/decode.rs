@@ -52,8 +52,13 @@ pub fn decode([light, lanes, signs, area]: &[Vec<f32>; 4], ground: &GroundPlane)
     Seen { lanes, light, signs: decode_signs(signs, ground), area: DrivableArea::new(is_road) }
 }
 
-fn sigmoid(x: f32) -> f32 {
+pub(super) fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + (-x).exp())
+}
+
+/// What [`sigmoid`] makes `p` of; beyond 0 and 1 nothing does.
+pub(super) fn logit(p: f32) -> f32 {
+    (p / (1.0 - p)).ln()
 }
 
 /// Two signs are at least this many cells apart.
@@ -68,8 +73,7 @@ pub fn decode_signs(map: &[f32], ground: &GroundPlane) -> [Option<SeenSign>; 4] 
         most.iter_mut().zip(plane).for_each(|(most, x)| *most = x.max(*most));
     }
     // For each cell that may be one: that it is any, and which it is most likely.
-    let least = LEAST_SIGN / Sign::KINDS as f32;
-    let least = (least / (1.0 - least)).ln();
+    let least = logit(LEAST_SIGN / Sign::KINDS as f32);
     let likely = most.iter().enumerate().filter(|(_, most)| **most >= least);
     let kinds = |cell: usize| heat[cell..].iter().step_by(cells);
     let any = |cell: usize| 1.0 - kinds(cell).map(|x| 1.0 - sigmoid(*x)).product::<f32>();
@@ -139,7 +143,7 @@ fn decode_light(map: &[f32], lanes: &LaneEstimate, ground: &GroundPlane) -> Opti
         (FAR + near, ASIDE + (-0.5 * (away / BESIDE).powi(2)).exp())
     };
     // Before the sigmoid: of thousands of cells a few have a vote.
-    let least = (VOTES * surest / (1.0 - VOTES * surest)).ln();
+    let least = logit(VOTES * surest);
     let vote = |lamp: &[f32]| {
         let (mut sum, mut distance, mut certainty) = (0.0, 0.0, 0.0_f32);
         for (cell, (x, d)) in lamp.iter().zip(distances).enumerate().filter(|(_, (x, _))| **x >= least) {

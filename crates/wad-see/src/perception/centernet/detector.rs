@@ -46,8 +46,8 @@ enum Engine {
 struct Outputs {
     /// Height and width of the maps (cells).
     shape: [usize; 2],
-    /// Heatmap (behind its sigmoid), size, offset, and the road's light, lanes, signs and area: see [`decode`].
-    maps: [Vec<f32>; 7],
+    /// Objects (heatmap before its sigmoid, size, offset), and the road's light, lanes, signs and area: see [`decode`].
+    maps: [Vec<f32>; 5],
     /// Whether the last four are of this picture.
     sees_road: bool,
 }
@@ -207,7 +207,7 @@ impl CenterNetDetector {
             };
             PerceptionError::Detector { name: self.name.clone(), why }
         })?;
-        let Outputs { shape: [h, w], maps: [heat, sizes, offsets, road @ ..], sees_road } = &self.outputs;
+        let Outputs { shape: [h, w], maps: [objects, road @ ..], sees_road } = &self.outputs;
         self.seen = sees_road.then(|| decode::decode(road, &self.ground));
         if let (Some(seen), Some(reader)) = (&mut self.seen, &self.reader) {
             for place in &mut seen.signs {
@@ -220,13 +220,18 @@ impl CenterNetDetector {
                 });
             }
         }
+        let plane = h * w;
+        let (heat, boxes) = objects.split_at(CLASSES as usize * plane);
+        let (sizes, offsets) = boxes.split_at(2 * plane);
         let tensors = [
             Output { name: "heat", shape: &[CLASSES as usize, *h, *w], values: heat },
             Output { name: "size", shape: &[2, *h, *w], values: sizes },
             Output { name: "offset", shape: &[2, *h, *w], values: offsets },
         ];
         let head = Head::SizeOffset { heat: 0, size: 1, offset: 2, classes: CLASSES as usize };
-        let mut found = heads::decode(&head, &tensors, width, self.least.of(f32::INFINITY).min(LEAST_SHARE));
+        let least = self.least.of(f32::INFINITY).min(LEAST_SHARE);
+        let mut found = heads::decode(&head, &tensors, width, decode::logit(least));
+        found.iter_mut().for_each(|d| d.score = decode::sigmoid(d.score));
         join_guesses(&mut found, ONE_VEHICLE);
         found.retain(|d| d.score >= self.least.of(d.size()[1]));
         for detection in &mut found {
@@ -286,7 +291,7 @@ fn run_torch(
         let answer = network.forward(&picture, false)?;
         outputs.shape = [2, 3].map(|k| answer.heat.size()[k] as usize);
         outputs.sees_road = answer.road.is_some();
-        let mut tensors = vec![answer.heat.f_sigmoid()?, answer.size, answer.offset];
+        let mut tensors = vec![Tensor::f_cat(&[answer.heat, answer.size, answer.offset], 1)?];
         tensors
             .extend(answer.road.into_iter().flat_map(|road| [road.light, road.lanes, road.signs, road.area]));
         for (tensor, map) in tensors.iter().zip(outputs.maps.iter_mut()) {
@@ -345,7 +350,7 @@ impl Watcher {
     pub fn new(weights: &Weights, sees: Sees) -> Result<Self, WeightsError> {
         let ir = graph::graph(weights, sees, Numbers::Watched)?;
         let network = inference::Network::new(&ir, &SHAPE)?;
-        let answers = if sees == Sees::Road { 7 } else { 3 };
+        let answers = if sees == Sees::Road { 5 } else { 1 };
         Ok(Self { network, answers, most: vec![Vec::new(); ir.outputs() - answers] })
     }
 

@@ -78,8 +78,8 @@ struct Builder<'a> {
     places: Vec<Node>,
 }
 
-/// The network of some weights: one picture of [`PICTURE`] (1, 320, 512, 3) in bytes to heatmap (behind its sigmoid),
-/// size and offset, and where it sees the road, light, lanes, signs and area: as in [`super::decode`].
+/// The network of some weights: one picture of [`PICTURE`] (1, 320, 512, 3) in bytes to objects (heatmap before its
+/// sigmoid, size, offset), and where it sees the road, light, lanes, signs and area: as in [`super::decode`].
 ///
 /// # Errors
 /// The weights are of another network, or have ranges for another number of places.
@@ -88,7 +88,6 @@ pub fn graph(weights: &Weights, sees: Sees, numbers: Numbers<'_>) -> Result<Ir, 
     let [rows, columns] = PICTURE;
     let picture = net.ir.bytes(&[1, rows, columns, 3]);
     let picture = net.ir.to_float(picture);
-    let picture = net.ir.transpose(picture, &[0, 3, 1, 2]);
     // About zero in the middle, one wide: 0 to 255 are 256 numbers from -1.8 to 2.2.
     let factor = net.ir.floats(&[1], &[4.0 / 255.0]);
     let shift = net.ir.floats(&[1], &[-1.8]);
@@ -98,6 +97,8 @@ pub fn graph(weights: &Weights, sees: Sees, numbers: Numbers<'_>) -> Result<Ir, 
         x = net.round_all(x, -1.8, 2.2);
     }
     let picture = x;
+    // Once for each layer that sees it: OpenVINO leaves out an order that only the next layer asks for.
+    x = net.ir.channels_first(picture);
     let [stem1, stem2, ..] = CHANNELS;
     x = net.layer(x, "backbone.stem1", [3, stem1, 3, 2])?;
     x = net.layer(x, "backbone.stem2", [stem1, stem2, 3, 2])?;
@@ -126,25 +127,21 @@ pub fn graph(weights: &Weights, sees: Sees, numbers: Numbers<'_>) -> Result<Ir, 
     let top = top.unwrap_or(x);
     let features = net.convolution(top, "backbone.smooth", [PYRAMID, OUT, 3, 1], true)?;
     let features = net.ir.relu(features);
-    for (name, to) in [("heat", CLASSES), ("size", 2), ("offset", 2)] {
-        let answer = net.head(features, &format!("{name}.last"), [OUT, to, 1, 1])?;
-        let answer = if name == "heat" { net.ir.sigmoid(answer) } else { answer };
-        net.ir.output(answer);
-    }
+    let objects =
+        net.heads(features, OUT, &[("heat.last", CLASSES), ("size.last", 2), ("offset.last", 2)])?;
+    net.ir.output(objects);
     if sees == Sees::Road {
         // What it sees is what the lanes see, so it is rounded alike.
         let all = net.rounded(features)?;
         let hidden = net.convolution(all, "road.light_hidden", [OUT, HIDDEN, 3, 1], true)?;
-        let colours = net.convolution(picture, "road.colours", [3, COLOURS, 1, 1], false)?;
+        let colours = net.ir.channels_first(picture);
+        let colours = net.convolution(colours, "road.colours", [3, COLOURS, 1, 1], false)?;
         let colours = net.ir.relu(colours);
         let colours = net.ir.largest(colours, STRIDE);
-        let place = net.ir.floats(&[1, 2, MAP[0], MAP[1]], &place());
-        let beside = net.ir.join(colours, place, 1);
-        let beside = net.rounded(beside)?;
-        let beside = net.convolution(beside, "road.light_colours", [COLOURS + 2, HIDDEN, 3, 1], false)?;
-        let hidden = net.ir.sum(hidden, beside);
+        let colours = net.rounded(colours)?;
+        let hidden = net.placed(hidden, colours, "road.light_colours")?;
         let hidden = net.ir.relu(hidden);
-        let light = net.head(hidden, "road.light", [HIDDEN, LIGHT, 1, 1])?;
+        let light = net.heads(hidden, HIDDEN, &[("road.light", LIGHT)])?;
         net.ir.output(light);
         let half = net.ir.halve(features);
         let last = (PICTURE[0] / CELL) as i64;
@@ -152,13 +149,14 @@ pub fn graph(weights: &Weights, sees: Sees, numbers: Numbers<'_>) -> Result<Ir, 
         let below = net.rounded(below)?;
         let hidden = net.convolution(below, "road.hidden", [OUT, HIDDEN, 3, 1], true)?;
         let hidden = net.ir.relu(hidden);
-        let answers = net.head(hidden, "road.lanes", [HIDDEN, 4, 1, 1])?;
+        let answers = net.heads(hidden, HIDDEN, &[("road.lanes", 4)])?;
         let [columns, none] = [0, 2].map(|from| net.ir.part(answers, 1, from, from + 2));
         let none = net.ir.mean(none, 3);
         let lanes = net.ir.join(columns, none, 3);
         net.ir.output(lanes);
         let [first, last] = SIGN_ROWS.map(|row| row as i64);
-        let pixels = net.ir.part(picture, 2, first * STRIDE as i64, last * STRIDE as i64);
+        let pixels = net.ir.part(picture, 1, first * STRIDE as i64, last * STRIDE as i64);
+        let pixels = net.ir.channels_first(pixels);
         let pixels = net.layer(pixels, "road.signs_stem1", [3, SIGN_STEM, 3, 2])?;
         let pixels = net.layer(pixels, "road.signs_stem2", [SIGN_STEM, HIDDEN, 3, 2])?;
         let pixels = net.convolution(pixels, "road.signs_pixels", [HIDDEN, HIDDEN, 3, 1], true)?;
@@ -169,11 +167,11 @@ pub fn graph(weights: &Weights, sees: Sees, numbers: Numbers<'_>) -> Result<Ir, 
         let hidden = net.rounded(hidden)?;
         let hidden = net.convolution(hidden, "road.signs_hidden", [HIDDEN, HIDDEN, 3, 1], true)?;
         let hidden = net.ir.relu(hidden);
-        let signs = net.head(hidden, "road.signs", [HIDDEN, SIGN_CHANNELS, 1, 1])?;
+        let signs = net.heads(hidden, HIDDEN, &[("road.signs", SIGN_CHANNELS)])?;
         net.ir.output(signs);
         let hidden = net.convolution(below, "road.area_hidden", [OUT, HIDDEN, 3, 1], true)?;
         let hidden = net.ir.relu(hidden);
-        let area = net.head(hidden, "road.area", [HIDDEN, 1, 1, 1])?;
+        let area = net.heads(hidden, HIDDEN, &[("road.area", 1)])?;
         net.ir.output(area);
     }
     if matches!(numbers, Numbers::Watched) {
@@ -228,12 +226,42 @@ impl Builder<'_> {
         self.rounded(both)
     }
 
-    /// A convolution with a bias, in single precision.
-    fn head(&mut self, x: Node, name: &str, shape: [i64; 4]) -> Result<Node, WeightsError> {
+    /// Convolutions of single cells with a bias, in single precision: name and channels of each. They are one, for each
+    /// by itself would read `x` anew.
+    fn heads(&mut self, x: Node, from: i64, heads: &[(&str, i64)]) -> Result<Node, WeightsError> {
+        let mut all = Kernel { channels: [0, from as usize], side: 1, ..Kernel::default() };
+        for &(name, to) in heads {
+            let one = self.kernel(name, [to, from, 1], false)?;
+            all.channels[0] += one.channels[0];
+            all.weight.extend(one.weight);
+            all.bias.extend(one.bias);
+        }
         let numbers = std::mem::replace(&mut self.numbers, Numbers::Single);
-        let x = self.convolution(x, name, shape, false);
+        let answers = self.apply(x, &all, [1, 1]);
         self.numbers = numbers;
-        x
+        Ok(answers)
+    }
+
+    /// Adds to `before` a 3x3 convolution over colours, and [where each cell is](place) behind them. What the latter gives
+    /// is the same in every picture.
+    fn placed(&mut self, before: Node, x: Node, name: &str) -> Result<Node, WeightsError> {
+        let mut kernel = self.kernel(name, [HIDDEN, COLOURS + 2, 3], false)?;
+        let [to, from] = kernel.channels;
+        let [of_x, cells] = [from - 2, kernel.side * kernel.side];
+        let mut of_place = Vec::with_capacity(to * 2 * cells);
+        let mut weight = Vec::with_capacity(to * of_x * cells);
+        for row in kernel.weight.chunks_exact(from * cells) {
+            let (x, place) = row.split_at(of_x * cells);
+            weight.extend_from_slice(x);
+            of_place.extend_from_slice(place);
+        }
+        let bias = std::mem::take(&mut kernel.bias);
+        let of_place = Kernel { weight: of_place, bias, channels: [to, 2], side: kernel.side };
+        let [rows, columns] = MAP;
+        let constant = self.ir.floats(&[1, to, rows, columns], &of_place.over(&place(), MAP));
+        let before = self.ir.sum(before, constant);
+        let x = self.apply(x, &Kernel { weight, channels: [to, of_x], ..kernel }, [1, 1]);
+        Ok(self.ir.sum(x, before))
     }
 
     /// `shape`: channels from and to, side, stride.
@@ -256,15 +284,20 @@ impl Builder<'_> {
         dilation: i64,
         normed: bool,
     ) -> Result<Node, WeightsError> {
+        let kernel = self.kernel(name, [to, from, side], normed)?;
+        Ok(self.apply(x, &kernel, [stride as usize, dilation as usize]))
+    }
+
+    /// Reads a convolution's numbers, with batch norm folded into them where it is `normed`.
+    fn kernel(&self, name: &str, [to, from, side]: [i64; 3], normed: bool) -> Result<Kernel, WeightsError> {
         let of = |what: &str| format!("{name}.{what}");
         let mut weight = self.weights.floats(&of("weight"), &[to, from, side, side])?;
-        let each = weight.len() / to as usize;
         let bias = if normed {
             let vector = |what: &str| self.weights.floats(&of(what), &[to]);
             let [scale, shift, mean, variance] =
                 [vector("scale")?, vector("shift")?, vector("mean")?, vector("variance")?];
             let mut bias = Vec::with_capacity(to as usize);
-            for (channel, row) in weight.chunks_exact_mut(each).enumerate() {
+            for (channel, row) in weight.chunks_exact_mut((from * side * side) as usize).enumerate() {
                 let factor = scale[channel] / (variance[channel] + EPSILON as f32).sqrt();
                 row.iter_mut().for_each(|w| *w *= factor);
                 bias.push(shift[channel] - mean[channel] * factor);
@@ -273,22 +306,67 @@ impl Builder<'_> {
         } else {
             self.weights.floats(&of("bias"), &[to])?
         };
-        let [to_, from_, side_] = [to, from, side].map(|n| n as usize);
-        let mut w = self.ir.floats(&[to_, from_, side_, side_], &weight);
+        Ok(Kernel { weight, bias, channels: [to as usize, from as usize], side: side as usize })
+    }
+
+    /// Stride, and how many cells the numbers lie apart. Its numbers are rounded where all are.
+    fn apply(&mut self, x: Node, kernel: &Kernel, [stride, dilation]: [usize; 2]) -> Node {
+        let Kernel { weight, bias, channels: [to, from], side } = kernel;
+        let mut w = self.ir.floats(&[*to, *from, *side, *side], weight);
         if matches!(self.numbers, Numbers::Whole(_)) {
             // Twice what is there: processors without VNNI add pairs of products in 16 bits, which 255 * 127 * 2 leaves.
             let largest: Vec<f32> = weight
-                .chunks_exact(each)
+                .chunks_exact(from * side * side)
                 .map(|row| 2.0 * row.iter().fold(1e-9, |most: f32, w| most.max(w.abs())))
                 .collect();
             let least: Vec<f32> = largest.iter().map(|x| -x).collect();
-            let low = self.ir.floats(&[to_, 1, 1, 1], &least);
-            let high = self.ir.floats(&[to_, 1, 1, 1], &largest);
+            let low = self.ir.floats(&[*to, 1, 1, 1], &least);
+            let high = self.ir.floats(&[*to, 1, 1, 1], &largest);
             w = self.ir.round(w, low, high, 255);
         }
-        let bias = self.ir.floats(&[1, to_, 1, 1], &bias);
-        let x = self.ir.convolution(x, w, side_, stride as usize, dilation as usize);
-        Ok(self.ir.sum(x, bias))
+        let x = self.ir.convolution(x, w, *side, stride, dilation);
+        if bias.is_empty() {
+            return x;
+        }
+        let bias = self.ir.floats(&[1, *to, 1, 1], bias);
+        self.ir.sum(x, bias)
+    }
+}
+
+/// The numbers of a convolution.
+#[derive(Debug, Default)]
+struct Kernel {
+    /// to x from x side x side.
+    weight: Vec<f32>,
+    /// Empty: nothing is added.
+    bias: Vec<f32>,
+    /// To and from.
+    channels: [usize; 2],
+    side: usize,
+}
+
+impl Kernel {
+    /// What it makes of a map of so many rows and columns, with a border of zeros of half a side.
+    fn over(&self, map: &[f32], [rows, columns]: [usize; 2]) -> Vec<f32> {
+        let Self { weight, bias, channels: [_, from], side } = self;
+        let cells = rows * columns;
+        let at = |channel: usize, row: usize, column: usize, within: usize| {
+            // Below 0 is beyond the last.
+            let [row, column] =
+                [row + within / side, column + within % side].map(|n| n.wrapping_sub(side / 2));
+            if row < rows && column < columns { map[channel * cells + row * columns + column] } else { 0.0 }
+        };
+        let mut answer = Vec::with_capacity(bias.len() * cells);
+        for (bias, row_of) in bias.iter().zip(weight.chunks_exact(from * side * side)) {
+            answer.extend((0..cells).map(|cell| {
+                let products = row_of.iter().enumerate().map(|(i, w)| {
+                    let (channel, within) = (i / (side * side), i % (side * side));
+                    w * at(channel, cell / columns, cell % columns, within)
+                });
+                bias + products.sum::<f32>()
+            }));
+        }
+        answer
     }
 }
 
@@ -307,4 +385,19 @@ pub fn set_ranges(weights: &mut Weights, ranges: &Ranges) {
     weights.tensors.retain(|(name, _)| name != RANGES);
     let data = ranges.iter().flat_map(|x| x.to_le_bytes()).collect();
     weights.tensors.push((RANGES.to_string(), Stored { dtype: Dtype::F32, shape: vec![ranges.len()], data }));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Kernel;
+
+    #[test]
+    fn a_kernel_over_a_map_counts_its_border_as_zeros() {
+        // Of a map 1 2 3 / 4 5 6 the cells above, and twice those to the right of another channel.
+        let mut weight = vec![0.0; 18];
+        (weight[1], weight[9 + 5]) = (1.0, 2.0);
+        let kernel = Kernel { weight, bias: vec![0.5], channels: [1, 2], side: 3 };
+        let map = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0];
+        assert_eq!(kernel.over(&map, [2, 3]), [40.5, 60.5, 0.5, 101.5, 122.5, 3.5]);
+    }
 }
