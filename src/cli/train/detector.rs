@@ -19,6 +19,7 @@ Examples:
   wad-cosim train detector --data data/detector --data data/rare --out runs/detector --epochs 12
   wad-cosim train detector --data data/detector --out runs/detector --epochs 20 --resume
   wad-cosim train detector --data data/detector --init centernet --out runs/better --learning-rate 5e-4
+  wad-cosim train detector --data data/detector --init centernet --epochs 0 --out runs/ranges
   wad-cosim train detector --data data/detector --out runs/paper --backbone resnet50_v2 --device cuda
   wad-cosim eval detector --detector centernet:runs/detector/detector.safetensors
   wad-cosim train eyes --data data/detector --init centernet --batch 8 --out runs/eyes
@@ -49,7 +50,7 @@ pub struct Args {
     /// Only this head learns, and all else stays as it is in --init; for `train eyes`.
     #[arg(long, value_enum, requires = "init")]
     only: Option<Part>,
-    /// Epochs over the training frames.
+    /// Epochs over the training frames; 0: nothing is learned, but the weights of --init get new ranges for 8 bits.
     #[arg(long, value_name = "N", default_value_t = 12)]
     epochs: u64,
     /// Pictures per step.
@@ -155,7 +156,7 @@ pub fn run(args: Args, sees: Sees) -> anyhow::Result<Exit> {
 }
 
 fn options(args: &Args, sees: Sees, data: &std::path::Path) -> anyhow::Result<TrainOptions> {
-    let sane = args.epochs > 0
+    let sane = (args.epochs > 0 || args.init.is_some())
         && args.batch > 0
         && args.learning_rate > 0.0
         && args.learning_rate.is_finite()
@@ -163,7 +164,7 @@ fn options(args: &Args, sees: Sees, data: &std::path::Path) -> anyhow::Result<Tr
         && args.collect != Some(0);
     if !sane {
         return Err(Exit::Input.because(anyhow::anyhow!(
-            "--epochs, --batch, --learning-rate and --collect must be more than 0, --weight-decay 0 or more"
+            "--epochs (without --init), --batch, --learning-rate and --collect must be more than 0, --weight-decay 0 or more"
         )));
     }
     if args.only.is_some() && (sees != Sees::Road || args.window.is_some_and(|window| window != (0, 0))) {

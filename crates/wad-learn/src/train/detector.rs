@@ -48,7 +48,7 @@ pub struct TrainOptions {
     /// Nothing but this head learns.
     #[serde(default)]
     pub only: Option<Part>,
-    /// Epochs in total.
+    /// Epochs in total; with 0 the network of `init` stays as it is, and gets ranges.
     pub epochs: u64,
     /// Pictures per step.
     pub batch: usize,
@@ -186,6 +186,8 @@ const WARM_UP: f64 = 100.0;
 const LONGEST: f64 = 10.0;
 /// Steps between reports.
 const REPORT_EVERY: u64 = 10;
+/// The best network in the training's folder.
+const FILE: &str = "detector.safetensors";
 /// Pictures by which ranges are found.
 const WATCHED: usize = 200;
 /// Lowest score that counts in validation.
@@ -232,7 +234,20 @@ pub fn train(
     mut report: impl FnMut(Progress),
 ) -> Result<Trained, TrainError> {
     let _lock = run::claim(&options.out, resume)?;
-    let trainer = Trainer::start(options, device, resume)?;
+    let mut trainer = Trainer::start(options, device, resume)?;
+    let kept = options.init.as_ref().filter(|_| options.epochs == 0);
+    if let Some(name) = kept {
+        let (weights, known) = centernet_weights(name)?;
+        if known != options.sees {
+            return Err(TrainError::Weights(WeightsError::Mismatch {
+                path: weights.path,
+                found: format!("network {}", known.network()),
+                expected: format!("network {}, as nothing is learned", options.sees.network()),
+            }));
+        }
+        weights.save(&options.out.join(FILE))?;
+        trainer.reached.walk.best = Some(trainer.validate()?);
+    }
     let trained = run::walk(trainer, &options.out, interrupt, &mut report)?;
     if !trained.interrupted && options.backbone == Backbone::Light {
         find_ranges(options, &trained.detector)?;
@@ -480,7 +495,7 @@ impl Training for Trainer<'_> {
             ("validation", score),
             ("program", wad_sim::program::version().to_string()),
         ])?;
-        Ok(weights.save(&self.options.out.join("detector.safetensors"))?)
+        Ok(weights.save(&self.options.out.join(FILE))?)
     }
 
     fn save(&mut self, _: &Pass) -> Result<(), TrainError> {
@@ -537,7 +552,7 @@ impl Training for Trainer<'_> {
     fn summary(&self, interrupted: bool) -> Trained {
         Trained {
             out: self.options.out.clone(),
-            detector: self.options.out.join("detector.safetensors"),
+            detector: self.options.out.join(FILE),
             epochs: self.reached.walk.epoch,
             steps: self.reached.walk.step,
             best_epoch: self.reached.walk.best_epoch,

@@ -3,6 +3,7 @@ use crate::dataset::testing::{Picture, frame, write_frames};
 use crate::dataset::{BoxRecord, CameraCodec};
 use wad_camera::Preset;
 use wad_camera::model::ObjectClass;
+use wad_see::perception::centernet::graph::RANGES;
 
 /// Frames with one red car each, on grey: the camera's picture and its box.
 fn data(folder: &Path, town: &str, codec: Option<CameraCodec>) {
@@ -109,6 +110,31 @@ fn one_begins_with_the_weights_it_is_told_to() {
     let nobody = TrainOptions { init: Some("nobody".into()), ..options(&path("data"), &path("fourth"), 1) };
     let error = go(&nobody, false).unwrap_err();
     assert!(error.is_input() && error.to_string().contains("centernet:FILE"), "{error}");
+}
+
+#[test]
+fn without_an_epoch_weights_get_their_ranges_and_nothing_else() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    data(&path("data"), "town3", Some(CameraCodec::Png));
+    let of = |init: &str, out: &str| TrainOptions {
+        init: Some(init.to_string()),
+        ..options(&path("data"), &path(out), 0)
+    };
+    let trained = go(&of("centernet", "out"), false).unwrap();
+    assert_eq!((trained.epochs, trained.steps), (0, 0));
+    let learned = |weights: Weights| {
+        let (ranges, mut learned): (Vec<_>, Vec<_>) =
+            weights.tensors.into_iter().partition(|(name, _)| name == RANGES);
+        learned.sort_by(|a, b| a.0.cmp(&b.0));
+        let made_of = weights.metadata.get("made_of").cloned();
+        (ranges.len(), learned, made_of)
+    };
+    let (_, before, made_of) = learned(centernet_weights("centernet").unwrap().0);
+    let ranges = usize::from(wad_see::inference::available().is_ok());
+    assert!(learned(Weights::load(&trained.detector).unwrap()) == (ranges, before, made_of));
+    let error = go(&of("eyes", "other"), false).unwrap_err();
+    assert!(error.is_input() && error.to_string().contains("nothing is learned"), "{error}");
 }
 
 #[test]
