@@ -245,7 +245,7 @@ impl Builder<'_> {
     /// Adds to `before` a 3x3 convolution over colours, and [where each cell is](place) behind them. What the latter gives
     /// is the same in every picture.
     fn placed(&mut self, before: Node, x: Node, name: &str) -> Result<Node, WeightsError> {
-        let mut kernel = self.kernel(name, [HIDDEN, COLOURS + 2, 3], false)?;
+        let kernel = self.kernel(name, [HIDDEN, COLOURS + 2, 3], false)?;
         let [to, from] = kernel.channels;
         let [of_x, cells] = [from - 2, kernel.side * kernel.side];
         let mut of_place = Vec::with_capacity(to * 2 * cells);
@@ -255,7 +255,7 @@ impl Builder<'_> {
             weight.extend_from_slice(x);
             of_place.extend_from_slice(place);
         }
-        let bias = std::mem::take(&mut kernel.bias);
+        let bias = vec![0.0; to];
         let of_place = Kernel { weight: of_place, bias, channels: [to, 2], side: kernel.side };
         let [rows, columns] = MAP;
         let constant = self.ir.floats(&[1, to, rows, columns], &of_place.over(&place(), MAP));
@@ -325,9 +325,6 @@ impl Builder<'_> {
             w = self.ir.round(w, low, high, 255);
         }
         let x = self.ir.convolution(x, w, *side, stride, dilation);
-        if bias.is_empty() {
-            return x;
-        }
         let bias = self.ir.floats(&[1, *to, 1, 1], bias);
         self.ir.sum(x, bias)
     }
@@ -338,7 +335,6 @@ impl Builder<'_> {
 struct Kernel {
     /// to x from x side x side.
     weight: Vec<f32>,
-    /// Empty: nothing is added.
     bias: Vec<f32>,
     /// To and from.
     channels: [usize; 2],
