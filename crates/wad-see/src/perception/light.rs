@@ -108,7 +108,7 @@ struct Track {
     fresh: f64,
     /// How sure red, yellow, green were of late, as far as it was seen.
     lamps: [f64; 3],
-    /// Time since it was last seen (s).
+    /// Since it was last seen: time, as a share of how long it is remembered.
     hidden: f64,
 }
 
@@ -154,8 +154,9 @@ pub(super) const STAND: f64 = 6.0;
 const BRAKE: f64 = 6.0;
 /// Below this the ego stands (m/s).
 const CREEPS: f64 = 0.5;
-/// How long a light is remembered that should be in the picture, and one that the ego stands below for each sure frame if
-/// it was seen in as many as count (s): in all longer than signals stay red, and not for long if it was hardly seen.
+/// How long a light is remembered that should be in the picture, and one that the ego stands below, or that somebody in front
+/// of it hides, for each sure frame if it was seen in as many as count (s): in all longer than signals stay red, and not for
+/// long if it was hardly seen.
 const BLINK: f64 = 0.6;
 const HIDDEN: f64 = 10.0;
 
@@ -178,7 +179,7 @@ impl SeenLights {
         self.passed = self.passed.map(|passed| passed + moved).filter(|passed| *passed < JUNCTION);
         for track in [&mut self.believed, &mut self.rival] {
             let stays = |track: &Track| track.is_remembered() && can_be(track.light.distance);
-            *track = track.map(|track| track.later(moved, tick)).filter(stays);
+            *track = track.map(|track| track.later(speed, tick)).filter(stays);
         }
         if let Some(behind) = self.believed.take_if(|track| track.light.distance < -PASSED) {
             self.passed = Some(-behind.light.distance);
@@ -213,17 +214,23 @@ impl Track {
         Self { light, first: seen.distance, known, sure: certainty, fresh: certainty, lamps, hidden: 0.0 }
     }
 
-    fn later(mut self, moved: f64, tick: f64) -> Self {
-        self.light.distance -= moved;
-        self.hidden += tick;
+    fn later(mut self, speed: f64, tick: f64) -> Self {
+        self.light.distance -= speed * tick;
+        let longest =
+            if self.may_hide(speed) { BLINK.max(HIDDEN * self.sure.powi(2) / SUREST) } else { BLINK };
+        self.hidden += tick / longest;
         self.fresh *= 0.5_f64.powf(tick / HALF);
         self
     }
 
     fn is_remembered(&self) -> bool {
-        let longest =
-            if self.light.distance < BELOW { BLINK.max(HIDDEN * self.sure.powi(2) / SUREST) } else { BLINK };
-        self.hidden <= longest + 1e-9
+        self.hidden <= 1.0 + 1e-9
+    }
+
+    /// Whether its heads can be out of sight for long: above the picture, or, of one at which the ego stands, behind somebody
+    /// in front of it.
+    fn may_hide(&self, speed: f64) -> bool {
+        self.light.distance < BELOW || (speed < CREEPS && self.light.stops())
     }
 
     /// Seen again, after a tick (s) at a speed (m/s) by which it is nearer.
@@ -257,7 +264,7 @@ impl Track {
         };
         self.fresh += certainty;
         // A faint green that red is kept for does not keep it alive for ever.
-        if self.light.distance >= BELOW || seen.state.stops() == self.light.stops() {
+        if !self.may_hide(speed) || seen.state.stops() == self.light.stops() {
             self.hidden = 0.0;
         }
     }
@@ -344,7 +351,7 @@ mod tests {
         assert!(is(lights.update(seen(20.5), 5.0, 0.1, |_| true), stand));
         // A flicker is bridged, a light that stays away is gone.
         assert!(is(lights.update(None, 5.0, 0.1, |_| true), stand - 0.5));
-        assert!((0..6).map(|_| lights.update(None, 0.0, 0.1, |_| true)).any(|light| light.is_none()));
+        assert!((0..6).map(|_| lights.update(None, 1.0, 0.1, |_| true)).any(|light| light.is_none()));
         // Below the heads it stays, with the way that the ego goes, until the line is passed.
         let comes = (0..10).map(|n| seen(9.9 - 0.1 * f64::from(n)));
         assert!(comes.filter_map(|seen| lights.update(seen, 1.0, 0.1, |_| true)).last().is_some());
@@ -357,6 +364,22 @@ mod tests {
         // Cross traffic's heads, behind the line; then the next junction's.
         assert!(lights.update(seen(3.0), 5.0, 0.1, |_| true).is_none());
         assert!((0..5).filter_map(|_| lights.update(seen(30.0), 0.0, 0.1, |_| true)).last().is_some());
+    }
+
+    #[test]
+    fn who_stands_behind_somebody_tall_remembers_the_light_and_believes_no_other_lane_s_green() {
+        let seen = |state, certainty, distance| Some(SeenLight { state, distance, certainty });
+        let mut lights = SeenLights::default();
+        let mut stops = |seen, speed| lights.update(seen, speed, 0.1, |_| true).map(|light| light.stops());
+        let comes = (0..20).map(|n| seen(SignalState::Red, 0.8, 24.0 - 0.5 * f64::from(n)));
+        assert!(comes.map(|seen| stops(seen, 5.0)).last() == Some(Some(true)));
+        let beside = seen(SignalState::GreenMajor, 0.3, 14.5);
+        assert!((0..400).all(|n| stops(beside.filter(|_| n % 3 > 0), 0.0) == Some(true)));
+        // Whoever stands in front goes.
+        let own = seen(SignalState::GreenMajor, 0.7, 14.5);
+        assert!((0..5).any(|_| stops(own, 0.5) == Some(false)));
+        // Who moves and sees none has none.
+        assert!((0..10).any(|_| stops(None, 1.0).is_none()));
     }
 
     #[test]

@@ -114,8 +114,10 @@ const ASIDE: f32 = 0.05;
 /// lower there is farther away, and counts less, at least [`FAR`].
 const AT_LINE: f32 = 1.3;
 const FAR: f32 = 0.02;
-/// So much is left of the certainty of a head across the junction where no other is seen.
-const ACROSS: f32 = 0.3;
+/// So much is left, at least, of the certainty of a head across the junction where no other is seen, and of a green one beside
+/// the ego's lane, whose own may be red behind somebody tall: too little for green after red to be believed
+/// ([`SeenLights`](crate::perception::SeenLights)).
+const UNFIT: f32 = 0.3;
 /// Share of the surest head's certainty from which on a head has a vote.
 const VOTES: f32 = 0.3;
 /// From the ego's centre to its front (m), from where lines are measured.
@@ -144,19 +146,20 @@ fn decode_light(map: &[f32], lanes: &LaneEstimate, ground: &GroundPlane) -> Opti
     };
     // Before the sigmoid: of thousands of cells a few have a vote.
     let least = logit(VOTES * surest);
-    let vote = |lamp: &[f32]| {
+    let vote = |(lamp, state): (&[f32], SignalState)| {
         let (mut sum, mut distance, mut certainty) = (0.0, 0.0, 0.0_f32);
         for (cell, (x, d)) in lamp.iter().zip(distances).enumerate().filter(|(_, (x, _))| **x >= least) {
             let (near, own) = weights(cell, *d);
             let p = sigmoid(*x);
-            certainty = certainty.max(p * near.clamp(ACROSS, 1.0));
+            let fits = if state.stops() { near } else { near * own };
+            certainty = certainty.max(p * fits.clamp(UNFIT, 1.0));
             let p = p * near * own;
             (sum, distance) = (sum + p, distance + p * d);
         }
-        (sum, distance, certainty)
+        (sum, distance, certainty, state)
     };
-    let votes = heat.chunks_exact(cells).map(vote).zip(COLOURS);
-    let ((sum, distance, certainty), state) = votes.max_by(|a, b| a.0.0.total_cmp(&b.0.0))?;
+    let votes = heat.chunks_exact(cells).zip(COLOURS).map(vote);
+    let (sum, distance, certainty, state) = votes.max_by(|a, b| a.0.total_cmp(&b.0))?;
     Some(SeenLight { state, distance: f64::from((distance / sum).exp_m1().max(0.0)), certainty })
 }
 
@@ -238,8 +241,8 @@ mod tests {
         light
     }
 
-    fn state_in(light: &[f32], lanes: &LaneEstimate) -> Option<SignalState> {
-        decode_light(light, lanes, &GroundPlane::new(&CameraConfig::default())).map(|light| light.state)
+    fn light_in(light: &[f32], lanes: &LaneEstimate) -> Option<SeenLight> {
+        decode_light(light, lanes, &GroundPlane::new(&CameraConfig::default()))
     }
 
     #[test]
@@ -250,22 +253,26 @@ mod tests {
         head(2, 75, 1.5);
         head(2, 86, 1.5);
         head(0, 64, 1.0);
-        let state = |light: &[f32]| state_in(light, &LaneEstimate::default());
-        assert_eq!(state(&light), Some(SignalState::Red));
-        // Without it those at the roadside say what counts.
+        let seen = |light: &[f32]| light_in(light, &LaneEstimate::default()).unwrap();
+        assert_eq!(seen(&light).state, SignalState::Red);
+        assert!(seen(&light).certainty > 0.7);
+        // Where somebody tall hides it, those at the roadside say what counts, but unsurely.
         light[30 * MAP_WIDTH + 64] = -9.0;
-        assert_eq!(state(&light), Some(SignalState::GreenMajor));
+        assert_eq!(seen(&light).state, SignalState::GreenMajor);
+        assert!(seen(&light).certainty <= UNFIT);
         // The ego's lane lies 4 m to the right: it is told by its boundaries.
         light[30 * MAP_WIDTH + 64] = 1.0;
         let side = |offset| Some(LaneBoundary { offset, slope: 0.0, bend: 0.0, reach: [4.0, 20.0] });
         let lanes = LaneEstimate { left: side(-2.2), right: side(-5.5) };
-        assert_eq!(state_in(&light, &lanes), Some(SignalState::GreenMajor));
+        let own = light_in(&light, &lanes).unwrap();
+        assert_eq!(own.state, SignalState::GreenMajor);
+        assert!(own.certainty > 0.7);
     }
 
     #[test]
     fn of_heads_one_behind_the_other_the_one_at_the_line_counts() {
         let mut light = no_light(6.0);
-        let state = |light: &[f32]| state_in(light, &LaneEstimate::default());
+        let state = |light: &[f32]| light_in(light, &LaneEstimate::default()).map(|light| light.state);
         // A red one beyond the junction, just above the horizon, is surer than the green one above the ego.
         light[36 * MAP_WIDTH + 74] = 0.3;
         assert_eq!(state(&light), Some(SignalState::Red));
