@@ -126,6 +126,9 @@ const GAP_NOISE: f64 = 0.25;
 const ROW_NOISE: f64 = 0.5;
 /// Standard deviation of a new vehicle's speed (m/s).
 const SPEED_DOUBT: f64 = 4.0;
+/// How fast who rides a bicycle is taken to be at first, at most (m/s): walking legs are taken for one at times, and at the
+/// speed of an ego that drives faster nobody would brake for them.
+const CYCLES: f64 = 4.0;
 
 impl LeadTracker {
     /// Forgets.
@@ -173,6 +176,7 @@ impl Track {
         // Persons hardly move along the path; of vehicles the ego's own speed is the best guess.
         let (speed, doubt) = match seen.class {
             ObjectClass::Person | ObjectClass::Bench => (0.0, 1.0),
+            ObjectClass::Bicycle => (ego_speed.min(CYCLES), SPEED_DOUBT),
             _ => (ego_speed, SPEED_DOUBT),
         };
         Self { gap: seen.gap, speed, p: [noise * noise, 0.0, doubt * doubt], missed: 0 }
@@ -317,5 +321,19 @@ mod tests {
         look(30.0);
         let cut_in = look(12.0);
         assert!((cut_in.gap - 9.1).abs() < 0.2 && cut_in.closing_speed.abs() < 1.0, "{cut_in:?}");
+    }
+
+    #[test]
+    fn who_is_new_drives_as_fast_as_the_ego_a_bicycle_no_faster_than_they_do() {
+        let (road, ground) = (Road::new("GGG"), GroundPlane::new(&CameraConfig::default()));
+        let closing = |class, speed: f64| {
+            let facts = road.facts(60.0, 0.0, 0.0, speed);
+            let found = [seen(class, 15.0, 0.0, 0.6, 1.5)];
+            let candidate = nearest(&found, &ground, &facts);
+            LeadTracker::default().update(candidate.as_ref(), &ground, &facts).unwrap().closing_speed
+        };
+        let at_12 = [ObjectClass::Car, ObjectClass::Motorcycle, ObjectClass::Bicycle, ObjectClass::Person];
+        assert_eq!(at_12.map(|class| closing(class, 12.0)), [0.0, 0.0, 8.0, 12.0]);
+        assert_eq!(closing(ObjectClass::Bicycle, 3.0), 0.0);
     }
 }
