@@ -16,21 +16,15 @@ use wad_camera::model::ObjectClass;
 /// Time (s) that vehicles are predicted ahead, and its steps.
 const HORIZON: f64 = 4.5;
 const STEP: f64 = 0.25;
-/// Between one leaving a place and the other coming there (s); the ego comes this much after who walked off.
+/// Between one leaving a place and the other coming there (s).
 const MARGIN: f64 = 1.0;
-const WALKED_OFF: f64 = 0.5;
-/// Who walks against the route there, to this cosine, walks along the road and does not cross it.
-const ALONG: f64 = 0.9;
 /// The ego's possible acceleration on its way there (m/s2).
 const EGO_ACCELERATION: f64 = 1.5;
 /// A crossing reaches this far to each side of its middle (m).
 const CROSSING: f64 = 3.0;
-/// Detections before a velocity is used to foretell a way, and to say how fast who is new in front drives; and ticks without
-/// one until a track is dropped: in the picture, and at its sides.
+/// Detections before a velocity is used, and ticks without one until a track is dropped.
 const BELIEVED: u32 = 4;
-const FOLLOWED: u32 = 3;
 const COAST: u32 = 3;
-const ASIDE: u32 = 12;
 
 /// The kinds of road users that are tracked separately.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -92,13 +86,10 @@ struct Mover {
     p: Matrix4<f64>,
     seen: u32,
     missed: u32,
-    /// Number of the detection that it was seen by last.
-    detection: usize,
 }
 
 /// A detection on the ground, in the world's frame.
 struct Sighting {
-    detection: usize,
     kind: Kind,
     place: Vector,
     /// Covariance (m2).
@@ -127,9 +118,8 @@ impl CrossingTracker {
         for mover in &mut self.movers {
             mover.predict(facts.tick);
         }
-        let numbered = detections.iter().enumerate();
         let mut sightings: Vec<Sighting> =
-            numbered.filter_map(|(number, detection)| sight(number, detection, ground, facts)).collect();
+            detections.iter().filter_map(|detection| sight(detection, ground, facts)).collect();
         for mover in &mut self.movers {
             let distance = |sighting: &Sighting| (sighting.place - mover.place).norm();
             let mine = |sighting: &Sighting| {
@@ -145,41 +135,21 @@ impl CrossingTracker {
                 None => mover.missed += 1,
             }
         }
-        self.movers
-            .retain(|mover| mover.missed <= COAST || mover.missed <= ASIDE && mover.is_aside(ground, facts));
+        self.movers.retain(|mover| mover.missed <= COAST);
         self.movers.extend(sightings.iter().map(Mover::new));
         let found = self.movers.iter().filter_map(|mover| mover.meets(facts));
         found.min_by(|a, b| a.gap.total_cmp(&b.gap))
     }
-
-    /// The speed along the road (m/s) at `s` (m) of the route, and its standard deviation, of whom a detection of this tick
-    /// shows, if it has been followed.
-    pub fn speed_of(&self, detection: usize, s: f64, facts: &EgoFacts<'_>) -> Option<(f64, f64)> {
-        let is_it =
-            |mover: &&Mover| mover.missed == 0 && mover.detection == detection && mover.seen >= FOLLOWED;
-        let way = direction(facts.route.at(s).pose.heading);
-        self.movers.iter().find(is_it).map(|mover| mover.along(way))
-    }
 }
 
-/// Where a detection stands, unless the picture's border cuts it; of who walks the other side tells enough.
-fn sight(
-    number: usize,
-    detection: &Detection,
-    ground: &GroundPlane,
-    facts: &EgoFacts<'_>,
-) -> Option<Sighting> {
+/// Where a detection stands, unless the picture's border cuts it.
+fn sight(detection: &Detection, ground: &GroundPlane, facts: &EgoFacts<'_>) -> Option<Sighting> {
     let kind = Kind::of(detection.class)?;
+    if ground.cuts(detection.bounds).contains(&true) {
+        return None;
+    }
     let [left, _, right, bottom] = detection.bounds;
-    let [x, middle] = ground.point([0.5 * (left + right), bottom])?;
-    let side = |column: f32| ground.point([column, bottom]).map(|[_, y]| y);
-    let breadth = kind.half()[1] as f32;
-    let y = match ground.cuts(detection.bounds) {
-        [false, false, false] => middle,
-        [true, false, false] if kind == Kind::Person => side(right)? + breadth,
-        [false, true, false] if kind == Kind::Person => side(left)? - breadth,
-        _ => return None,
-    };
+    let [x, y] = ground.point([0.5 * (left + right), bottom])?;
     if f64::from(x) > SIGHT + facts.length {
         return None;
     }
@@ -187,11 +157,11 @@ fn sight(
     let place = pose.to_world(Point::new(f64::from(x), f64::from(y)).coords).coords;
     // Along the ray a row's height, across it little.
     let far = 0.3 + 0.5 * f64::from(ground.metres_per_row(x));
-    let across = 0.15 + 0.005 * f64::from(x);
+    let across = 0.2 + 0.01 * f64::from(x);
     let ray = direction(pose.heading + f64::from(y).atan2(f64::from(x)));
     let side = Vector::new(-ray.y, ray.x);
     let noise = ray * ray.transpose() * (far * far) + side * side.transpose() * (across * across);
-    Some(Sighting { detection: number, kind, place, noise })
+    Some(Sighting { kind, place, noise })
 }
 
 impl Mover {
@@ -200,15 +170,7 @@ impl Mover {
         let mut p = Matrix4::zeros();
         p.fixed_view_mut::<2, 2>(0, 0).copy_from(&sighting.noise);
         p.fixed_view_mut::<2, 2>(2, 2).copy_from(&(Matrix2::identity() * (doubt * doubt)));
-        Self {
-            kind: sighting.kind,
-            place: sighting.place,
-            velocity: Vector::zeros(),
-            p,
-            seen: 1,
-            missed: 0,
-            detection: sighting.detection,
-        }
+        Self { kind: sighting.kind, place: sighting.place, velocity: Vector::zeros(), p, seen: 1, missed: 0 }
     }
 
     fn predict(&mut self, tick: f64) {
@@ -232,26 +194,6 @@ impl Mover {
         self.p -= gain * self.p.fixed_view::<2, 4>(0, 0);
         self.seen += 1;
         self.missed = 0;
-        self.detection = sighting.detection;
-    }
-
-    /// Its speed along a way (m/s; a unit vector), and that speed's standard deviation.
-    fn along(&self, way: Vector) -> (f64, f64) {
-        let variance = (way.transpose() * self.p.fixed_view::<2, 2>(2, 2) * way).x;
-        (self.velocity.dot(&way), variance.max(0.0).sqrt())
-    }
-
-    /// Whether a part of it is beside the picture, where it moves on unseen.
-    fn is_aside(&self, ground: &GroundPlane, facts: &EgoFacts<'_>) -> bool {
-        let at = facts.on_route.state.pose.to_local(Point::from(self.place));
-        let half = self.kind.half()[0];
-        [half, -half].iter().any(|side| {
-            let column = ground.pixel([at.x as f32, (at.y + side) as f32]).map(|[column, _]| column);
-            column.is_none_or(|u| {
-                let [left, right, _] = ground.cuts([u, 0.0, u, 0.0]);
-                left || right
-            })
-        })
     }
 
     /// Where it is or will be in the ego's path while the ego can be there, as a vehicle in front.
@@ -262,7 +204,8 @@ impl Mover {
         }
         // Along its own way: how far off somebody is, is known less well than where beside the ray.
         let way = self.velocity / speed;
-        if speed < 2.0 * self.along(way).1 {
+        let doubt = (way.transpose() * self.p.fixed_view::<2, 2>(2, 2) * way).x.max(0.0).sqrt();
+        if speed < 2.0 * doubt {
             return None;
         }
         let on_route = &facts.on_route;
@@ -279,18 +222,14 @@ impl Mover {
                 continue;
             }
             let way = direction(facts.route.at(on.s).pose.heading);
-            let ahead = self.velocity.dot(&way) / speed;
-            if self.kind == Kind::Person && ahead < -ALONG {
-                continue;
-            }
-            let along = ahead.abs().min(1.0);
+            let along = (self.velocity.dot(&way) / speed).abs().min(1.0);
             let across = (1.0 - along * along).sqrt();
             let [long, broad] = self.kind.half();
             if on.d.abs() - (across * long + along * broad) > HALF_WAY {
                 continue;
             }
             // What is there now and goes the ego's way is in front already.
-            if k == 0 && ahead > 0.7 {
+            if k == 0 && self.velocity.dot(&way) > 0.7 * speed {
                 return None;
             }
             let first = times.map_or(t, |(first, _)| first);
@@ -332,8 +271,7 @@ impl Mover {
         let gap = gap.max(0.0);
         let earliest = ((v * v + 2.0 * EGO_ACCELERATION * gap).sqrt() - v) / EGO_ACCELERATION;
         let latest = gap / v.max(0.5) + 1.0;
-        let after = if self.kind == Kind::Person { WALKED_OFF } else { MARGIN };
-        let meet = earliest < last + after && latest > first - MARGIN;
+        let meet = earliest < last + MARGIN && latest > first - MARGIN;
         meet.then_some(LeadState { gap, closing_speed })
     }
 }

@@ -10,14 +10,10 @@ use wad_camera::model::ObjectClass;
 pub const SIGHT: f64 = 50.0;
 /// Half the breadth of the way that must be free (m): the ego's half and a hand's breadth.
 pub const HALF_WAY: f64 = 1.2;
-/// Who is not broader than this (m) is where the picture shows a part of it.
-const NARROW: f32 = 1.0;
 /// Places further than this from the route (m) are beside another part of it.
 const BEND: f64 = 4.5;
-/// Ticks without a detection until the vehicle in front is dropped. One nearer than this (m) is dropped at once: detectors do not
-/// miss what is so large, and who has left the path or is passed would stay in front, where drivers go.
+/// Ticks without a detection until the vehicle in front is dropped.
 const COAST: u32 = 2;
-const LARGE: f64 = 5.0;
 
 /// A detection on the ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -44,39 +40,20 @@ fn build(class: ObjectClass) -> (f32, f32, f32) {
     }
 }
 
-/// Detections along the ego's path.
-#[derive(Clone, Debug, Default)]
-pub struct Ahead {
-    /// The nearest in the path.
-    pub nearest: Option<Candidate>,
-    /// Gaps of those beside it (m).
-    beside: Vec<f64>,
+/// The nearest detection in the ego's path.
+pub fn nearest(detections: &[Detection], ground: &GroundPlane, facts: &EgoFacts<'_>) -> Option<Candidate> {
+    let candidates = detections.iter().enumerate();
+    let found = candidates.filter_map(|(index, detection)| locate(index, detection, ground, facts));
+    found.min_by(|a, b| a.gap.total_cmp(&b.gap))
 }
 
-impl Ahead {
-    /// Where detections are.
-    pub fn of(detections: &[Detection], ground: &GroundPlane, facts: &EgoFacts<'_>) -> Self {
-        let mut ahead = Self::default();
-        for (index, detection) in detections.iter().enumerate() {
-            match locate(index, detection, ground, facts) {
-                Some((found, true)) if ahead.nearest.is_none_or(|nearest| found.gap < nearest.gap) => {
-                    ahead.nearest = Some(found);
-                }
-                Some((found, false)) => ahead.beside.push(found.gap),
-                _ => {}
-            }
-        }
-        ahead
-    }
-}
-
-/// Where a detection is along the ego's path, and whether it is in it.
+/// Where a detection is, if it is in the ego's path.
 fn locate(
     index: usize,
     detection: &Detection,
     ground: &GroundPlane,
     facts: &EgoFacts<'_>,
-) -> Option<(Candidate, bool)> {
+) -> Option<Candidate> {
     let class = detection.class;
     if matches!(class, ObjectClass::TrafficLight) {
         return None;
@@ -101,7 +78,8 @@ fn locate(
     let half = 0.5 * (y_left - y_right).abs().min(breadth);
     let (a, b) = (offset(near, y_left), offset(near, y_right));
     let on_left = a.d.abs() > b.d.abs();
-    let (outer, seen_inner, inner_column) = if on_left { (a.d, b.d, right) } else { (b.d, a.d, left) };
+    let (outer, inner_column) = if on_left { (a.d, right) } else { (b.d, left) };
+    let inner = outer - f64::from(2.0 * half).copysign(outer);
     let reaches = |d: f64| d.signum() != outer.signum() || d.abs() < HALF_WAY;
     // One that pulls out shows more than its breadth too. The box's side towards the path is seen on a ray: if that is
     // in the path as far as the flank can reach, so is the vehicle.
@@ -114,19 +92,14 @@ fn locate(
             reaches(on.d) && on.d.abs() < BEND && on.distance - on.d.abs() < 0.1
         })
     };
-    // Whose outer side the picture's border cuts has no breadth to count: one that is passed would be in the path. Of
-    // somebody narrow the inner side tells enough.
+    // Whose outer side the picture's border cuts has no breadth to count: one that is passed would be in the path.
     let [left_is_cut, right_is_cut, _] = ground.cuts(detection.bounds);
     let is_cut = if on_left { left_is_cut } else { right_is_cut };
     let spans = a.d.signum() != b.d.signum() && (a.d - b.d).abs() < 2.0 * BEND;
-    let reaches_in = match is_cut {
-        false => reaches(outer - f64::from(2.0 * half).copysign(outer)) || middle.d.abs() < HALF_WAY,
-        true => breadth < NARROW && reaches(seen_inner),
-    };
-    let within = spans || reaches_in || pulls_out();
+    let within = spans || !is_cut && (reaches(inner) || middle.d.abs() < HALF_WAY) || pulls_out();
     let gap = (middle.s - facts.on_route.front_s - f64::from(behind)).max(0.0);
     let ahead = f64::from(near - behind);
-    (gap <= SIGHT).then_some((Candidate { detection: index, class, gap, ahead }, within))
+    (within && gap <= SIGHT).then_some(Candidate { detection: index, class, gap, ahead })
 }
 
 /// Follows the vehicle in front over the ticks.
@@ -151,12 +124,11 @@ const ACCELERATION: f64 = 2.0;
 /// Error of a projected gap that does not come from the pixels (m), and of a box's lower edge (rows).
 const GAP_NOISE: f64 = 0.25;
 const ROW_NOISE: f64 = 0.5;
-/// Whoever has not been followed before comes into sight because the ego comes nearer: it is taken to drive at this share of the
-/// ego's speed, and at this (m/s) at most on a bicycle, for which walking legs are taken at times. The standard deviation is as
-/// much, and at least this (m/s).
-const COMES: f64 = 0.5;
+/// Standard deviation of a new vehicle's speed (m/s).
+const SPEED_DOUBT: f64 = 4.0;
+/// How fast who rides a bicycle is taken to be at first, at most (m/s): walking legs are taken for one at times, and at the
+/// speed of an ego that drives faster nobody would brake for them.
 const CYCLES: f64 = 4.0;
-const SPEED_DOUBT: f64 = 2.0;
 
 impl LeadTracker {
     /// Forgets.
@@ -164,35 +136,29 @@ impl LeadTracker {
         self.track = None;
     }
 
-    /// One tick later: what is in front, given the detections along the path. `followed`: how fast a detection moves along the
-    /// road, and the standard deviation (m/s), if it is one of those that are followed.
+    /// One tick later: what is in front, given the nearest detection in the path.
     pub fn update(
         &mut self,
-        ahead: &Ahead,
+        seen: Option<&Candidate>,
         ground: &GroundPlane,
         facts: &EgoFacts<'_>,
-        followed: impl Fn(&Candidate) -> Option<(f64, f64)>,
     ) -> Option<LeadState> {
         let ego_speed = facts.on_route.state.speed;
         if let Some(track) = &mut self.track {
             track.predict(ego_speed, facts.tick);
         }
-        let noise =
-            |ahead: f64| GAP_NOISE.hypot(ROW_NOISE * f64::from(ground.metres_per_row(ahead.max(1.0) as f32)));
-        match (&ahead.nearest, &mut self.track) {
+        match (seen, &mut self.track) {
             (Some(seen), track) => {
-                let noise = noise(seen.ahead);
+                let row = f64::from(ground.metres_per_row(seen.ahead as f32));
+                let noise = GAP_NOISE.hypot(ROW_NOISE * row);
                 match track {
                     Some(old) if old.expects(seen.gap, noise) => old.correct(seen.gap, noise),
-                    _ => *track = Some(Track::new(seen, noise, ego_speed, followed(seen))),
+                    _ => *track = Some(Track::new(seen, noise, ego_speed)),
                 }
             }
             (None, Some(track)) => {
                 track.missed += 1;
-                // Seen beside the path, where it was expected in it: it has left.
-                let noise = noise(track.gap);
-                let has_left = || ahead.beside.iter().any(|&gap| track.expects(gap, noise));
-                if track.missed > COAST || track.gap < LARGE || has_left() {
+                if track.missed > COAST {
                     self.track = None;
                 }
             }
@@ -206,14 +172,12 @@ impl LeadTracker {
 }
 
 impl Track {
-    fn new(seen: &Candidate, noise: f64, ego_speed: f64, followed: Option<(f64, f64)>) -> Self {
-        let slower = COMES * ego_speed;
-        let (speed, doubt) = match (seen.class, followed) {
-            // Persons hardly move along the path.
-            (ObjectClass::Person | ObjectClass::Bench, _) => (0.0, 1.0),
-            (_, Some(followed)) => followed,
-            (ObjectClass::Bicycle, None) => (slower.min(CYCLES), slower.max(SPEED_DOUBT)),
-            (_, None) => (slower, slower.max(SPEED_DOUBT)),
+    fn new(seen: &Candidate, noise: f64, ego_speed: f64) -> Self {
+        // Persons hardly move along the path; of vehicles the ego's own speed is the best guess.
+        let (speed, doubt) = match seen.class {
+            ObjectClass::Person | ObjectClass::Bench => (0.0, 1.0),
+            ObjectClass::Bicycle => (ego_speed.min(CYCLES), SPEED_DOUBT),
+            _ => (ego_speed, SPEED_DOUBT),
         };
         Self { gap: seen.gap, speed, p: [noise * noise, 0.0, doubt * doubt], missed: 0 }
     }
@@ -255,7 +219,7 @@ mod tests {
     fn gap(found: &[Detection], s: f64, d: f64, turn: f64) -> Option<f64> {
         let road = Road::new("GGG");
         let ground = GroundPlane::new(&CameraConfig::default());
-        Ahead::of(found, &ground, &road.facts(s, d, turn, 8.0)).nearest.map(|candidate| candidate.gap)
+        nearest(found, &ground, &road.facts(s, d, turn, 8.0)).map(|candidate| candidate.gap)
     }
 
     #[test]
@@ -320,7 +284,8 @@ mod tests {
             let near = (true_gap + 0.5 * LENGTH + 0.7) as f32;
             let found = [seen(ObjectClass::Car, near, 0.0, 1.8, 1.5)];
             let facts = road.facts(60.0 + f64::from(tick), 0.0, 0.0, 8.0);
-            state = tracker.update(&Ahead::of(&found, &ground, &facts), &ground, &facts, |_| None);
+            let candidate = nearest(&found, &ground, &facts);
+            state = tracker.update(candidate.as_ref(), &ground, &facts);
             true_gap -= closing * facts.tick;
         }
         let state = state.unwrap();
@@ -333,31 +298,14 @@ mod tests {
         let (road, ground) = (Road::new("GGG"), GroundPlane::new(&CameraConfig::default()));
         let facts = road.facts(60.0, 0.0, 0.0, 0.0);
         let found = [seen(ObjectClass::Car, 15.0, 0.0, 1.8, 1.5)];
-        let (ahead, none) = (Ahead::of(&found, &ground, &facts), Ahead::default());
+        let candidate = nearest(&found, &ground, &facts);
         let mut tracker = LeadTracker::default();
-        tracker.update(&ahead, &ground, &facts, |_| None);
-        let bridged: Vec<bool> =
-            (0..4).map(|_| tracker.update(&none, &ground, &facts, |_| None).is_some()).collect();
+        tracker.update(candidate.as_ref(), &ground, &facts);
+        let bridged: Vec<bool> = (0..4).map(|_| tracker.update(None, &ground, &facts).is_some()).collect();
         assert_eq!(bridged, [true, true, false, false]);
-        tracker.update(&ahead, &ground, &facts, |_| None);
+        tracker.update(candidate.as_ref(), &ground, &facts);
         tracker.reset();
-        assert_eq!(tracker.update(&none, &ground, &facts, |_| None), None);
-    }
-
-    #[test]
-    fn who_has_left_the_path_or_is_passed_is_not_in_front() {
-        let (road, ground) = (Road::new("GGG"), GroundPlane::new(&CameraConfig::default()));
-        let facts = road.facts(60.0, 0.0, 0.0, 2.0);
-        let look =
-            |near: f32, y: f32| Ahead::of(&[seen(ObjectClass::Person, near, y, 0.5, 1.7)], &ground, &facts);
-        let mut tracker = LeadTracker::default();
-        let mut is_in_front = |ahead: &Ahead| tracker.update(ahead, &ground, &facts, |_| None).is_some();
-        assert!(is_in_front(&look(12.0, -1.2)) && !is_in_front(&look(12.0, -1.8)), "it walks off");
-        assert!(is_in_front(&look(12.0, -1.2)) && is_in_front(&look(24.0, -1.8)), "that is somebody else");
-        assert!(
-            is_in_front(&look(6.0, -1.2)) && !is_in_front(&Ahead::default()),
-            "it would fill the picture"
-        );
+        assert_eq!(tracker.update(None, &ground, &facts), None);
     }
 
     #[test]
@@ -367,38 +315,25 @@ mod tests {
         let mut tracker = LeadTracker::default();
         let mut look = |near: f32| {
             let found = [seen(ObjectClass::Car, near, 0.0, 1.8, 1.5)];
-            tracker.update(&Ahead::of(&found, &ground, &facts), &ground, &facts, |_| None).unwrap()
+            tracker.update(nearest(&found, &ground, &facts).as_ref(), &ground, &facts).unwrap()
         };
         look(30.0);
         look(30.0);
         let cut_in = look(12.0);
-        assert!((cut_in.gap - 9.1).abs() < 0.2 && cut_in.closing_speed > 3.0, "{cut_in:?}");
+        assert!((cut_in.gap - 9.1).abs() < 0.2 && cut_in.closing_speed.abs() < 1.0, "{cut_in:?}");
     }
 
     #[test]
-    fn who_is_new_and_was_not_followed_drives_half_as_fast_as_the_ego() {
+    fn who_is_new_drives_as_fast_as_the_ego_a_bicycle_no_faster_than_they_do() {
         let (road, ground) = (Road::new("GGG"), GroundPlane::new(&CameraConfig::default()));
-        let closing = |class, speed: f64, followed: Option<(f64, f64)>| {
+        let closing = |class, speed: f64| {
             let facts = road.facts(60.0, 0.0, 0.0, speed);
             let found = [seen(class, 15.0, 0.0, 0.6, 1.5)];
-            let ahead = Ahead::of(&found, &ground, &facts);
-            LeadTracker::default().update(&ahead, &ground, &facts, |_| followed).unwrap().closing_speed
+            let candidate = nearest(&found, &ground, &facts);
+            LeadTracker::default().update(candidate.as_ref(), &ground, &facts).unwrap().closing_speed
         };
         let at_12 = [ObjectClass::Car, ObjectClass::Motorcycle, ObjectClass::Bicycle, ObjectClass::Person];
-        assert_eq!(at_12.map(|class| closing(class, 12.0, None)), [6.0, 6.0, 8.0, 12.0]);
-        assert_eq!(closing(ObjectClass::Bicycle, 6.0, None), 3.0);
-        assert_eq!(closing(ObjectClass::Car, 12.0, Some((11.0, 1.0))), 1.0);
-    }
-
-    #[test]
-    fn who_walks_at_the_picture_s_side_is_where_its_inner_side_is() {
-        let ground = GroundPlane::new(&CameraConfig::default());
-        // 2 m before the bumper, its right side 0.9 and 2 m to the left of the path's middle.
-        let cut = |class, inner: f32| {
-            let [r, b] = ground.pixel([0.5 * LENGTH as f32 + 2.0, inner]).unwrap();
-            gap(&[Detection { class, bounds: [0.0, 200.0, r, b], score: 1.0 }], 60.0, 0.0, 0.0).is_some()
-        };
-        assert!(cut(ObjectClass::Person, 0.9) && !cut(ObjectClass::Person, 2.0));
-        assert!(!cut(ObjectClass::Truck, 2.0));
+        assert_eq!(at_12.map(|class| closing(class, 12.0)), [0.0, 0.0, 8.0, 12.0]);
+        assert_eq!(closing(ObjectClass::Bicycle, 3.0), 0.0);
     }
 }

@@ -191,12 +191,9 @@ impl Perception {
         };
         self.percept.light = light;
         self.percept.light_red = light.is_some_and(|light| light.is_red_here());
-        let ahead = lead::Ahead::of(&self.percept.detections, &self.ground, facts);
+        let nearest = lead::nearest(&self.percept.detections, &self.ground, facts);
+        let lead = self.lead.update(nearest.as_ref(), &self.ground, facts);
         let crossing = self.crossing.update(&self.percept.detections, &self.ground, facts);
-        let followed = |seen: &lead::Candidate| {
-            self.crossing.speed_of(seen.detection, facts.on_route.front_s + seen.gap, facts)
-        };
-        let lead = self.lead.update(&ahead, &self.ground, facts, followed);
         (self.percept.lead, self.percept.crossing) = (lead, crossing);
         tracing::debug!("in front: {lead:?}, will cross: {crossing:?}, by {:?}", self.percept.detections);
         let lead = lead.into_iter().chain(crossing).min_by(|a, b| a.gap.total_cmp(&b.gap));
