@@ -182,11 +182,11 @@ mod tests {
     #[test]
     fn it_reads_as_the_network_that_learned() {
         use super::super::{Backbone, CenterNet, Sees};
-        tch::manual_seed(3);
-        let network = CenterNet::new(Backbone::Light, Sees::Road, tch::Device::Cpu).unwrap();
-        let reader = network.sign_reader().unwrap().unwrap();
+        // Other tests draw from torch's numbers at the same time: of some networks a few always read nothing.
         let mut signs = 0;
-        for seed in 0..9_usize {
+        for seed in 0..40_usize {
+            let network = CenterNet::new(Backbone::Light, Sees::Road, tch::Device::Cpu).unwrap();
+            let reader = network.sign_reader().unwrap().unwrap();
             let rgb: Vec<u8> = (0..3 * 64 * 48).map(|n| (n * (37 + seed) % 251) as u8).collect();
             let plate = plate(&rgb, 64, [20.0, 9.0], 7.5);
             let x = tch::Tensor::from_slice(&plate).view([1, 3, PLATE as i64, PLATE as i64]);
