@@ -178,7 +178,7 @@ impl SeenLights {
         let moved = speed * tick;
         self.passed = self.passed.map(|passed| passed + moved).filter(|passed| *passed < JUNCTION);
         for track in [&mut self.believed, &mut self.rival] {
-            let stays = |track: &Track| track.is_remembered() && can_be(track.light.distance);
+            let stays = |track: &Track| track.hidden <= 1.0 + 1e-9 && can_be(track.light.distance);
             *track = track.map(|track| track.later(speed, tick)).filter(stays);
         }
         if let Some(behind) = self.believed.take_if(|track| track.light.distance < -PASSED) {
@@ -221,10 +221,6 @@ impl Track {
         self.hidden += tick / longest;
         self.fresh *= 0.5_f64.powf(tick / HALF);
         self
-    }
-
-    fn is_remembered(&self) -> bool {
-        self.hidden <= 1.0 + 1e-9
     }
 
     /// Whether its heads can be out of sight for long: above the picture, or, of one at which the ego stands, behind somebody
