@@ -169,6 +169,9 @@ fn the_vehicle_in_front_is_where_it_is_seen() {
         assert!(bin["recall"].as_f64() > Some(0.8), "{bin}");
         assert!(bin["gap_error"]["median"].as_f64() < Some(1.5), "{bin}");
     }
+    let crossing = &result["crossing"];
+    assert!(crossing["free_frames"].as_u64() > Some(100), "{result}");
+    assert!(crossing["false_leads"].as_f64() < Some(0.1), "{crossing}");
 }
 
 /// The shipped encoder's reconstruction shows what the transformed image does.

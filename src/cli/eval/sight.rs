@@ -8,7 +8,9 @@ use wad_cosim::bundled;
 use wad_cosim::camera::{CameraConfig, Frame, Outputs, Preset};
 use wad_cosim::drive::{Drive, DriveOptions};
 use wad_cosim::eyes::Eyes;
-use wad_cosim::perception::sight_score::{LaneScore, LaneTruth, LeadScore, LeadTruth, MEASURED_AT};
+use wad_cosim::perception::sight_score::{
+    LaneScore, LaneTruth, LeadReport, LeadScore, LeadTruth, MEASURED_AT,
+};
 use wad_cosim::perception::{self, EgoFacts, NearGaps, Perception};
 use wad_cosim::traffic::TrafficSpec;
 use wad_cosim::world::WorldState;
@@ -180,34 +182,37 @@ pub async fn lanes(args: Args) -> anyhow::Result<Exit> {
 
 /// `eval lead`.
 pub async fn lead(args: Args) -> anyhow::Result<Exit> {
-    let mut score = LeadScore::default();
+    let (mut lead, mut crossing) = (LeadScore::default(), LeadScore::default());
     let outputs = Outputs { boxes: true, ..Outputs::RGB };
     let weather = args.weather.first().copied().unwrap_or_default();
     drive(&args, &[weather], outputs, &mut |_, frame, perception, facts, world| {
         if args.near || facts.on_route.state.speed > STANDS {
             let percept = perception.percept();
             let there = LeadTruth::find(facts, world, frame);
-            tracing::debug!("in front: {there:?} there");
-            score.add(there, percept.lead);
+            let (crosses, unseen) = LeadTruth::crossing(facts, world, frame);
+            tracing::debug!("in front: {there:?} there, will cross: {crosses:?} there");
+            lead.add(there, percept.lead);
+            if crosses.is_some() || !unseen {
+                crossing.add(crosses, percept.crossing);
+            }
         }
     })
     .await?;
-    let report = score.report();
+    let (lead, crossing) = (lead.report(), crossing.report());
+    let head = format!("detector {}, {}, seed {}, {}", args.detector, args.config, args.seed, weather.name());
+    say_leads(&args, &format!("vehicle in front, {head}"), &lead, "in the path")?;
+    if !args.near {
+        say_leads(&args, "who will cross the path", &crossing, "to cross")?;
+    }
+    let result = serde_json::json!({ "weather": weather.name(), "detector": args.detector, "lead": lead, "crossing": crossing });
+    finish(&args, result)
+}
+
+fn say_leads(args: &Args, title: &str, report: &LeadReport, place: &str) -> anyhow::Result<()> {
     let say = |line: &str| crate::cli::row(line, args.json);
     say(&format!(
-        "vehicle in front, detector {}, {}, seed {}, {}\n{:>9} {:>7} {:>7} {:>10} {:>7} {:>7} {:>13} {:>8}",
-        args.detector,
-        args.config,
-        args.seed,
-        weather.name(),
-        "gap m",
-        "frames",
-        "recall",
-        "gap err m",
-        "p90 m",
-        "bias m",
-        "closing m/s",
-        "p90 m/s"
+        "{title}\n{:>9} {:>7} {:>7} {:>10} {:>7} {:>7} {:>13} {:>8}",
+        "gap m", "frames", "recall", "gap err m", "p90 m", "bias m", "closing m/s", "p90 m/s"
     ))?;
     for bin in &report.bins {
         say(&format!(
@@ -223,11 +228,10 @@ pub async fn lead(args: Args) -> anyhow::Result<Exit> {
         ))?;
     }
     say(&format!(
-        "nothing in the path in {} frames, something reported in {} of them",
+        "nobody {place} in {} frames, somebody reported in {} of them",
         report.free_frames,
         number(report.false_leads.map(|share| 100.0 * share), 1) + " %"
-    ))?;
-    finish(&args, serde_json::json!({ "weather": weather.name(), "detector": args.detector, "lead": report }))
+    ))
 }
 
 fn number(value: Option<f64>, digits: usize) -> String {

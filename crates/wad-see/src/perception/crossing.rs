@@ -11,6 +11,7 @@ use crate::observation::LeadState;
 use crate::perception::lead::{HALF_WAY, SIGHT};
 use nalgebra::{Matrix2, Matrix4, Matrix4x2};
 use sumo_network::geometry::{Point, Vector, direction};
+use sumo_network::world::{Actor, ActorKind};
 use wad_camera::model::ObjectClass;
 
 /// Time (s) that vehicles are predicted ahead, and its steps.
@@ -140,6 +141,18 @@ impl CrossingTracker {
         let found = self.movers.iter().filter_map(|mover| mover.meets(facts));
         found.min_by(|a, b| a.gap.total_cmp(&b.gap))
     }
+}
+
+/// What a tracker that knows all would tell of `actor`, if it will be in the ego's path.
+pub fn truth(actor: &Actor, facts: &EgoFacts<'_>) -> Option<LeadState> {
+    let kind = match actor.actor_type.kind {
+        ActorKind::Car | ActorKind::Van | ActorKind::Truck | ActorKind::Bus => Kind::Vehicle,
+        ActorKind::Motorcycle | ActorKind::Bicycle => Kind::TwoWheeler,
+        ActorKind::Pedestrian => Kind::Person,
+        ActorKind::Object => return None,
+    };
+    let (place, velocity) = (actor.pose.xy().coords, direction(actor.pose.heading) * actor.speed);
+    Mover { kind, place, velocity, p: Matrix4::zeros(), seen: BELIEVED, missed: 0 }.meets(facts)
 }
 
 /// Where a detection stands, unless the picture's border cuts it.
@@ -280,7 +293,9 @@ impl Mover {
 mod tests {
     use super::*;
     use crate::perception::testing::{LENGTH, Road, seen};
+    use sumo_network::geometry::Pose;
     use sumo_network::network::{CrossingId, testing};
+    use sumo_network::world::{ActorType, VehicleSignals};
     use wad_camera::CameraConfig;
 
     /// The prediction of each tick for an ego that drives at `speed` from `s` on, and a vehicle that moves
@@ -372,6 +387,30 @@ mod tests {
         assert!(nobody(&left, 20.0, 6.0, [318.0, 1.6], [0.0, 0.0]), "it stands");
         assert!(nobody(&left, 35.0, 3.0, [305.0, 1.6], [-14.0, 0.0]), "it has passed before the ego comes");
         assert!(nobody(&Road::new("GGG"), 25.0, 6.0, [302.0, 14.0], [0.0, -3.0]), "the ego goes first");
+    }
+
+    #[test]
+    fn who_knows_all_needs_no_looks() {
+        let road = Road::turning_left();
+        let facts = road.facts(road.route.links[0].stop_s - 20.0, 0.0, 0.0, 6.0);
+        let there = |kind: ActorKind, speed: f64| {
+            let actor_type =
+                ActorType { id: "t".into(), kind, length: 4.5, width: 1.8, height: 1.5, min_gap: 2.0 };
+            let actor = Actor {
+                id: "other".into(),
+                key: 1,
+                actor_type: actor_type.into(),
+                pose: Pose::new(326.0, 1.6, 0.0, std::f64::consts::PI),
+                speed,
+                signals: VehicleSignals::default(),
+                lane: None,
+                lane_position: 0.0,
+            };
+            truth(&actor, &facts)
+        };
+        let line = 20.0 - 0.5 * LENGTH;
+        assert!(there(ActorKind::Car, 10.0).is_some_and(|lead| (line..line + 4.5).contains(&lead.gap)));
+        assert_eq!((there(ActorKind::Car, 0.0), there(ActorKind::Object, 10.0)), (None, None));
     }
 
     #[test]

@@ -2,14 +2,14 @@
 
 use super::{Spread, share};
 use crate::observation::LeadState;
-use crate::perception::EgoFacts;
 use crate::perception::lead::{HALF_WAY, SIGHT};
+use crate::perception::{EgoFacts, crossing};
 use serde::Serialize;
 use sumo_network::geometry::{Vector, wrap_angle};
 use sumo_network::world::{Actor, WorldState};
 use wad_camera::Frame;
 
-/// The nearest road user in the ego's path.
+/// The nearest road user in the ego's path, or who will be.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LeadTruth {
     /// Along the route from the front bumper (m).
@@ -21,11 +21,19 @@ pub struct LeadTruth {
 impl LeadTruth {
     /// The nearest of `world` in the path of which `frame` (with its objects) shows enough.
     pub fn find(facts: &EgoFacts<'_>, world: &WorldState, frame: &Frame) -> Option<Self> {
-        let shows = |index: usize| {
-            let id = index as u32 + 1;
-            frame.objects.iter().any(|object| object.id == id && object.visible_pixels >= 12)
-        };
-        Self::nearest(facts, world, shows)
+        Self::nearest(facts, world, |index| shows(frame, index))
+    }
+
+    /// The nearest of `world` that will cross the path and of which `frame` (with its objects) shows enough, and whether
+    /// somebody crosses of whom it does not.
+    pub fn crossing(facts: &EgoFacts<'_>, world: &WorldState, frame: &Frame) -> (Option<Self>, bool) {
+        let actors = world.vehicles.iter().chain(&world.pedestrians).enumerate();
+        let crossing =
+            actors.filter_map(|(index, one)| crossing::truth(one, facts).map(|lead| (index, lead)));
+        let (shown, hidden): (Vec<_>, Vec<_>) = crossing.partition(|&(index, _)| shows(frame, index));
+        let nearest = shown.into_iter().map(|(_, lead)| lead).min_by(|a, b| a.gap.total_cmp(&b.gap));
+        let nearest = nearest.map(|LeadState { gap, closing_speed }| Self { gap, closing_speed });
+        (nearest, !hidden.is_empty())
     }
 
     /// The nearest in the path, of those whose places in `world`, vehicles first, are `wanted`.
@@ -65,6 +73,12 @@ impl LeadTruth {
     }
 }
 
+/// Whether `frame` shows enough of the road user that has this place in the world.
+fn shows(frame: &Frame, index: usize) -> bool {
+    let id = index as u32 + 1;
+    frame.objects.iter().any(|object| object.id == id && object.visible_pixels >= 12)
+}
+
 /// Borders of the distances that are reported apart (m).
 const BORDERS: [f64; 6] = [0.0, 5.0, 10.0, 20.0, 30.0, SIGHT];
 
@@ -96,9 +110,11 @@ pub struct LeadBin {
 /// All figures.
 #[derive(Clone, Debug, Serialize)]
 pub struct LeadReport {
+    /// By the true gap.
     pub bins: Vec<LeadBin>,
-    /// Frames without anything in the path, and the share of them in which something was reported.
+    /// Frames in which nobody is there.
     pub free_frames: usize,
+    /// The share of them in which somebody was reported.
     pub false_leads: Option<f64>,
 }
 
