@@ -215,30 +215,10 @@ impl Surroundings {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::perception::testing::{LENGTH as EGO_LENGTH, Road};
-    use std::sync::Arc;
-    use sumo_network::world::ActorType;
+    use crate::perception::testing::{self, LENGTH as EGO_LENGTH, Road};
 
     fn user(road: &Road, s: f64, d: f64, speed: f64, kind: ActorKind) -> Actor {
-        let on = road.facts(s, d, 0.0, 0.0).on_route.state.pose;
-        let actor_type = ActorType {
-            id: "x".to_string(),
-            kind,
-            length: if kind == ActorKind::Pedestrian { 0.3 } else { 5.0 },
-            width: if kind == ActorKind::Pedestrian { 0.5 } else { 1.8 },
-            height: 1.5,
-            min_gap: 2.5,
-        };
-        Actor {
-            id: Arc::from(format!("{s} {d}")),
-            key: 1,
-            actor_type: Arc::new(actor_type),
-            pose: on,
-            speed,
-            signals: VehicleSignals(VehicleSignals::BRAKE_LIGHT),
-            lane: None,
-            lane_position: 0.0,
-        }
+        testing::user(road.facts(s, d, 0.0, 0.0).on_route.state.pose, speed, kind)
     }
 
     fn look(road: &Road, users: Vec<Actor>, s: f64, turn: f64, speed: f64) -> (Vec<f32>, RawState) {

@@ -40,7 +40,7 @@ enum What {
     Eyes(detector::Args),
     /// Score lane detection: precision, recall and lateral error, by weather.
     Lanes(sight::Args),
-    /// Score the estimate of the vehicle in front: gap and closing speed, by distance.
+    /// Score the estimates of who is in front and who will cross the path: gap and closing speed, by distance.
     Lead(sight::Args),
     /// Score an encoder: how much of the transformed image its latent holds.
     #[cfg(feature = "learn")]

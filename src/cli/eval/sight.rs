@@ -8,9 +8,7 @@ use wad_cosim::bundled;
 use wad_cosim::camera::{CameraConfig, Frame, Outputs, Preset};
 use wad_cosim::drive::{Drive, DriveOptions};
 use wad_cosim::eyes::Eyes;
-use wad_cosim::perception::sight_score::{
-    LaneScore, LaneTruth, LeadReport, LeadScore, LeadTruth, MEASURED_AT,
-};
+use wad_cosim::perception::sight_score::{self, LaneScore, LaneTruth, LeadReport, LeadScore, MEASURED_AT};
 use wad_cosim::perception::{self, EgoFacts, NearGaps, Perception};
 use wad_cosim::traffic::TrafficSpec;
 use wad_cosim::world::WorldState;
@@ -100,7 +98,7 @@ async fn drive(
         let world = drive.ego().world();
         let mut facts = EgoFacts::of(drive.bridge().network(), drive.ego(), drive.bridge().tick());
         if args.near {
-            let Some(next) = LeadTruth::nearest(&facts, world, |_| true) else { continue };
+            let Some(next) = sight_score::nearest_in_front(&facts, world, |_| true) else { continue };
             facts = facts.moved(next.gap - gaps.draw());
         }
         for (index, (eyes, &weather)) in eyes.iter_mut().zip(weathers).enumerate() {
@@ -188,8 +186,8 @@ pub async fn lead(args: Args) -> anyhow::Result<Exit> {
     drive(&args, &[weather], outputs, &mut |_, frame, perception, facts, world| {
         if args.near || facts.on_route.state.speed > STANDS {
             let percept = perception.percept();
-            let there = LeadTruth::find(facts, world, frame);
-            let (crosses, unseen) = LeadTruth::crossing(facts, world, frame);
+            let there = sight_score::in_front(facts, world, frame);
+            let (crosses, unseen) = sight_score::who_crosses(facts, world, frame);
             tracing::debug!("in front: {there:?} there, will cross: {crosses:?} there");
             lead.add(there, percept.lead);
             if crosses.is_some() || !unseen {
@@ -204,7 +202,9 @@ pub async fn lead(args: Args) -> anyhow::Result<Exit> {
     if !args.near {
         say_leads(&args, "who will cross the path", &crossing, "to cross")?;
     }
-    let result = serde_json::json!({ "weather": weather.name(), "detector": args.detector, "lead": lead, "crossing": crossing });
+    let (weather, detector) = (weather.name(), &args.detector);
+    let result =
+        serde_json::json!({ "weather": weather, "detector": detector, "lead": lead, "crossing": crossing });
     finish(&args, result)
 }
 

@@ -292,10 +292,9 @@ impl Mover {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::perception::testing::{LENGTH, Road, seen};
+    use crate::perception::testing::{LENGTH, Road, seen, user};
     use sumo_network::geometry::Pose;
     use sumo_network::network::{CrossingId, testing};
-    use sumo_network::world::{ActorType, VehicleSignals};
     use wad_camera::CameraConfig;
 
     /// The prediction of each tick for an ego that drives at `speed` from `s` on, and a vehicle that moves
@@ -394,19 +393,7 @@ mod tests {
         let road = Road::turning_left();
         let facts = road.facts(road.route.links[0].stop_s - 20.0, 0.0, 0.0, 6.0);
         let there = |kind: ActorKind, speed: f64| {
-            let actor_type =
-                ActorType { id: "t".into(), kind, length: 4.5, width: 1.8, height: 1.5, min_gap: 2.0 };
-            let actor = Actor {
-                id: "other".into(),
-                key: 1,
-                actor_type: actor_type.into(),
-                pose: Pose::new(326.0, 1.6, 0.0, std::f64::consts::PI),
-                speed,
-                signals: VehicleSignals::default(),
-                lane: None,
-                lane_position: 0.0,
-            };
-            truth(&actor, &facts)
+            truth(&user(Pose::new(326.0, 1.6, 0.0, std::f64::consts::PI), speed, kind), &facts)
         };
         let line = 20.0 - 0.5 * LENGTH;
         assert!(there(ActorKind::Car, 10.0).is_some_and(|lead| (line..line + 4.5).contains(&lead.gap)));

@@ -3,9 +3,10 @@
 use super::LaneBoundary;
 use super::{Detection, EgoFacts, GroundPlane};
 use std::sync::Arc;
-use sumo_network::geometry::Vector;
+use sumo_network::geometry::{Pose, Vector};
 use sumo_network::network::testing::{net, place};
 use sumo_network::network::{Network, Route, VehicleClass};
+use sumo_network::world::{Actor, ActorKind, ActorType, VehicleSignals};
 use wad_camera::CameraConfig;
 use wad_camera::Frame;
 use wad_camera::model::ObjectClass;
@@ -101,4 +102,20 @@ pub fn picture(camera: &CameraConfig, lines: &[LaneBoundary]) -> Frame {
         }
     }
     Frame { width: camera.width, height: camera.height, rgb, ..Frame::default() }
+}
+
+/// A road user that brakes.
+pub fn user(pose: Pose, speed: f64, kind: ActorKind) -> Actor {
+    let [length, width] = if kind == ActorKind::Pedestrian { [0.3, 0.5] } else { [5.0, 1.8] };
+    let actor_type = ActorType { id: "x".to_string(), kind, length, width, height: 1.5, min_gap: 2.5 };
+    Actor {
+        id: Arc::from(format!("{} {}", pose.position.x, pose.position.y)),
+        key: 1,
+        actor_type: Arc::new(actor_type),
+        pose,
+        speed,
+        signals: VehicleSignals(VehicleSignals::BRAKE_LIGHT),
+        lane: None,
+        lane_position: 0.0,
+    }
 }

@@ -1,4 +1,4 @@
-//! The detected vehicle in front against the true one.
+//! Who is detected in front, and told to cross, against the truth.
 
 use super::{Spread, share};
 use crate::observation::LeadState;
@@ -9,68 +9,60 @@ use sumo_network::geometry::{Vector, wrap_angle};
 use sumo_network::world::{Actor, WorldState};
 use wad_camera::Frame;
 
-/// The nearest road user in the ego's path, or who will be.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LeadTruth {
-    /// Along the route from the front bumper (m).
-    pub gap: f64,
-    /// m/s, positive when nearing.
-    pub closing_speed: f64,
+/// Who is in front: the nearest of `world` in the ego's path of which `frame` (with its objects) shows enough.
+pub fn in_front(facts: &EgoFacts<'_>, world: &WorldState, frame: &Frame) -> Option<LeadState> {
+    nearest_in_front(facts, world, |index| shows(frame, index))
 }
 
-impl LeadTruth {
-    /// The nearest of `world` in the path of which `frame` (with its objects) shows enough.
-    pub fn find(facts: &EgoFacts<'_>, world: &WorldState, frame: &Frame) -> Option<Self> {
-        Self::nearest(facts, world, |index| shows(frame, index))
-    }
+/// The nearest in the ego's path, of those whose places in `world`, vehicles first, are `wanted`.
+pub fn nearest_in_front(
+    facts: &EgoFacts<'_>,
+    world: &WorldState,
+    wanted: impl Fn(usize) -> bool,
+) -> Option<LeadState> {
+    let actors = world.vehicles.iter().chain(&world.pedestrians).enumerate();
+    let actors = actors.filter(|(index, _)| wanted(*index)).filter_map(|(_, one)| in_path(facts, one));
+    actors.min_by(|a, b| a.gap.total_cmp(&b.gap))
+}
 
-    /// The nearest of `world` that will cross the path and of which `frame` (with its objects) shows enough, and whether
-    /// somebody crosses of whom it does not.
-    pub fn crossing(facts: &EgoFacts<'_>, world: &WorldState, frame: &Frame) -> (Option<Self>, bool) {
-        let actors = world.vehicles.iter().chain(&world.pedestrians).enumerate();
-        let crossing =
-            actors.filter_map(|(index, one)| crossing::truth(one, facts).map(|lead| (index, lead)));
-        let (shown, hidden): (Vec<_>, Vec<_>) = crossing.partition(|&(index, _)| shows(frame, index));
-        let nearest = shown.into_iter().map(|(_, lead)| lead).min_by(|a, b| a.gap.total_cmp(&b.gap));
-        let nearest = nearest.map(|LeadState { gap, closing_speed }| Self { gap, closing_speed });
-        (nearest, !hidden.is_empty())
-    }
+/// Who will cross the ego's path: the nearest of `world` of which `frame` (with its objects) shows enough, and whether somebody
+/// crosses of whom it does not.
+pub fn who_crosses(facts: &EgoFacts<'_>, world: &WorldState, frame: &Frame) -> (Option<LeadState>, bool) {
+    let actors = world.vehicles.iter().chain(&world.pedestrians).enumerate();
+    let crossing = actors.filter_map(|(index, one)| Some((index, crossing::truth(one, facts)?)));
+    let (shown, hidden): (Vec<_>, Vec<_>) = crossing.partition(|&(index, _)| shows(frame, index));
+    let nearest = shown.into_iter().map(|(_, lead)| lead).min_by(|a, b| a.gap.total_cmp(&b.gap));
+    (nearest, !hidden.is_empty())
+}
 
-    /// The nearest in the path, of those whose places in `world`, vehicles first, are `wanted`.
-    pub fn nearest(facts: &EgoFacts<'_>, world: &WorldState, wanted: impl Fn(usize) -> bool) -> Option<Self> {
-        let actors = world.vehicles.iter().chain(&world.pedestrians).enumerate();
-        let actors = actors.filter(|(index, _)| wanted(*index)).filter_map(|(_, one)| Self::of(facts, one));
-        actors.min_by(|a, b| a.gap.total_cmp(&b.gap))
+/// Where `actor` is in the ego's path.
+fn in_path(facts: &EgoFacts<'_>, actor: &Actor) -> Option<LeadState> {
+    let on_route = &facts.on_route;
+    let shape = &actor.actor_type;
+    if (actor.pose.xy() - on_route.state.pose.xy()).norm() > SIGHT + 15.0 {
+        return None;
     }
-
-    fn of(facts: &EgoFacts<'_>, actor: &Actor) -> Option<Self> {
-        let on_route = &facts.on_route;
-        let shape = &actor.actor_type;
-        if (actor.pose.xy() - on_route.state.pose.xy()).norm() > SIGHT + 15.0 {
-            return None;
-        }
-        let steps = (shape.length / 0.5).ceil().max(1.0) as usize;
-        let mut nearest: Option<f64> = None;
-        for i in 0..=steps {
-            for side in [-0.5, -0.25, 0.0, 0.25, 0.5] {
-                let along = shape.length * (i as f64 / steps as f64 - 0.5);
-                let place = actor.pose.to_world(Vector::new(along, side * shape.width));
-                let on = facts.route.project_near(place, on_route.s, 0.0, SIGHT + 15.0);
-                // Beyond the ends of the searched stretch a point is off the route.
-                if (on.distance - on.d.abs()).abs() > 0.1 || on.d.abs() > HALF_WAY {
-                    continue;
-                }
-                nearest = Some(nearest.map_or(on.s, |s: f64| s.min(on.s)));
+    let steps = (shape.length / 0.5).ceil().max(1.0) as usize;
+    let mut nearest: Option<f64> = None;
+    for i in 0..=steps {
+        for side in [-0.5, -0.25, 0.0, 0.25, 0.5] {
+            let along = shape.length * (i as f64 / steps as f64 - 0.5);
+            let place = actor.pose.to_world(Vector::new(along, side * shape.width));
+            let on = facts.route.project_near(place, on_route.s, 0.0, SIGHT + 15.0);
+            // Beyond the ends of the searched stretch a point is off the route.
+            if (on.distance - on.d.abs()).abs() > 0.1 || on.d.abs() > HALF_WAY {
+                continue;
             }
+            nearest = Some(nearest.map_or(on.s, |s: f64| s.min(on.s)));
         }
-        let gap = nearest? - on_route.front_s;
-        if !(-1.0..=SIGHT).contains(&gap) {
-            return None;
-        }
-        let course = facts.route.at(nearest?).pose.heading;
-        let along = actor.speed * wrap_angle(actor.pose.heading - course).cos();
-        Some(Self { gap: gap.max(0.0), closing_speed: on_route.state.speed - along })
     }
+    let gap = nearest? - on_route.front_s;
+    if !(-1.0..=SIGHT).contains(&gap) {
+        return None;
+    }
+    let course = facts.route.at(nearest?).pose.heading;
+    let along = actor.speed * wrap_angle(actor.pose.heading - course).cos();
+    Some(LeadState { gap: gap.max(0.0), closing_speed: on_route.state.speed - along })
 }
 
 /// Whether `frame` shows enough of the road user that has this place in the world.
@@ -85,7 +77,7 @@ const BORDERS: [f64; 6] = [0.0, 5.0, 10.0, 20.0, 30.0, SIGHT];
 /// Pairs of truth and detection over frames.
 #[derive(Clone, Debug, Default)]
 pub struct LeadScore {
-    pairs: Vec<(Option<LeadTruth>, Option<LeadState>)>,
+    pairs: Vec<(Option<LeadState>, Option<LeadState>)>,
 }
 
 /// Figures of a range of true gaps.
@@ -120,7 +112,7 @@ pub struct LeadReport {
 
 impl LeadScore {
     /// Counts a frame.
-    pub fn add(&mut self, truth: Option<LeadTruth>, seen: Option<LeadState>) {
+    pub fn add(&mut self, truth: Option<LeadState>, seen: Option<LeadState>) {
         self.pairs.push((truth, seen));
     }
 
@@ -165,7 +157,7 @@ mod tests {
     #[test]
     fn misses_lower_recall_and_leave_errors_alone() {
         let mut score = LeadScore::default();
-        let truth = Some(LeadTruth { gap: 15.0, closing_speed: 2.0 });
+        let truth = Some(LeadState { gap: 15.0, closing_speed: 2.0 });
         score.add(truth, Some(LeadState { gap: 15.5, closing_speed: 1.0 }));
         score.add(truth, None);
         score.add(None, Some(LeadState { gap: 4.0, closing_speed: 0.0 }));

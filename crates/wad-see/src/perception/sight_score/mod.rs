@@ -8,7 +8,7 @@ mod limit;
 mod road;
 
 pub use lanes::{LaneScore, LaneTruth, MEASURED_AT};
-pub use lead::{LeadBin, LeadReport, LeadScore, LeadTruth};
+pub use lead::{LeadBin, LeadReport, LeadScore, in_front, nearest_in_front, who_crosses};
 pub use light::LightCounts;
 pub use limit::LimitCounts;
 pub use road::{RoadReport, RoadScore};
