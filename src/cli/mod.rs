@@ -21,6 +21,7 @@ mod film;
 mod net;
 mod progress;
 mod replay;
+mod replay_look;
 mod replay_view;
 mod report;
 mod run;

@@ -1,7 +1,8 @@
 //! `wad-cosim replay`: plays a kept episode as it was recorded, or simulates it again.
 
 use super::progress::Bar;
-use super::{Exit, agents, print};
+use super::replay_look::{Looker, Row};
+use super::{Exit, agents, print, row};
 use clap::ValueHint;
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
@@ -19,6 +20,8 @@ Examples:
   wad-cosim replay runs/nocrash --view                                 all of them in the browser, with a timeline
   wad-cosim replay runs/nocrash/episodes/NAME --record film.mp4        a film, from behind
   wad-cosim replay runs/nocrash/episodes/NAME --record film.mp4 --record-view all
+  wad-cosim replay runs/nocrash/episodes/NAME --detector eyes --last 5
+                                                                       what it sees, and what is there
   wad-cosim replay runs/nocrash/episodes/NAME --gui                    simulated again in sumo-gui
   wad-cosim replay runs/nocrash/episodes/NAME --verify                 simulated again, every bit compared";
 
@@ -40,7 +43,11 @@ pub struct Args {
     record_codec: Codec,
     #[command(flatten)]
     view: super::view::ViewArgs,
-    /// Film only the last N seconds.
+    /// Look at the recorded states through this detector: prints for each tick what it sees and what is there, and a film
+    /// of all views (--record-view all) shows it.
+    #[arg(long, value_name = "NAME", conflicts_with = "view")]
+    detector: Option<String>,
+    /// Film or look at only the last N seconds.
     #[arg(long, value_name = "SECONDS", value_parser = super::seconds)]
     last: Option<f64>,
     /// Simulate the episode again and compare every bit of every tick.
@@ -80,11 +87,17 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
     }
     let mut answer = serde_json::json!({ "episode": episode, "ticks": recording.frames().len() - 1 });
     let mut exit = Exit::Done;
-    if let Some(path) = &args.record {
-        if !film(args, path, &recording)? {
+    if args.record.is_some() || args.detector.is_some() {
+        let (rows, whole) = play(args, &kept, &recording)?;
+        if !whole {
             exit = Exit::Interrupted;
         }
-        answer["record"] = path.display().to_string().into();
+        if let Some(path) = &args.record {
+            answer["record"] = path.display().to_string().into();
+        }
+        if args.detector.is_some() {
+            answer["looks"] = serde_json::to_value(rows)?;
+        }
     }
     if exit == Exit::Done && (args.verify || args.gui) {
         let verdict = again(args, &kept, &recording)?;
@@ -123,39 +136,74 @@ fn with_exit(error: VerifyError) -> anyhow::Error {
     exit.because(error)
 }
 
-/// The recorded states as a film. False: it was interrupted, and the film ends there.
-fn film(args: &Args, path: &std::path::Path, recording: &Recording) -> anyhow::Result<bool> {
+/// The time before what is shown that a detector looks already (s): it follows road users and lights from tick to tick.
+const WARM_UP: f64 = 3.0;
+
+/// The recorded states as a film, and as a detector sees them. False: it was interrupted, and the film ends there.
+fn play(args: &Args, kept: &Kept, recording: &Recording) -> anyhow::Result<(Vec<Row>, bool)> {
     let header = recording.header();
-    let town = Assets::load(&header.config).map_err(|e| with_exit(e.into()))?.town();
+    let assets = Assets::load(&header.config).map_err(|e| with_exit(e.into()))?;
     let fps = 1000.0 / header.tick_ms;
-    let mut film = Recorder::create(path, town, args.record_view, fps, args.record_codec, 0)
-        .map_err(|e| Exit::Input.because(e))?;
+    let film = |path: &PathBuf| {
+        Recorder::create(path, assets.town(), args.record_view, fps, args.record_codec, 0)
+            .map_err(|e| Exit::Input.because(e))
+    };
+    let mut film = args.record.as_ref().map(film).transpose()?;
+    let looker = |name: &String| Looker::new(kept, recording, &assets, name);
+    let mut looker = args.detector.as_ref().map(looker).transpose()?;
     let frames = recording.frames();
     let shown = args.last.map_or(frames.len(), |s| ((s.max(0.0) * fps) as usize).min(frames.len()));
     let stop = crate::cli::interrupt()?.flag();
-    let bar = Bar::new(shown as u64, "pictures");
+    let bar = Bar::new(shown as u64, "ticks");
     let first = frames.len() - shown;
+    let looks_from = first.saturating_sub((WARM_UP * fps) as usize);
+    let (mut rows, mut astray) = (Vec::new(), 0);
+    if looker.is_some() {
+        row(&Row::heads(), args.json)?;
+    }
     for (index, frame) in frames.iter().enumerate() {
-        // Earlier states are applied too: they move wheels and legs to their positions.
-        film.follow(&frame.world, &recording.ego_actor(frame));
-        if index < first {
-            continue;
-        }
         if stop.load(Ordering::Relaxed) {
             break;
         }
-        film.add(&frame.ego.pose, header.weather, None)?;
+        // Earlier states are applied too: they move wheels and legs to their positions.
+        if let Some(film) = &mut film {
+            film.follow(&frame.world, &recording.ego_actor(frame));
+        }
+        if let Some(looker) = &mut looker {
+            looker.follow(frame);
+            let look = if index < looks_from { None } else { looker.look(frame)? };
+            match look {
+                Some(look) if index >= first => {
+                    row(&look.to_string(), args.json)?;
+                    rows.push(look);
+                }
+                None if index >= first => astray += 1,
+                _ => {}
+            }
+        }
+        if index < first {
+            continue;
+        }
+        if let Some(film) = &mut film {
+            film.add(&frame.ego.pose, header.weather, looker.as_ref().map(Looker::eyes))?;
+        }
         bar.show((index + 1 - first) as u64, "");
     }
     bar.clear();
-    film.finish()?;
+    if let Some(film) = film {
+        film.finish()?;
+    }
     let whole = !stop.load(Ordering::Relaxed);
-    super::note(format_args!(
-        "{}{}",
-        path.display(),
-        if whole { "" } else { ": interrupted, it ends there" }
-    ));
-    Ok(whole)
+    if astray > 0 {
+        super::note(format_args!(
+            "{astray} of {shown} states are not looked at: the ego is on another route than at the start, which is not recorded"
+        ));
+    }
+    if let Some(path) = &args.record {
+        let cut = if whole { "" } else { ": interrupted, it ends there" };
+        super::note(format_args!("{}{cut}", path.display()));
+    }
+    Ok((rows, whole))
 }
 
 /// Simulates the episode again.

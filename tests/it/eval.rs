@@ -224,6 +224,14 @@ fn a_failure_is_replayed_to_the_bit_and_reported() {
     assert_eq!(answer["verify"]["same"], true, "{answer}");
     assert_eq!(answer["verify"]["ticks"].as_u64(), answer["ticks"].as_u64().map(|ticks| ticks + 1));
     assert_eq!(std::fs::read_dir(&film).unwrap().count(), 2, "two pictures in 0.4 s");
+    let look = |detector| {
+        wad(&["replay", "--json", "--last", "0.4", "--detector", detector]).arg(&kept[0]).output().unwrap()
+    };
+    let answer = json(&look("truth"));
+    let looks = answer["looks"].as_array().unwrap();
+    assert_eq!((looks.len(), &looks[1]["tick"]), (2, &answer["ticks"]));
+    assert_eq!(looks[1]["light"]["seen"], looks[1]["light"]["there"], "the simulator tells it: {}", looks[1]);
+    assert_eq!(look("nobody").status.code(), Some(2));
 
     // A recording that tells another story is found out.
     let episode = kept[0].join("episode.json");

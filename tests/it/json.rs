@@ -70,7 +70,7 @@ fn the_page_of_json_says_what_is_printed() {
     check("eval merge", &[&path("eval"), "--out", &path("merged")]);
     check("report", &[&path("eval")]);
     let kept = std::fs::read_dir(path("eval/episodes")).unwrap().next().unwrap().unwrap().path();
-    check("replay", &[&kept.display().to_string(), "--verify"]);
+    check("replay", &[&kept.display().to_string(), "--verify", "--detector", "truth"]);
     check(
         "eval routes",
         &["town5", "--set", "straight", "--count", "1", "--out", &path("town5.routes.json")],
