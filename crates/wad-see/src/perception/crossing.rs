@@ -1,18 +1,17 @@
-//! Road users who will be in the ego's path: tracks of detections on the ground, and their prediction.
+//! Road users who will be in the ego's path: the prediction of those who are followed.
 //!
-//! One picture does not show whether somebody moves or waits. So a Kalman filter tracks place and velocity
+//! One picture does not show whether somebody moves or waits. So [`RoadUsers`] has place and velocity
 //! of each detected vehicle and person on the ground, and a straight line predicts the way. Where the ego has to give
 //! way, and the prediction meets its route while the ego can be there, that road user counts as the vehicle in front.
 //! So an ego that turns left stops for oncoming vehicles, and one that turns right for who walks across. Nothing here
 //! comes from SUMO except the ego's route and its right of way.
 
-use super::{Detection, EgoFacts, GroundPlane};
+use super::EgoFacts;
+use super::road_users::{Kind, RoadUser, RoadUsers};
 use crate::observation::LeadState;
 use crate::perception::lead::{HALF_WAY, SIGHT};
-use nalgebra::{Matrix2, Matrix4, Matrix4x2};
 use sumo_network::geometry::{Point, Vector, direction};
 use sumo_network::world::{Actor, ActorKind};
-use wad_camera::model::ObjectClass;
 
 /// Time (s) that vehicles are predicted ahead, and its steps.
 const HORIZON: f64 = 4.5;
@@ -23,124 +22,13 @@ const MARGIN: f64 = 1.0;
 const EGO_ACCELERATION: f64 = 1.5;
 /// A crossing reaches this far to each side of its middle (m).
 const CROSSING: f64 = 3.0;
-/// Detections before a velocity is used, and ticks without one until a track is dropped.
+/// Detections before a velocity is used.
 const BELIEVED: u32 = 4;
-const COAST: u32 = 3;
 
-/// The kinds of road users that are tracked separately.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Kind {
-    Vehicle,
-    TwoWheeler,
-    Person,
-}
-
-impl Kind {
-    fn of(class: ObjectClass) -> Option<Self> {
-        match class {
-            ObjectClass::Car | ObjectClass::Truck | ObjectClass::Bus => Some(Self::Vehicle),
-            ObjectClass::Motorcycle | ObjectClass::Bicycle => Some(Self::TwoWheeler),
-            ObjectClass::Person => Some(Self::Person),
-            ObjectClass::TrafficLight | ObjectClass::Bench => None,
-        }
-    }
-    /// Standard deviations of the acceleration (m/s2) and of a new track's speed (m/s).
-    fn doubts(self) -> (f64, f64) {
-        match self {
-            Self::Vehicle => (2.0, 8.0),
-            Self::TwoWheeler => (1.5, 5.0),
-            Self::Person => (0.7, 1.5),
-        }
-    }
-    /// Slower ones are taken to stand (m/s).
-    fn slowest(self) -> f64 {
-        match self {
-            Self::Vehicle | Self::TwoWheeler => 1.5,
-            Self::Person => 0.5,
-        }
-    }
-    /// Half its length and half its breadth (m).
-    fn half(self) -> [f64; 2] {
-        match self {
-            Self::Vehicle => [2.2, 0.9],
-            Self::TwoWheeler => [0.9, 0.3],
-            Self::Person => [0.3, 0.3],
-        }
-    }
-    /// How far (m) a detection may be from where one was expected.
-    fn gate(self) -> f64 {
-        match self {
-            Self::Vehicle => 3.0,
-            Self::TwoWheeler => 2.0,
-            Self::Person => 1.0,
-        }
-    }
-}
-
-/// A road user on the ground, in the world's frame.
-#[derive(Clone, Copy, Debug)]
-struct Mover {
-    kind: Kind,
-    place: Vector,
-    velocity: Vector,
-    /// Covariance of both.
-    p: Matrix4<f64>,
-    seen: u32,
-    missed: u32,
-}
-
-/// A detection on the ground, in the world's frame.
-struct Sighting {
-    kind: Kind,
-    place: Vector,
-    /// Covariance (m2).
-    noise: Matrix2<f64>,
-}
-
-/// Follows road users over the ticks.
-#[derive(Clone, Debug, Default)]
-pub struct CrossingTracker {
-    movers: Vec<Mover>,
-}
-
-impl CrossingTracker {
-    /// Forgets.
-    pub fn reset(&mut self) {
-        self.movers.clear();
-    }
-
-    /// One tick later: the nearest that will be in the ego's path, as a vehicle in front.
-    pub fn update(
-        &mut self,
-        detections: &[Detection],
-        ground: &GroundPlane,
-        facts: &EgoFacts<'_>,
-    ) -> Option<LeadState> {
-        for mover in &mut self.movers {
-            mover.predict(facts.tick);
-        }
-        let mut sightings: Vec<Sighting> =
-            detections.iter().filter_map(|detection| sight(detection, ground, facts)).collect();
-        for mover in &mut self.movers {
-            let distance = |sighting: &Sighting| (sighting.place - mover.place).norm();
-            let mine = |sighting: &Sighting| {
-                // The nearest of its kind within what both are unsure of.
-                let along = sighting.noise.trace().sqrt();
-                sighting.kind == mover.kind && distance(sighting) < mover.kind.gate() + 2.0 * along
-            };
-            let nearest = (0..sightings.len())
-                .filter(|&i| mine(&sightings[i]))
-                .min_by(|&a, &b| distance(&sightings[a]).total_cmp(&distance(&sightings[b])));
-            match nearest {
-                Some(index) => mover.correct(&sightings.swap_remove(index)),
-                None => mover.missed += 1,
-            }
-        }
-        self.movers.retain(|mover| mover.missed <= COAST);
-        self.movers.extend(sightings.iter().map(Mover::new));
-        let found = self.movers.iter().filter_map(|mover| mover.meets(facts));
-        found.min_by(|a, b| a.gap.total_cmp(&b.gap))
-    }
+/// The nearest who will be in the ego's path, as a vehicle in front.
+pub fn nearest(users: &RoadUsers, facts: &EgoFacts<'_>) -> Option<LeadState> {
+    let found = users.iter().filter_map(|user| user.meets(facts));
+    found.min_by(|a, b| a.gap.total_cmp(&b.gap))
 }
 
 /// What a tracker that knows all would tell of `actor`, if it will be in the ego's path.
@@ -152,63 +40,10 @@ pub fn truth(actor: &Actor, facts: &EgoFacts<'_>) -> Option<LeadState> {
         ActorKind::Object => return None,
     };
     let (place, velocity) = (actor.pose.xy().coords, direction(actor.pose.heading) * actor.speed);
-    Mover { kind, place, velocity, p: Matrix4::zeros(), seen: BELIEVED, missed: 0 }.meets(facts)
+    RoadUser::known(kind, place, velocity).meets(facts)
 }
 
-/// Where a detection stands, unless the picture's border cuts it.
-fn sight(detection: &Detection, ground: &GroundPlane, facts: &EgoFacts<'_>) -> Option<Sighting> {
-    let kind = Kind::of(detection.class)?;
-    if ground.cuts(detection.bounds).contains(&true) {
-        return None;
-    }
-    let [left, _, right, bottom] = detection.bounds;
-    let [x, y] = ground.point([0.5 * (left + right), bottom])?;
-    if f64::from(x) > SIGHT + facts.length {
-        return None;
-    }
-    let pose = &facts.on_route.state.pose;
-    let place = pose.to_world(Point::new(f64::from(x), f64::from(y)).coords).coords;
-    // Along the ray a row's height, across it little.
-    let far = 0.3 + 0.5 * f64::from(ground.metres_per_row(x));
-    let across = 0.2 + 0.01 * f64::from(x);
-    let ray = direction(pose.heading + f64::from(y).atan2(f64::from(x)));
-    let side = Vector::new(-ray.y, ray.x);
-    let noise = ray * ray.transpose() * (far * far) + side * side.transpose() * (across * across);
-    Some(Sighting { kind, place, noise })
-}
-
-impl Mover {
-    fn new(sighting: &Sighting) -> Self {
-        let (_, doubt) = sighting.kind.doubts();
-        let mut p = Matrix4::zeros();
-        p.fixed_view_mut::<2, 2>(0, 0).copy_from(&sighting.noise);
-        p.fixed_view_mut::<2, 2>(2, 2).copy_from(&(Matrix2::identity() * (doubt * doubt)));
-        Self { kind: sighting.kind, place: sighting.place, velocity: Vector::zeros(), p, seen: 1, missed: 0 }
-    }
-
-    fn predict(&mut self, tick: f64) {
-        self.place += self.velocity * tick;
-        let mut a = Matrix4::identity();
-        (a[(0, 2)], a[(1, 3)]) = (tick, tick);
-        let (acceleration, _) = self.kind.doubts();
-        let (place, speed) = (0.5 * tick * tick, tick);
-        let push = Matrix4x2::from_column_slice(&[place, 0.0, speed, 0.0, 0.0, place, 0.0, speed]);
-        self.p = a * self.p * a.transpose() + push * push.transpose() * (acceleration * acceleration);
-    }
-
-    fn correct(&mut self, sighting: &Sighting) {
-        let total = self.p.fixed_view::<2, 2>(0, 0).into_owned() + sighting.noise;
-        // Both are positive definite, and so is their sum.
-        let Some(inverse) = total.try_inverse() else { return };
-        let gain: Matrix4x2<f64> = self.p.fixed_view::<4, 2>(0, 0) * inverse;
-        let change = gain * (sighting.place - self.place);
-        self.place += change.fixed_rows::<2>(0);
-        self.velocity += change.fixed_rows::<2>(2);
-        self.p -= gain * self.p.fixed_view::<2, 4>(0, 0);
-        self.seen += 1;
-        self.missed = 0;
-    }
-
+impl RoadUser {
     /// Where it is or will be in the ego's path while the ego can be there, as a vehicle in front.
     fn meets(&self, facts: &EgoFacts<'_>) -> Option<LeadState> {
         let speed = self.velocity.norm();
@@ -292,10 +127,12 @@ impl Mover {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::perception::GroundPlane;
     use crate::perception::testing::{LENGTH, Road, seen, user};
     use sumo_network::geometry::Pose;
     use sumo_network::network::{CrossingId, testing};
     use wad_camera::CameraConfig;
+    use wad_camera::model::ObjectClass;
 
     /// The prediction of each tick for an ego that drives at `speed` from `s` on, and a vehicle that moves
     /// from `place` on with `velocity` (world; m, m/s).
@@ -307,14 +144,15 @@ mod tests {
     ) -> Vec<Option<LeadState>> {
         let camera = CameraConfig::default();
         let ground = GroundPlane::new(&camera);
-        let mut tracker = CrossingTracker::default();
+        let mut users = RoadUsers::default();
         let tick = |tick: u32| {
             let t = f64::from(tick) * TICK;
             let facts = road.facts(s + speed * t, 0.0, 0.0, speed);
             let place = Point::new(place[0] + velocity[0] * t, place[1] + velocity[1] * t);
             let at = facts.on_route.state.pose.to_local(place);
             let detection = seen(class, at.x as f32, at.y as f32, 1.8, 1.6);
-            tracker.update(&[detection], &ground, &facts)
+            users.update(&[detection], &ground, &facts);
+            nearest(&users, &facts)
         };
         (0..12).map(tick).collect()
     }
@@ -398,16 +236,5 @@ mod tests {
         let line = 20.0 - 0.5 * LENGTH;
         assert!(there(ActorKind::Car, 10.0).is_some_and(|lead| (line..line + 4.5).contains(&lead.gap)));
         assert_eq!((there(ActorKind::Car, 0.0), there(ActorKind::Object, 10.0)), (None, None));
-    }
-
-    #[test]
-    fn nothing_is_kept_after_a_reset() {
-        let mut tracker = CrossingTracker::default();
-        let (road, ground) = (Road::new("GGG"), GroundPlane::new(&CameraConfig::default()));
-        let facts = road.facts(60.0, 0.0, 0.0, 8.0);
-        tracker.update(&[seen(ObjectClass::Car, 20.0, 0.0, 1.8, 1.5)], &ground, &facts);
-        assert_eq!(tracker.movers.len(), 1);
-        tracker.reset();
-        assert!(tracker.movers.is_empty());
     }
 }

@@ -26,6 +26,7 @@ pub mod onnx_file;
 pub mod paint;
 mod pipeline;
 mod road_truth;
+mod road_users;
 pub mod score;
 pub mod sight_score;
 mod signs;

@@ -1,10 +1,11 @@
 //! All stages of a tick in order: detect, lanes, light, vehicle in front, transformed image, raw state.
 
-use super::crossing::CrossingTracker;
+use super::crossing;
 use super::facts::EgoFacts;
 use super::lead::{self, LeadTracker};
 use super::light::{self, LightAhead, SeenLights, StopLight};
 use super::paint::Painter;
+use super::road_users::RoadUsers;
 use super::sight_score::{LightCounts, LimitCounts};
 use super::{
     Detection, Detector, DrivableArea, GroundPlane, IN_TOWNS, ImageKind, LaneDetector, LaneEstimate,
@@ -49,7 +50,7 @@ pub struct Perception {
     ground: GroundPlane,
     lanes: LaneDetector,
     lead: LeadTracker,
-    crossing: CrossingTracker,
+    road_users: RoadUsers,
     seen_lights: SeenLights,
     light_counts: LightCounts,
     seen_limit: SeenLimit,
@@ -68,7 +69,7 @@ impl Perception {
             ground: GroundPlane::new(&camera),
             lanes: LaneDetector::default(),
             lead: LeadTracker::default(),
-            crossing: CrossingTracker::default(),
+            road_users: RoadUsers::default(),
             seen_lights: SeenLights::default(),
             light_counts: LightCounts::default(),
             seen_limit: SeenLimit::default(),
@@ -122,7 +123,7 @@ impl Perception {
         self.detector.reset(seed);
         self.lanes.reset();
         self.lead.reset();
-        self.crossing.reset();
+        self.road_users.reset();
         self.seen_lights.reset();
         self.light_counts = LightCounts::default();
         self.seen_limit.reset();
@@ -193,7 +194,8 @@ impl Perception {
         self.percept.light_red = light.is_some_and(|light| light.is_red_here());
         let nearest = lead::nearest(&self.percept.detections, &self.ground, facts);
         let lead = self.lead.update(nearest.as_ref(), &self.ground, facts);
-        let crossing = self.crossing.update(&self.percept.detections, &self.ground, facts);
+        self.road_users.update(&self.percept.detections, &self.ground, facts);
+        let crossing = crossing::nearest(&self.road_users, facts);
         (self.percept.lead, self.percept.crossing) = (lead, crossing);
         tracing::debug!("in front: {lead:?}, will cross: {crossing:?}, by {:?}", self.percept.detections);
         let lead = lead.into_iter().chain(crossing).min_by(|a, b| a.gap.total_cmp(&b.gap));
