@@ -3,7 +3,8 @@
 //! One picture does not show whether somebody moves or waits. So [`RoadUsers`] has place and velocity
 //! of each detected vehicle and person on the ground, and a straight line predicts the way. Where the ego has to give
 //! way, and the prediction meets its route while the ego can be there, that road user counts as the vehicle in front.
-//! So an ego that turns left stops for oncoming vehicles, and one that turns right for who walks across. Nothing here
+//! So an ego that turns left stops for oncoming vehicles, and one that turns right for who walks across. Who is on a crossing
+//! is taken to walk along it, by the map: the filter needs seconds to know how somebody walks. Nothing here
 //! comes from SUMO except the ego's route and its right of way.
 
 use super::EgoFacts;
@@ -22,12 +23,21 @@ const MARGIN: f64 = 1.0;
 const EGO_ACCELERATION: f64 = 1.5;
 /// A crossing reaches this far to each side of its middle (m).
 const CROSSING: f64 = 3.0;
-/// Detections before a velocity is used.
+/// Detections before a velocity is used, and before somebody on a crossing is taken to walk over it.
 const BELIEVED: u32 = 4;
+const LOOKS: u32 = 2;
+/// Somebody within this distance (m) of a crossing's middle line is on it, and as much more as it is unsure, to this most.
+const HALF_CROSSING: f64 = 2.0;
+const UNSURE: f64 = 1.5;
+/// How near the crossing's end somebody who walks towards it is about to step onto it (m).
+const KERB: f64 = 2.0;
+/// Who walks is faster than the first (m/s), and is taken to be as fast as the second.
+const SLOW: f64 = 0.6;
+const WALKS: f64 = 1.1;
 
 /// The nearest who will be in the ego's path, as a vehicle in front.
 pub fn nearest(users: &RoadUsers, facts: &EgoFacts<'_>) -> Option<LeadState> {
-    let found = users.iter().filter_map(|user| user.meets(facts));
+    let found = users.iter().filter_map(|user| user.crosses(facts));
     found.min_by(|a, b| a.gap.total_cmp(&b.gap))
 }
 
@@ -40,20 +50,64 @@ pub fn truth(actor: &Actor, facts: &EgoFacts<'_>) -> Option<LeadState> {
         ActorKind::Object => return None,
     };
     let (place, velocity) = (actor.pose.xy().coords, direction(actor.pose.heading) * actor.speed);
-    RoadUser::known(kind, place, velocity).meets(facts)
+    RoadUser::known(kind, place, velocity).meets(velocity, facts)
 }
 
 impl RoadUser {
     /// Where it is or will be in the ego's path while the ego can be there, as a vehicle in front.
-    fn meets(&self, facts: &EgoFacts<'_>) -> Option<LeadState> {
-        let speed = self.velocity.norm();
-        if self.seen < BELIEVED || speed < self.kind.slowest() {
+    fn crosses(&self, facts: &EgoFacts<'_>) -> Option<LeadState> {
+        let velocity = self.walk(facts).or_else(|| self.sure_velocity())?;
+        self.meets(velocity, facts)
+    }
+
+    /// Its velocity (m/s), once that is known well enough.
+    fn sure_velocity(&self) -> Option<Vector> {
+        // Along its own way: how far off somebody is, is known less well than where beside the ray.
+        let (speed, doubt) = self.along(self.velocity.try_normalize(1e-6)?);
+        (self.seen >= BELIEVED && speed >= 2.0 * doubt).then_some(self.velocity)
+    }
+
+    /// The velocity (m/s) of somebody who walks over a crossing at which the ego has to give way, or is about to step onto it.
+    /// Who is on one walks along it, so that two looks tell more than many do elsewhere.
+    fn walk(&self, facts: &EgoFacts<'_>) -> Option<Vector> {
+        if self.kind != Kind::Person || self.seen < LOOKS {
             return None;
         }
-        // Along its own way: how far off somebody is, is known less well than where beside the ray.
-        let way = self.velocity / speed;
-        let doubt = (way.transpose() * self.p.fixed_view::<2, 2>(2, 2) * way).x.max(0.0).sqrt();
-        if speed < 2.0 * doubt {
+        let on_route = &facts.on_route;
+        let ahead = on_route.front_s - CROSSING..on_route.front_s + SIGHT;
+        let links =
+            facts.route.links.iter().filter(|link| link.end_s > ahead.start && link.stop_s < ahead.end);
+        let crossings = links.flat_map(|link| &facts.network.link(link.link).yields_to_crossings);
+        crossings.into_iter().find_map(|&crossing| {
+            let line = &facts.network.lane(facts.network.crossing(crossing).lane).shape;
+            let (from, to) = (line.at(0.0).xy(), line.at(line.length()).xy());
+            let way = (to - from).try_normalize(1e-6)?;
+            let place = Point::from(self.place);
+            let off = line.project(place).distance;
+            if off > HALF_CROSSING + self.unsure(Vector::new(-way.y, way.x)).min(UNSURE) {
+                return None;
+            }
+            // The way along it that leads to the ego's path.
+            let to_path =
+                |place: Point| facts.route.project_near(place, on_route.s, 0.0, SIGHT + 15.0).d.abs();
+            let way = if to_path(place + 0.5 * way) < to_path(place) { way } else { -way };
+            let (comes, doubt) = self.along(way);
+            let on = (place - from).dot(&way) * (place - to).dot(&way) < 0.0;
+            let to_it = (from + 0.5 * (to - from) - place).dot(&way) > 0.0;
+            let walks = if on {
+                // Unless it surely stands or leaves.
+                comes + 1.5 * doubt > SLOW
+            } else {
+                off < KERB && to_it && comes > SLOW.max(doubt)
+            };
+            walks.then(|| way * comes.max(WALKS))
+        })
+    }
+
+    /// Where it is or will be in the ego's path with this velocity (m/s) while the ego can be there, as a vehicle in front.
+    fn meets(&self, velocity: Vector, facts: &EgoFacts<'_>) -> Option<LeadState> {
+        let speed = velocity.norm();
+        if speed < self.kind.slowest() {
             return None;
         }
         let on_route = &facts.on_route;
@@ -63,21 +117,21 @@ impl RoadUser {
         let (mut begin, mut end, mut course) = (f64::INFINITY, f64::NEG_INFINITY, Vector::zeros());
         for k in 0..=steps {
             let t = k as f64 * STEP;
-            let place = Point::from(self.place + self.velocity * t);
+            let place = Point::from(self.place + velocity * t);
             let on = facts.route.project_near(place, on_route.s, 0.0, SIGHT + 15.0);
             // Beyond the ends of the searched stretch a point is off the route.
             if (on.distance - on.d.abs()).abs() > 0.1 {
                 continue;
             }
             let way = direction(facts.route.at(on.s).pose.heading);
-            let along = (self.velocity.dot(&way) / speed).abs().min(1.0);
+            let along = (velocity.dot(&way) / speed).abs().min(1.0);
             let across = (1.0 - along * along).sqrt();
             let [long, broad] = self.kind.half();
             if on.d.abs() - (across * long + along * broad) > HALF_WAY {
                 continue;
             }
             // What is there now and goes the ego's way is in front already.
-            if k == 0 && self.velocity.dot(&way) > 0.7 * speed {
+            if k == 0 && velocity.dot(&way) > 0.7 * speed {
                 return None;
             }
             let first = times.map_or(t, |(first, _)| first);
@@ -96,7 +150,7 @@ impl RoadUser {
             return None;
         }
         // To the ego it stands where it will cross, unless it goes the ego's way.
-        let closing_speed = on_route.state.speed - self.velocity.dot(&course).max(0.0);
+        let closing_speed = on_route.state.speed - velocity.dot(&course).max(0.0);
         // Only where the ego has to give way: elsewhere oncoming vehicles would seem to cross in each bend.
         let link =
             facts.route.links.iter().find(|link| begin > link.stop_s - 3.0 && begin < link.end_s + 3.0)?;
@@ -208,10 +262,17 @@ mod tests {
         let gap = 16.0 + 16.0 - 6.0 * tick * TICK - 0.5 * LENGTH;
         assert!((lead.gap - gap).abs() < 1.5 && tick < 8.0, "{tick}: {lead:?}, {gap}");
         assert!((lead.closing_speed - 6.0).abs() < 0.3, "to the ego it stands there: {lead:?}");
+        assert_eq!(tick, 1.0, "on a crossing two looks are enough");
         let away = foretold(&road, ego, ObjectClass::Person, ([306.0, -8.0], [0.0, -1.3]));
-        assert!(away.iter().all(Option::is_none), "it has crossed");
+        assert!(away[5..].iter().all(Option::is_none), "it has crossed: {away:?}");
         let stands = foretold(&road, ego, ObjectClass::Person, ([306.0, 1.0], [0.0, 0.0]));
-        assert!(stands.iter().all(Option::is_none), "it waits");
+        assert!(stands[10..].iter().all(Option::is_none), "it waits: {stands:?}");
+        let at_kerb = |speed| foretold(&road, ego, ObjectClass::Person, ([306.0, -11.2], [0.0, speed]));
+        assert!(at_kerb(1.3).iter().any(Option::is_some), "it steps onto it");
+        assert!(
+            at_kerb(0.0).iter().chain(&at_kerb(-1.3)).all(Option::is_none),
+            "it stands at the kerb, or walks off"
+        );
     }
 
     #[test]

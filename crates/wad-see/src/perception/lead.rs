@@ -1,9 +1,10 @@
 //! The vehicle in front: the nearest detected road user in the ego's path, its gap by ground-plane
 //! projection, its speed by a filter over the ticks. Nothing here comes from SUMO.
 
+use super::road_users::RoadUsers;
 use super::{Detection, EgoFacts, GroundPlane};
 use crate::observation::LeadState;
-use sumo_network::geometry::Point;
+use sumo_network::geometry::{Point, direction};
 use wad_camera::model::ObjectClass;
 
 /// Largest distance of a vehicle in front (m from the front bumper).
@@ -111,6 +112,8 @@ pub struct LeadTracker {
 /// A Kalman filter over gap and the other's speed.
 #[derive(Clone, Copy, Debug)]
 struct Track {
+    /// The road user's number, if it is followed.
+    user: Option<u64>,
     gap: f64,
     /// Along the path (m/s).
     speed: f64,
@@ -136,10 +139,12 @@ impl LeadTracker {
         self.track = None;
     }
 
-    /// One tick later: what is in front, given the nearest detection in the path.
+    /// One tick later: what is in front, given the nearest detection in the path. Of whom `users` follow they know who it is,
+    /// and how fast.
     pub fn update(
         &mut self,
         seen: Option<&Candidate>,
+        users: &RoadUsers,
         ground: &GroundPlane,
         facts: &EgoFacts<'_>,
     ) -> Option<LeadState> {
@@ -151,9 +156,21 @@ impl LeadTracker {
             (Some(seen), track) => {
                 let row = f64::from(ground.metres_per_row(seen.ahead as f32));
                 let noise = GAP_NOISE.hypot(ROW_NOISE * row);
+                let user = users.of(seen.detection);
+                let id = user.map(|user| user.id);
                 match track {
-                    Some(old) if old.expects(seen.gap, noise) => old.correct(seen.gap, noise),
-                    _ => *track = Some(Track::new(seen, noise, ego_speed)),
+                    Some(old) if id.is_some() && old.user == id || old.expects(seen.gap, noise) => {
+                        old.user = id;
+                        old.correct(seen.gap, noise);
+                    }
+                    _ => {
+                        let mut new = Track { user: id, ..Track::new(seen, noise, ego_speed) };
+                        if let Some(user) = user {
+                            let there = facts.route.at(facts.on_route.front_s + seen.gap).pose;
+                            new.believe(user.along(direction(there.heading)));
+                        }
+                        *track = Some(new);
+                    }
                 }
             }
             (None, Some(track)) => {
@@ -179,7 +196,15 @@ impl Track {
             ObjectClass::Bicycle => (ego_speed.min(CYCLES), SPEED_DOUBT),
             _ => (ego_speed, SPEED_DOUBT),
         };
-        Self { gap: seen.gap, speed, p: [noise * noise, 0.0, doubt * doubt], missed: 0 }
+        Self { user: None, gap: seen.gap, speed, p: [noise * noise, 0.0, doubt * doubt], missed: 0 }
+    }
+
+    /// Takes a speed (m/s) of this standard deviation into account; to be called while gap and speed are independent.
+    fn believe(&mut self, (speed, doubt): (f64, f64)) {
+        let known = self.p[2];
+        let gain = known / (known + doubt * doubt);
+        self.speed += gain * (speed - self.speed);
+        self.p[2] = (1.0 - gain) * known;
     }
 
     fn predict(&mut self, ego_speed: f64, tick: f64) {
@@ -285,7 +310,7 @@ mod tests {
             let found = [seen(ObjectClass::Car, near, 0.0, 1.8, 1.5)];
             let facts = road.facts(60.0 + f64::from(tick), 0.0, 0.0, 8.0);
             let candidate = nearest(&found, &ground, &facts);
-            state = tracker.update(candidate.as_ref(), &ground, &facts);
+            state = tracker.update(candidate.as_ref(), &RoadUsers::default(), &ground, &facts);
             true_gap -= closing * facts.tick;
         }
         let state = state.unwrap();
@@ -300,12 +325,13 @@ mod tests {
         let found = [seen(ObjectClass::Car, 15.0, 0.0, 1.8, 1.5)];
         let candidate = nearest(&found, &ground, &facts);
         let mut tracker = LeadTracker::default();
-        tracker.update(candidate.as_ref(), &ground, &facts);
-        let bridged: Vec<bool> = (0..4).map(|_| tracker.update(None, &ground, &facts).is_some()).collect();
+        tracker.update(candidate.as_ref(), &RoadUsers::default(), &ground, &facts);
+        let bridged: Vec<bool> =
+            (0..4).map(|_| tracker.update(None, &RoadUsers::default(), &ground, &facts).is_some()).collect();
         assert_eq!(bridged, [true, true, false, false]);
-        tracker.update(candidate.as_ref(), &ground, &facts);
+        tracker.update(candidate.as_ref(), &RoadUsers::default(), &ground, &facts);
         tracker.reset();
-        assert_eq!(tracker.update(None, &ground, &facts), None);
+        assert_eq!(tracker.update(None, &RoadUsers::default(), &ground, &facts), None);
     }
 
     #[test]
@@ -315,12 +341,34 @@ mod tests {
         let mut tracker = LeadTracker::default();
         let mut look = |near: f32| {
             let found = [seen(ObjectClass::Car, near, 0.0, 1.8, 1.5)];
-            tracker.update(nearest(&found, &ground, &facts).as_ref(), &ground, &facts).unwrap()
+            tracker
+                .update(nearest(&found, &ground, &facts).as_ref(), &RoadUsers::default(), &ground, &facts)
+                .unwrap()
         };
         look(30.0);
         look(30.0);
         let cut_in = look(12.0);
         assert!((cut_in.gap - 9.1).abs() < 0.2 && cut_in.closing_speed.abs() < 1.0, "{cut_in:?}");
+    }
+
+    #[test]
+    fn who_was_followed_before_it_is_in_front_is_known_to_be_slow() {
+        let (road, ground) = (Road::new("GGG"), GroundPlane::new(&CameraConfig::default()));
+        let mut tracker = LeadTracker::default();
+        let mut users = RoadUsers::default();
+        // It stands beside the path, and the ego comes: it is in front from one tick to the next.
+        let mut closing = Vec::new();
+        for tick in 0..10_u8 {
+            let driven = 8.0 * 0.167 * f32::from(tick);
+            let facts = road.facts(60.0 + f64::from(driven), 0.0, 0.0, 8.0);
+            let y = if tick < 8 { 3.5 } else { 1.5 };
+            let found = [seen(ObjectClass::Car, 30.0 - driven, y, 1.8, 1.5)];
+            users.update(&found, &ground, &facts);
+            let state = tracker.update(nearest(&found, &ground, &facts).as_ref(), &users, &ground, &facts);
+            closing.push(state.map(|state| state.closing_speed));
+        }
+        assert!(closing[..8].iter().all(Option::is_none), "{closing:?}");
+        assert!(closing[8].is_some_and(|closing| closing > 6.0), "{closing:?}");
     }
 
     #[test]
@@ -330,7 +378,10 @@ mod tests {
             let facts = road.facts(60.0, 0.0, 0.0, speed);
             let found = [seen(class, 15.0, 0.0, 0.6, 1.5)];
             let candidate = nearest(&found, &ground, &facts);
-            LeadTracker::default().update(candidate.as_ref(), &ground, &facts).unwrap().closing_speed
+            LeadTracker::default()
+                .update(candidate.as_ref(), &RoadUsers::default(), &ground, &facts)
+                .unwrap()
+                .closing_speed
         };
         let at_12 = [ObjectClass::Car, ObjectClass::Motorcycle, ObjectClass::Bicycle, ObjectClass::Person];
         assert_eq!(at_12.map(|class| closing(class, 12.0)), [0.0, 0.0, 8.0, 12.0]);

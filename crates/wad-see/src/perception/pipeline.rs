@@ -192,9 +192,9 @@ impl Perception {
         };
         self.percept.light = light;
         self.percept.light_red = light.is_some_and(|light| light.is_red_here());
-        let nearest = lead::nearest(&self.percept.detections, &self.ground, facts);
-        let lead = self.lead.update(nearest.as_ref(), &self.ground, facts);
         self.road_users.update(&self.percept.detections, &self.ground, facts);
+        let nearest = lead::nearest(&self.percept.detections, &self.ground, facts);
+        let lead = self.lead.update(nearest.as_ref(), &self.road_users, &self.ground, facts);
         let crossing = crossing::nearest(&self.road_users, facts);
         (self.percept.lead, self.percept.crossing) = (lead, crossing);
         tracing::debug!("in front: {lead:?}, will cross: {crossing:?}, by {:?}", self.percept.detections);

@@ -1,14 +1,18 @@
 //! Road users on the ground: place and velocity of each detected vehicle and person, by a Kalman filter over the ticks.
 //! Nothing here comes from SUMO.
 
-use super::lead::SIGHT;
 use super::{Detection, EgoFacts, GroundPlane};
 use nalgebra::{Matrix2, Matrix4, Matrix4x2};
 use sumo_network::geometry::{Point, Vector, direction};
 use wad_camera::model::ObjectClass;
 
-/// Ticks without a detection until a track is dropped.
+/// Road users are followed within this distance (m): two who come towards each other at 15 m/s know of each other for 3 s.
+const OUTLOOK: f64 = 90.0;
+/// Ticks without a detection until a track is dropped: in the picture, and beside it.
 const COAST: u32 = 3;
+const ASIDE: u32 = 12;
+/// Who is faster than this (m/s) rides.
+const WALKS: f64 = 3.0;
 
 /// The kinds of road users that are tracked separately.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,6 +54,10 @@ impl Kind {
             Self::Person => [0.3, 0.3],
         }
     }
+    /// Whether one can be taken for the other.
+    fn is_like(self, other: Self) -> bool {
+        (self == Self::Vehicle) == (other == Self::Vehicle)
+    }
     /// How far (m) a detection may be from where one was expected.
     fn gate(self) -> f64 {
         match self {
@@ -63,7 +71,11 @@ impl Kind {
 /// A road user on the ground, in the world's frame.
 #[derive(Clone, Copy, Debug)]
 pub struct RoadUser {
+    /// Its number, from the first detection on.
+    pub id: u64,
     pub(super) kind: Kind,
+    /// Detections as a two-wheeler less those as a person.
+    rides: i32,
     /// m.
     pub place: Vector,
     /// m/s.
@@ -87,6 +99,9 @@ struct Sighting {
 #[derive(Clone, Debug, Default)]
 pub struct RoadUsers {
     users: Vec<RoadUser>,
+    /// Of each detection of the last tick: the number of its road user.
+    of: Vec<Option<u64>>,
+    next: u64,
 }
 
 impl RoadUsers {
@@ -98,6 +113,13 @@ impl RoadUsers {
     /// Forgets.
     pub fn reset(&mut self) {
         self.users.clear();
+        self.of.clear();
+    }
+
+    /// The road user whose detection, by its place among those of the last tick, this is; None: it is not followed.
+    pub fn of(&self, detection: usize) -> Option<&RoadUser> {
+        let id = (*self.of.get(detection)?)?;
+        self.users.iter().find(|user| user.id == id)
     }
 
     /// One tick later.
@@ -105,44 +127,67 @@ impl RoadUsers {
         for user in &mut self.users {
             user.predict(facts.tick);
         }
-        let mut sightings: Vec<Sighting> =
-            detections.iter().filter_map(|detection| sight(detection, ground, facts)).collect();
-        for user in &mut self.users {
-            let distance = |sighting: &Sighting| (sighting.place - user.place).norm();
-            let mine = |sighting: &Sighting| {
-                // The nearest of its kind within what both are unsure of.
-                let along = sighting.noise.trace().sqrt();
-                sighting.kind == user.kind && distance(sighting) < user.kind.gate() + 2.0 * along
-            };
-            let nearest = (0..sightings.len())
-                .filter(|&i| mine(&sightings[i]))
-                .min_by(|&a, &b| distance(&sightings[a]).total_cmp(&distance(&sightings[b])));
-            match nearest {
-                Some(index) => user.correct(&sightings.swap_remove(index)),
-                None => user.missed += 1,
+        let sightings = detections.iter().enumerate();
+        let sightings: Vec<(usize, Sighting)> =
+            sightings.filter_map(|(index, one)| Some((index, sight(one, ground, facts)?))).collect();
+        let mut pairs = Vec::new();
+        for (user, one) in self.users.iter_mut().enumerate() {
+            one.missed += 1;
+            for (detection, sighting) in &sightings {
+                // Within what both are unsure of.
+                let distance = (sighting.place - one.place).norm();
+                let most = sighting.kind.gate() + 2.0 * sighting.noise.trace().sqrt();
+                if one.kind.is_like(sighting.kind) && distance < most {
+                    pairs.push((distance, user, *detection, sighting));
+                }
             }
         }
-        self.users.retain(|user| user.missed <= COAST);
-        self.users.extend(sightings.iter().map(RoadUser::new));
+        // The nearest find each other first: a track that nobody is seen of would take another's detection.
+        pairs.sort_by(|a, b| a.0.total_cmp(&b.0));
+        self.of.clear();
+        self.of.resize(detections.len(), None);
+        for (_, user, detection, sighting) in pairs {
+            let user = &mut self.users[user];
+            if user.missed > 0 && self.of[detection].is_none() {
+                user.correct(sighting);
+                self.of[detection] = Some(user.id);
+            }
+        }
+        self.users
+            .retain(|user| user.missed <= COAST || user.missed <= ASIDE && user.is_aside(ground, facts));
+        for (detection, sighting) in &sightings {
+            if self.of[*detection].is_none() {
+                self.of[*detection] = Some(self.next);
+                self.users.push(RoadUser::new(self.next, sighting));
+                self.next += 1;
+            }
+        }
     }
 }
 
-/// Where a detection stands, unless the picture's border cuts it.
+/// Where a detection stands. If a side of the picture cuts it, its other end tells, less well; its lower edge has to be seen.
 fn sight(detection: &Detection, ground: &GroundPlane, facts: &EgoFacts<'_>) -> Option<Sighting> {
     let kind = Kind::of(detection.class)?;
-    if ground.cuts(detection.bounds).contains(&true) {
-        return None;
-    }
     let [left, _, right, bottom] = detection.bounds;
-    let [x, y] = ground.point([0.5 * (left + right), bottom])?;
-    if f64::from(x) > SIGHT + facts.length {
+    let [x, middle] = ground.point([0.5 * (left + right), bottom])?;
+    if f64::from(x) > OUTLOOK {
         return None;
     }
+    let end = |column: f32| ground.point([column, bottom]).map(|[_, y]| y);
+    // It may stand lengthwise or across.
+    let [long, broad] = kind.half();
+    let (half, either) = (0.5 * (long + broad), 0.5 * (long - broad));
+    let (y, unsure) = match ground.cuts(detection.bounds) {
+        [false, false, false] => (middle, 0.0),
+        [true, false, false] => (end(right)? + half as f32, either),
+        [false, true, false] => (end(left)? - half as f32, either),
+        _ => return None,
+    };
     let pose = &facts.on_route.state.pose;
     let place = pose.to_world(Point::new(f64::from(x), f64::from(y)).coords).coords;
     // Along the ray a row's height, across it little.
-    let far = 0.3 + 0.5 * f64::from(ground.metres_per_row(x));
-    let across = 0.2 + 0.01 * f64::from(x);
+    let far = 0.3 + f64::from(ground.metres_per_row(x));
+    let across = (0.2 + 0.01 * f64::from(x)).hypot(unsure);
     let ray = direction(pose.heading + f64::from(y).atan2(f64::from(x)));
     let side = Vector::new(-ray.y, ray.x);
     let noise = ray * ray.transpose() * (far * far) + side * side.transpose() * (across * across);
@@ -152,15 +197,53 @@ fn sight(detection: &Detection, ground: &GroundPlane, facts: &EgoFacts<'_>) -> O
 impl RoadUser {
     /// One of whom all is known.
     pub(super) fn known(kind: Kind, place: Vector, velocity: Vector) -> Self {
-        Self { kind, place, velocity, p: Matrix4::zeros(), seen: u32::MAX, missed: 0 }
+        Self { id: 0, kind, rides: 0, place, velocity, p: Matrix4::zeros(), seen: u32::MAX, missed: 0 }
     }
 
-    fn new(sighting: &Sighting) -> Self {
+    fn new(id: u64, sighting: &Sighting) -> Self {
         let (_, doubt) = sighting.kind.doubts();
         let mut p = Matrix4::zeros();
         p.fixed_view_mut::<2, 2>(0, 0).copy_from(&sighting.noise);
         p.fixed_view_mut::<2, 2>(2, 2).copy_from(&(Matrix2::identity() * (doubt * doubt)));
-        Self { kind: sighting.kind, place: sighting.place, velocity: Vector::zeros(), p, seen: 1, missed: 0 }
+        let (kind, place, velocity) = (sighting.kind, sighting.place, Vector::zeros());
+        let mut one = Self { id, kind, rides: 0, place, velocity, p, seen: 1, missed: 0 };
+        one.call(kind);
+        one
+    }
+
+    /// Counts what it was detected as. Who rides is taken for who walks at times, and the other way round: what it was more
+    /// often, it is, and nobody walks as fast as some ride.
+    fn call(&mut self, kind: Kind) {
+        self.rides += match kind {
+            Kind::Vehicle => return,
+            Kind::TwoWheeler => 1,
+            Kind::Person => -1,
+        };
+        let rides = self.rides > 0 || self.velocity.norm() > WALKS;
+        self.kind = if rides { Kind::TwoWheeler } else { Kind::Person };
+    }
+
+    /// Its speed along the unit vector `way` (m/s), and the standard deviation of that.
+    pub fn along(&self, way: Vector) -> (f64, f64) {
+        (self.velocity.dot(&way), deviation(self.p.fixed_view::<2, 2>(2, 2).into_owned(), way))
+    }
+
+    /// The standard deviation of its place along the unit vector `way` (m).
+    pub(super) fn unsure(&self, way: Vector) -> f64 {
+        deviation(self.p.fixed_view::<2, 2>(0, 0).into_owned(), way)
+    }
+
+    /// Whether a part of it is beside the picture, where it moves on unseen.
+    fn is_aside(&self, ground: &GroundPlane, facts: &EgoFacts<'_>) -> bool {
+        let at = facts.on_route.state.pose.to_local(Point::from(self.place));
+        let [half, _] = self.kind.half();
+        [half, -half].iter().any(|side| {
+            let column = ground.pixel([at.x as f32, (at.y + side) as f32]).map(|[column, _]| column);
+            column.is_none_or(|u| {
+                let [left, right, _] = ground.cuts([u, 0.0, u, 0.0]);
+                left || right
+            })
+        })
     }
 
     fn predict(&mut self, tick: f64) {
@@ -184,7 +267,13 @@ impl RoadUser {
         self.p -= gain * self.p.fixed_view::<2, 4>(0, 0);
         self.seen += 1;
         self.missed = 0;
+        self.call(sighting.kind);
     }
+}
+
+/// The standard deviation along the unit vector `way` of what has this covariance.
+fn deviation(covariance: Matrix2<f64>, way: Vector) -> f64 {
+    (way.transpose() * covariance * way).x.max(0.0).sqrt()
 }
 
 #[cfg(test)]
@@ -192,6 +281,70 @@ mod tests {
     use super::*;
     use crate::perception::testing::{Road, seen};
     use wad_camera::CameraConfig;
+
+    #[test]
+    fn a_track_that_nobody_is_seen_of_takes_no_other_s_detection() {
+        let (road, ground) = (Road::new("GGG"), GroundPlane::new(&CameraConfig::default()));
+        let facts = road.facts(60.0, 0.0, 0.0, 0.0);
+        let mut users = RoadUsers::default();
+        let car = |x: f32, y: f32| seen(ObjectClass::Car, x, y, 1.8, 1.5);
+        users.update(&[car(42.0, -4.0), car(42.0, 3.0)], &ground, &facts);
+        for tick in 1..6 {
+            users.update(&[car(42.0 - 1.5 * tick as f32, 3.0)], &ground, &facts);
+        }
+        let [user] = users.users[..] else { panic!("{:?}", users.users) };
+        assert!(user.velocity.x < -3.0 && user.velocity.y.abs() < 0.5, "{user:?}");
+        assert_eq!(users.of(0).map(|user| user.id), Some(1));
+    }
+
+    #[test]
+    fn who_is_at_the_picture_s_side_is_followed_and_remembered_beside_it() {
+        let (road, ground) = (Road::new("GGG"), GroundPlane::new(&CameraConfig::default()));
+        let facts = road.facts(60.0, 0.0, 0.0, 0.0);
+        let [right, bottom] = ground.pixel([12.0, 8.0]).unwrap();
+        let cut = |bounds| sight(&Detection { class: ObjectClass::Car, bounds, score: 0.9 }, &ground, &facts);
+        let y = |found: Option<Sighting>| {
+            found.map(|found| facts.on_route.state.pose.to_local(Point::from(found.place)).y)
+        };
+        assert!(y(cut([0.0, 200.0, right, bottom])).is_some_and(|y| (y - 9.55).abs() < 0.05));
+        assert!(cut([0.0, 200.0, right, 512.0]).is_none(), "its wheels are below the picture");
+        let ticks = |detection: Detection| {
+            let mut users = RoadUsers::default();
+            users.update(&[detection], &ground, &facts);
+            (0..30)
+                .take_while(|_| {
+                    users.update(&[], &ground, &facts);
+                    users.iter().next().is_some()
+                })
+                .count()
+        };
+        let at_side = Detection { class: ObjectClass::Car, bounds: [0.0, 200.0, right, bottom], score: 0.9 };
+        let in_sight = seen(ObjectClass::Car, 20.0, 0.0, 1.8, 1.5);
+        assert_eq!([ticks(at_side), ticks(in_sight)], [ASIDE as usize, COAST as usize]);
+    }
+
+    #[test]
+    fn who_rides_stays_who_it_is_whatever_it_is_taken_for() {
+        let (road, ground) = (Road::new("GGG"), GroundPlane::new(&CameraConfig::default()));
+        let facts = road.facts(60.0, 0.0, 0.0, 0.0);
+        let kinds = |classes: &[ObjectClass], speed: f32| -> Vec<_> {
+            let mut users = RoadUsers::default();
+            let look = |(tick, &class): (usize, &ObjectClass)| {
+                users.update(
+                    &[seen(class, 20.0, -6.0 + speed * tick as f32 * 0.167, 0.6, 1.7)],
+                    &ground,
+                    &facts,
+                );
+                let [user] = users.users[..] else { panic!("{:?}", users.users) };
+                (user.id, user.kind)
+            };
+            classes.iter().enumerate().map(look).collect()
+        };
+        use ObjectClass::{Bicycle, Person};
+        assert_eq!(kinds(&[Bicycle, Bicycle, Person], 1.3)[2], (0, Kind::TwoWheeler));
+        assert_eq!(kinds(&[Person, Person, Bicycle, Person], 1.3)[3], (0, Kind::Person));
+        assert_eq!(kinds(&[Person; 12], 5.0)[11], (0, Kind::TwoWheeler), "too fast to walk");
+    }
 
     #[test]
     fn nothing_is_kept_after_a_reset() {
