@@ -12,6 +12,7 @@ use super::road_users::{Kind, RoadUser, RoadUsers};
 use crate::observation::LeadState;
 use crate::perception::lead::{HALF_WAY, SIGHT};
 use sumo_network::geometry::{Point, Vector, direction};
+use sumo_network::network::Link;
 use sumo_network::world::{Actor, ActorKind};
 
 /// Time (s) that vehicles are predicted ahead, and its steps.
@@ -34,6 +35,17 @@ const KERB: f64 = 2.0;
 /// Who walks is faster than the first (m/s), and is taken to be as fast as the second.
 const SLOW: f64 = 0.6;
 const WALKS: f64 = 1.1;
+/// How fast vehicles with right of way are, as a share of what is allowed, and the standard deviation of that (m/s).
+const USUAL: f64 = 0.7;
+const USUAL_DOUBT: f64 = 4.0;
+
+/// The ways over junctions on the ego's route, as far as it can see.
+fn links_ahead<'a>(facts: &EgoFacts<'a>) -> impl Iterator<Item = &'a Link> {
+    let network = facts.network;
+    let (from, to) = (facts.on_route.front_s - CROSSING, facts.on_route.front_s + SIGHT);
+    let links = facts.route.links.iter().filter(move |link| link.end_s > from && link.stop_s < to);
+    links.map(|link| network.link(link.link))
+}
 
 /// The nearest who will be in the ego's path, as a vehicle in front.
 pub fn nearest(users: &RoadUsers, facts: &EgoFacts<'_>) -> Option<LeadState> {
@@ -56,7 +68,7 @@ pub fn truth(actor: &Actor, facts: &EgoFacts<'_>) -> Option<LeadState> {
 impl RoadUser {
     /// Where it is or will be in the ego's path while the ego can be there, as a vehicle in front.
     fn crosses(&self, facts: &EgoFacts<'_>) -> Option<LeadState> {
-        let velocity = self.walk(facts).or_else(|| self.sure_velocity())?;
+        let velocity = self.walk(facts).or_else(|| self.drive(facts)).or_else(|| self.sure_velocity())?;
         self.meets(velocity, facts)
     }
 
@@ -73,12 +85,9 @@ impl RoadUser {
         if self.kind != Kind::Person || self.seen < LOOKS {
             return None;
         }
-        let on_route = &facts.on_route;
-        let ahead = on_route.front_s - CROSSING..on_route.front_s + SIGHT;
-        let links =
-            facts.route.links.iter().filter(|link| link.end_s > ahead.start && link.stop_s < ahead.end);
-        let crossings = links.flat_map(|link| &facts.network.link(link.link).yields_to_crossings);
-        crossings.into_iter().find_map(|&crossing| {
+        let crossings = links_ahead(facts).flat_map(|link| &link.yields_to_crossings);
+        let s = facts.on_route.s;
+        crossings.copied().find_map(|crossing| {
             let line = &facts.network.lane(facts.network.crossing(crossing).lane).shape;
             let (from, to) = (line.at(0.0).xy(), line.at(line.length()).xy());
             let way = (to - from).try_normalize(1e-6)?;
@@ -88,8 +97,7 @@ impl RoadUser {
                 return None;
             }
             // The way along it that leads to the ego's path.
-            let to_path =
-                |place: Point| facts.route.project_near(place, on_route.s, 0.0, SIGHT + 15.0).d.abs();
+            let to_path = |place: Point| facts.route.project_near(place, s, 0.0, SIGHT + 15.0).d.abs();
             let way = if to_path(place + 0.5 * way) < to_path(place) { way } else { -way };
             let (comes, doubt) = self.along(way);
             let on = (place - from).dot(&way) * (place - to).dot(&way) < 0.0;
@@ -101,6 +109,32 @@ impl RoadUser {
                 off < KERB && to_it && comes > SLOW.max(doubt)
             };
             walks.then(|| way * comes.max(WALKS))
+        })
+    }
+
+    /// The velocity (m/s) of a vehicle on a lane to whose vehicles the ego has to give way: along the lane, and as fast as is
+    /// usual there while it is not known better.
+    fn drive(&self, facts: &EgoFacts<'_>) -> Option<Vector> {
+        if self.kind == Kind::Person || self.seen < LOOKS {
+            return None;
+        }
+        let network = facts.network;
+        let foes = links_ahead(facts).flat_map(|link| &link.must_yield_to).map(|&foe| network.link(foe));
+        let lanes = foes.flat_map(|foe| std::iter::once(foe.from).chain(foe.via.iter().copied()));
+        lanes.map(|lane| network.lane(lane)).find_map(|lane| {
+            let on = lane.shape.project(Point::from(self.place));
+            let way = direction(lane.shape.at(on.s).heading);
+            if on.distance > 0.5 * lane.width + self.unsure(Vector::new(-way.y, way.x)).min(UNSURE) {
+                return None;
+            }
+            let (comes, doubt) = self.along(way);
+            // Unless it surely stands or leaves.
+            if comes + 1.5 * doubt < self.kind.slowest() {
+                return None;
+            }
+            let known = USUAL_DOUBT.powi(2) / (USUAL_DOUBT.powi(2) + doubt * doubt);
+            let usual = USUAL * lane.speed_limit;
+            Some(way * (usual + known * (comes - usual)).max(self.kind.slowest()))
         })
     }
 
