@@ -217,7 +217,8 @@ mod tests {
     use super::*;
     use crate::perception::GroundPlane;
     use crate::perception::testing::{LENGTH, Road, seen, user};
-    use sumo_network::geometry::Pose;
+    use nalgebra::Point3;
+    use sumo_network::geometry::{Polyline, Pose};
     use sumo_network::network::{CrossingId, testing};
     use wad_camera::CameraConfig;
     use wad_camera::model::ObjectClass;
@@ -265,6 +266,23 @@ mod tests {
         let line = 20.0 - 6.0 * tick * TICK - 0.5 * LENGTH;
         assert!((line - 1.0..line + 4.5).contains(&lead.gap), "{lead:?}, the line at {line}");
         assert!((lead.closing_speed - 6.0).abs() < 0.1, "to the ego it stands there: {lead:?}");
+    }
+
+    #[test]
+    fn who_comes_on_a_lane_that_goes_first_is_told_from_two_looks_on_unless_it_stands() {
+        let mut road = Road::turning_left();
+        // The far road's lane comes the other way, up to the junction.
+        let foe = road.network.lane_by_id("ca_0").unwrap();
+        road.network.lanes[foe.index()].shape =
+            Polyline::new([600.0, 305.0].map(|x| Point3::new(x, 1.6, 0.0)));
+        let link = road.route.links[0].link;
+        road.network.links[link.index()].must_yield_to = road.network.lane(foe).outgoing.clone();
+        let ego = (road.route.links[0].stop_s - 20.0, 6.0);
+        let told = |x: f64, speed: f64| foretold(&road, ego, ObjectClass::Car, ([x, 1.6], [-speed, 0.0]));
+        assert_eq!(first(&told(326.0, 9.0)).0, 1.0);
+        let beside = foretold(&road, ego, ObjectClass::Car, ([326.0, 8.0], [-9.0, 0.0]));
+        assert!(beside[..3].iter().all(Option::is_none), "beside the lane: {beside:?}");
+        assert!(told(318.0, 0.0)[8..].iter().all(Option::is_none), "it stands");
     }
 
     #[test]
