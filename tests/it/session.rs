@@ -231,9 +231,9 @@ fn results_of_an_agent_that_looks_do_not_depend_on_jobs_shards_or_resume() {
     same("resumed", lines(&[run("one", &["--resume"])]));
 }
 
-/// The gap to the vehicle in front (m) with boxes from shapes, against that with drawn boxes, at every tick of a
-/// drive.
-fn gaps(town: &str, seed: u64, counts: Counts) -> Vec<[Option<f64>; 2]> {
+/// The gaps (m) to who is in front, and to who will cross, with boxes from shapes against those with drawn boxes, at every tick of
+/// a drive.
+fn gaps(town: &str, seed: u64, counts: Counts) -> Vec<[[Option<f64>; 2]; 2]> {
     let folder = tempfile::tempdir().unwrap();
     let assets = Assets::load(town).unwrap();
     let mut eyes = ["truth", "outlines"].map(|name| {
@@ -257,13 +257,14 @@ fn gaps(town: &str, seed: u64, counts: Counts) -> Vec<[Option<f64>; 2]> {
         for _ in 0..450 {
             let tick = session.step_one(Act::Expert).await.unwrap();
             let facts = EgoFacts::of(assets.network(), session.ego(0), session.bridge().tick());
-            let mut both = [None; 2];
-            for (eyes, gap) in eyes.iter_mut().zip(&mut both) {
+            let look = |eyes: &mut Eyes| {
                 eyes.follow(session.ego(0).world());
                 eyes.look(&facts).unwrap();
-                *gap = eyes.raw().lead.map(|lead| lead.gap);
-            }
-            gaps.push(both);
+                let percept = eyes.percept().unwrap();
+                [percept.lead, percept.crossing].map(|one| one.map(|one| one.gap))
+            };
+            let [truth, outlines] = eyes.each_mut().map(look);
+            gaps.push([[truth[0], outlines[0]], [truth[1], outlines[1]]]);
             if tick.events.contains(&Event::Arrival) {
                 break;
             }
@@ -278,12 +279,14 @@ fn gaps(town: &str, seed: u64, counts: Counts) -> Vec<[Option<f64>; 2]> {
 fn outlines_show_the_vehicle_in_front_that_the_picture_shows() {
     let drives = [("town3", 3, Counts::new(100, 250)), ("town5", 4, Counts::new(70, 150))];
     let gaps: Vec<_> = drives.into_iter().flat_map(|(town, seed, counts)| gaps(town, seed, counts)).collect();
-    let some = gaps.iter().filter(|[truth, _]| truth.is_some()).count();
-    let same = gaps.iter().filter(|both| match both {
-        [Some(truth), Some(outlines)] => (truth - outlines).abs() < 0.3,
-        [truth, outlines] => truth.is_none() && outlines.is_none(),
-    });
-    let same = same.count();
-    assert!(some > 200, "{some} of {} ticks have a vehicle in front", gaps.len());
-    assert!(same * 100 >= 95 * gaps.len(), "equal in {same} of {} ticks, {some} with a vehicle", gaps.len());
+    let some = gaps.iter().flatten().filter(|[truth, _]| truth.is_some()).count();
+    assert!(some > 200, "{some} of {} ticks have somebody", gaps.len());
+    for (index, what) in ["in front", "to cross"].into_iter().enumerate() {
+        let same = gaps.iter().filter(|both| match both[index] {
+            [Some(truth), Some(outlines)] => (truth - outlines).abs() < 0.3,
+            [truth, outlines] => truth.is_none() && outlines.is_none(),
+        });
+        let same = same.count();
+        assert!(same * 100 >= 95 * gaps.len(), "{what}: equal in {same} of {} ticks", gaps.len());
+    }
 }

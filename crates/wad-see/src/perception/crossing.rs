@@ -38,6 +38,9 @@ const WALKS: f64 = 1.1;
 /// How fast vehicles with right of way are, as a share of what is allowed, and the standard deviation of that (m/s).
 const USUAL: f64 = 0.7;
 const USUAL_DOUBT: f64 = 4.0;
+/// How far beside a crossing's middle people walk, and beside their lane's vehicles drive (m): standard deviations.
+const OFF_CROSSING: f64 = 1.0;
+const OFF_LANE: f64 = 0.4;
 
 /// The ways over junctions on the ego's route, as far as it can see.
 fn links_ahead<'a>(facts: &EgoFacts<'a>) -> impl Iterator<Item = &'a Link> {
@@ -62,14 +65,15 @@ pub fn truth(actor: &Actor, facts: &EgoFacts<'_>) -> Option<LeadState> {
         ActorKind::Object => return None,
     };
     let (place, velocity) = (actor.pose.xy().coords, direction(actor.pose.heading) * actor.speed);
-    RoadUser::known(kind, place, velocity).meets(velocity, facts)
+    meets(kind, place, velocity, facts)
 }
 
 impl RoadUser {
     /// Where it is or will be in the ego's path while the ego can be there, as a vehicle in front.
     fn crosses(&self, facts: &EgoFacts<'_>) -> Option<LeadState> {
-        let velocity = self.walk(facts).or_else(|| self.drive(facts)).or_else(|| self.sure_velocity())?;
-        self.meets(velocity, facts)
+        let on_way = self.walk(facts).or_else(|| self.drive(facts));
+        let (place, velocity) = on_way.or_else(|| Some((self.place, self.sure_velocity()?)))?;
+        meets(self.kind, place, velocity, facts)
     }
 
     /// Its velocity (m/s), once that is known well enough.
@@ -79,9 +83,9 @@ impl RoadUser {
         (self.seen >= BELIEVED && speed >= 2.0 * doubt).then_some(self.velocity)
     }
 
-    /// The velocity (m/s) of somebody who walks over a crossing at which the ego has to give way, or is about to step onto it.
-    /// Who is on one walks along it, so that two looks tell more than many do elsewhere.
-    fn walk(&self, facts: &EgoFacts<'_>) -> Option<Vector> {
+    /// Place (m) and velocity (m/s) of somebody who walks over a crossing at which the ego has to give way, or is about to step
+    /// onto it. Who is on one walks along it, so that two looks tell more than many do elsewhere.
+    fn walk(&self, facts: &EgoFacts<'_>) -> Option<(Vector, Vector)> {
         if self.kind != Kind::Person || self.seen < LOOKS {
             return None;
         }
@@ -92,8 +96,9 @@ impl RoadUser {
             let (from, to) = (line.at(0.0).xy(), line.at(line.length()).xy());
             let way = (to - from).try_normalize(1e-6)?;
             let place = Point::from(self.place);
+            let side = Vector::new(-way.y, way.x);
             let off = line.project(place).distance;
-            if off > HALF_CROSSING + self.unsure(Vector::new(-way.y, way.x)).min(UNSURE) {
+            if off > HALF_CROSSING + self.unsure(side).min(UNSURE) {
                 return None;
             }
             // The way along it that leads to the ego's path.
@@ -104,17 +109,18 @@ impl RoadUser {
             let to_it = (from + 0.5 * (to - from) - place).dot(&way) > 0.0;
             let walks = if on {
                 // Unless it surely stands or leaves.
-                comes + 1.5 * doubt > SLOW
+                comes + doubt > SLOW
             } else {
                 off < KERB && to_it && comes > SLOW.max(doubt)
             };
-            walks.then(|| way * comes.max(WALKS))
+            let place = self.nearer(side, (place - from).dot(&side), OFF_CROSSING);
+            walks.then(|| (place, way * comes.max(WALKS)))
         })
     }
 
-    /// The velocity (m/s) of a vehicle on a lane to whose vehicles the ego has to give way: along the lane, and as fast as is
-    /// usual there while it is not known better.
-    fn drive(&self, facts: &EgoFacts<'_>) -> Option<Vector> {
+    /// Place (m) and velocity (m/s) of a vehicle on a lane to whose vehicles the ego has to give way: along the lane, and as
+    /// fast as is usual there while it is not known better.
+    fn drive(&self, facts: &EgoFacts<'_>) -> Option<(Vector, Vector)> {
         if self.kind == Kind::Person || self.seen < LOOKS {
             return None;
         }
@@ -124,92 +130,101 @@ impl RoadUser {
         lanes.map(|lane| network.lane(lane)).find_map(|lane| {
             let on = lane.shape.project(Point::from(self.place));
             let way = direction(lane.shape.at(on.s).heading);
-            if on.distance > 0.5 * lane.width + self.unsure(Vector::new(-way.y, way.x)).min(UNSURE) {
+            let side = Vector::new(-way.y, way.x);
+            if on.distance > 0.5 * lane.width + self.unsure(side).min(UNSURE) {
                 return None;
             }
             let (comes, doubt) = self.along(way);
             // Unless it surely stands or leaves.
-            if comes + 1.5 * doubt < self.kind.slowest() {
+            if comes + doubt < self.kind.slowest() {
                 return None;
             }
             let known = USUAL_DOUBT.powi(2) / (USUAL_DOUBT.powi(2) + doubt * doubt);
             let usual = USUAL * lane.speed_limit;
-            Some(way * (usual + known * (comes - usual)).max(self.kind.slowest()))
+            let place = self.nearer(side, on.d, OFF_LANE);
+            Some((place, way * (usual + known * (comes - usual)).max(self.kind.slowest())))
         })
     }
 
-    /// Where it is or will be in the ego's path with this velocity (m/s) while the ego can be there, as a vehicle in front.
-    fn meets(&self, velocity: Vector, facts: &EgoFacts<'_>) -> Option<LeadState> {
-        let speed = velocity.norm();
-        if speed < self.kind.slowest() {
-            return None;
-        }
-        let on_route = &facts.on_route;
-        let steps = (HORIZON / STEP) as usize;
-        // When it is in the path, and where that begins and ends.
-        let mut times: Option<(f64, f64)> = None;
-        let (mut begin, mut end, mut course) = (f64::INFINITY, f64::NEG_INFINITY, Vector::zeros());
-        for k in 0..=steps {
-            let t = k as f64 * STEP;
-            let place = Point::from(self.place + velocity * t);
-            let on = facts.route.project_near(place, on_route.s, 0.0, SIGHT + 15.0);
-            // Beyond the ends of the searched stretch a point is off the route.
-            if (on.distance - on.d.abs()).abs() > 0.1 {
-                continue;
-            }
-            let way = direction(facts.route.at(on.s).pose.heading);
-            let along = (velocity.dot(&way) / speed).abs().min(1.0);
-            let across = (1.0 - along * along).sqrt();
-            let [long, broad] = self.kind.half();
-            if on.d.abs() - (across * long + along * broad) > HALF_WAY {
-                continue;
-            }
-            // What is there now and goes the ego's way is in front already.
-            if k == 0 && velocity.dot(&way) > 0.7 * speed {
-                return None;
-            }
-            let first = times.map_or(t, |(first, _)| first);
-            times = Some((first, t));
-            let half = along * long + across * broad;
-            let near = on.s - half;
-            end = end.max(on.s + half);
-            if near < begin {
-                (begin, course) = (near, way);
-            }
-        }
-        let (first, last) = times?;
-        let gap = begin - on_route.front_s;
-        // Whose front is beyond the middle of where they meet does better to go on.
-        if gap > SIGHT || on_route.front_s > 0.5 * (begin + end) {
-            return None;
-        }
-        // To the ego it stands where it will cross, unless it goes the ego's way.
-        let closing_speed = on_route.state.speed - velocity.dot(&course).max(0.0);
-        // Only where the ego has to give way: elsewhere oncoming vehicles would seem to cross in each bend.
-        let link =
-            facts.route.links.iter().find(|link| begin > link.stop_s - 3.0 && begin < link.end_s + 3.0)?;
-        let link = facts.network.link(link.link);
-        let has_to_yield = match self.kind {
-            Kind::Vehicle | Kind::TwoWheeler => !link.must_yield_to.is_empty(),
-            Kind::Person => {
-                let place = facts.route.at(begin).pose.xy();
-                link.yields_to_crossings.iter().any(|&crossing| {
-                    let middle = &facts.network.lane(facts.network.crossing(crossing).lane).shape;
-                    middle.project(place).distance < CROSSING
-                })
-            }
-        };
-        if !has_to_yield {
-            return None;
-        }
-        // The ego there: as early as it can, and at its present pace.
-        let v = on_route.state.speed.max(0.0);
-        let gap = gap.max(0.0);
-        let earliest = ((v * v + 2.0 * EGO_ACCELERATION * gap).sqrt() - v) / EGO_ACCELERATION;
-        let latest = gap / v.max(0.5) + 1.0;
-        let meet = earliest < last + MARGIN && latest > first - MARGIN;
-        meet.then_some(LeadState { gap, closing_speed })
+    /// Its place, `off` (m) beside the line that it follows, to which `side` is at right angles: drawn to it, as far as it is
+    /// unsure. Others are `usual` (m) beside it.
+    fn nearer(&self, side: Vector, off: f64, usual: f64) -> Vector {
+        let doubt = self.unsure(side).powi(2);
+        self.place - side * (off * doubt / (doubt + usual * usual))
     }
+}
+
+/// Where somebody at `place` (m) is or will be in the ego's path with this velocity (m/s) while the ego can be there, as a
+/// vehicle in front.
+fn meets(kind: Kind, place: Vector, velocity: Vector, facts: &EgoFacts<'_>) -> Option<LeadState> {
+    let speed = velocity.norm();
+    if speed < kind.slowest() {
+        return None;
+    }
+    let on_route = &facts.on_route;
+    let steps = (HORIZON / STEP) as usize;
+    // When it is in the path, and where that begins and ends.
+    let mut times: Option<(f64, f64)> = None;
+    let (mut begin, mut end, mut course) = (f64::INFINITY, f64::NEG_INFINITY, Vector::zeros());
+    for k in 0..=steps {
+        let t = k as f64 * STEP;
+        let place = Point::from(place + velocity * t);
+        let on = facts.route.project_near(place, on_route.s, 0.0, SIGHT + 15.0);
+        // Beyond the ends of the searched stretch a point is off the route.
+        if (on.distance - on.d.abs()).abs() > 0.1 {
+            continue;
+        }
+        let way = direction(facts.route.at(on.s).pose.heading);
+        let along = (velocity.dot(&way) / speed).abs().min(1.0);
+        let across = (1.0 - along * along).sqrt();
+        let [long, broad] = kind.half();
+        if on.d.abs() - (across * long + along * broad) > HALF_WAY {
+            continue;
+        }
+        // What is there now and goes the ego's way is in front already.
+        if k == 0 && velocity.dot(&way) > 0.7 * speed {
+            return None;
+        }
+        let first = times.map_or(t, |(first, _)| first);
+        times = Some((first, t));
+        let half = along * long + across * broad;
+        let near = on.s - half;
+        end = end.max(on.s + half);
+        if near < begin {
+            (begin, course) = (near, way);
+        }
+    }
+    let (first, last) = times?;
+    let gap = begin - on_route.front_s;
+    // Whose front is beyond the middle of where they meet does better to go on.
+    if gap > SIGHT || on_route.front_s > 0.5 * (begin + end) {
+        return None;
+    }
+    // To the ego it stands where it will cross, unless it goes the ego's way.
+    let closing_speed = on_route.state.speed - velocity.dot(&course).max(0.0);
+    // Only where the ego has to give way: elsewhere oncoming vehicles would seem to cross in each bend.
+    let link = facts.route.links.iter().find(|link| begin > link.stop_s - 3.0 && begin < link.end_s + 3.0)?;
+    let link = facts.network.link(link.link);
+    let has_to_yield = match kind {
+        Kind::Vehicle | Kind::TwoWheeler => !link.must_yield_to.is_empty(),
+        Kind::Person => {
+            let place = facts.route.at(begin).pose.xy();
+            link.yields_to_crossings.iter().any(|&crossing| {
+                let middle = &facts.network.lane(facts.network.crossing(crossing).lane).shape;
+                middle.project(place).distance < CROSSING
+            })
+        }
+    };
+    if !has_to_yield {
+        return None;
+    }
+    // The ego there: as early as it can, and at its present pace.
+    let v = on_route.state.speed.max(0.0);
+    let gap = gap.max(0.0);
+    let earliest = ((v * v + 2.0 * EGO_ACCELERATION * gap).sqrt() - v) / EGO_ACCELERATION;
+    let latest = gap / v.max(0.5) + 1.0;
+    let meet = earliest < last + MARGIN && latest > first - MARGIN;
+    meet.then_some(LeadState { gap, closing_speed })
 }
 
 #[cfg(test)]

@@ -195,11 +195,6 @@ fn sight(detection: &Detection, ground: &GroundPlane, facts: &EgoFacts<'_>) -> O
 }
 
 impl RoadUser {
-    /// One of whom all is known.
-    pub(super) fn known(kind: Kind, place: Vector, velocity: Vector) -> Self {
-        Self { id: 0, kind, rides: 0, place, velocity, p: Matrix4::zeros(), seen: u32::MAX, missed: 0 }
-    }
-
     fn new(id: u64, sighting: &Sighting) -> Self {
         let (_, doubt) = sighting.kind.doubts();
         let mut p = Matrix4::zeros();
