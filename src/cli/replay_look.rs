@@ -5,7 +5,6 @@ use serde::Serialize;
 use std::sync::Arc;
 use wad_cosim::assets::Assets;
 use wad_cosim::camera::Outputs;
-use wad_cosim::criteria::EgoOnRoute;
 use wad_cosim::eval::kept::Kept;
 use wad_cosim::eyes::Eyes;
 use wad_cosim::network::{Network, Route};
@@ -67,8 +66,9 @@ pub struct Looker {
     eyes: Eyes,
     network: Arc<Network>,
     route: Route,
-    /// The ego's length (m), and the time between states (s).
+    /// The ego's length (m).
     length: f64,
+    /// Between states (s).
     tick: f64,
 }
 
@@ -85,7 +85,7 @@ impl Looker {
         let eyes = Eyes::new(assets.town(), camera, detector).map_err(|e| Exit::Input.because(e))?;
         let mut eyes = eyes.with_outputs(Outputs { boxes: true, ..Outputs::RGB });
         let header = recording.header();
-        eyes.reset(header.weather, kept.episode.case.seed);
+        eyes.reset(header.weather, kept.episode.episode_seed);
         let (network, length) = (Arc::clone(assets.network()), header.ego.length);
         Ok(Self { eyes, network, route, length, tick: header.tick_ms / 1000.0 })
     }
@@ -109,11 +109,10 @@ impl Looker {
         if (here - frame.ego.pose.xy()).norm() > frame.d.abs() + ASTRAY {
             return Ok(None);
         }
-        let front_s = frame.s + 0.5 * self.length;
         let facts = EgoFacts {
             network: &self.network,
             route: &self.route,
-            on_route: EgoOnRoute { state: frame.ego, s: frame.s, d: frame.d, front_s },
+            on_route: frame.on_route(self.length),
             length: self.length,
             signals: &frame.world.traffic_lights,
             tick: self.tick,

@@ -8,7 +8,7 @@ use super::score::{Score, Tick};
 use super::server::{Listener, ViewError};
 use crate::autopilot::{Autopilot, AutopilotParams, EgoModel};
 use crate::camera::Preset;
-use crate::criteria::{EgoOnRoute, Event};
+use crate::criteria::Event;
 use crate::network::{Network, Route};
 use crate::replay::{Frame, Recording};
 use crate::telemetry::{LeaderRecord, LightRecord};
@@ -104,11 +104,10 @@ fn course(recording: &Recording, network: &Network, route: &Route, ego: &EgoPara
         let decision = autopilot.control(network, route, frame.s, &frame.ego, &frame.world, dt);
         autopilot.overruled();
         let leader = decision.leader.map(|l| LeaderRecord { gap: l.gap_m, speed: l.speed_mps });
-        let front_s = frame.s + 0.5 * ego.length;
         let light = score.count(&Tick {
             network,
             route,
-            at: EgoOnRoute { state: frame.ego, s: frame.s, d: frame.d, front_s },
+            at: frame.on_route(ego.length),
             ego,
             signals: &frame.world.traffic_lights,
             dt,
@@ -330,10 +329,7 @@ impl Player {
         if state.viewers == 0 {
             return;
         }
-        let way = route.map(|route| {
-            let front_s = frame.s + 0.5 * body.length;
-            (Arc::clone(route), EgoOnRoute { state: frame.ego, s: frame.s, d: frame.d, front_s })
-        });
+        let way = route.map(|route| (Arc::clone(route), frame.on_route(body.length)));
         self.hub.show(Shot {
             state: state.clone(),
             world: frame.world.clone(),

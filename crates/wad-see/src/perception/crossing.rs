@@ -4,8 +4,8 @@
 //! of each detected vehicle and person on the ground, and a straight line predicts the way. Where the ego has to give
 //! way, and the prediction meets its route while the ego can be there, that road user counts as the vehicle in front.
 //! So an ego that turns left stops for oncoming vehicles, and one that turns right for who walks across. Who is on a crossing
-//! is taken to walk along it, by the map: the filter needs seconds to know how somebody walks. Nothing here
-//! comes from SUMO except the ego's route and its right of way.
+//! is taken to walk along it, and who is on a lane that goes first to drive along it: the filter needs seconds to know how
+//! somebody moves. Nothing here comes from SUMO except the map, the ego's route and its right of way.
 
 use super::EgoFacts;
 use super::road_users::{Kind, RoadUser, RoadUsers};
@@ -24,7 +24,7 @@ const MARGIN: f64 = 1.0;
 const EGO_ACCELERATION: f64 = 1.5;
 /// A crossing reaches this far to each side of its middle (m).
 const CROSSING: f64 = 3.0;
-/// Detections before a velocity is used, and before somebody on a crossing is taken to walk over it.
+/// Detections before a velocity is used, and before who is on a crossing or lane is taken to come along it.
 const BELIEVED: u32 = 4;
 const LOOKS: u32 = 2;
 /// Somebody within this distance (m) of a crossing's middle line is on it, and as much more as it is unsure, to this most.
@@ -90,7 +90,6 @@ impl RoadUser {
             return None;
         }
         let crossings = links_ahead(facts).flat_map(|link| &link.yields_to_crossings);
-        let s = facts.on_route.s;
         crossings.copied().find_map(|crossing| {
             let line = &facts.network.lane(facts.network.crossing(crossing).lane).shape;
             let (from, to) = (line.at(0.0).xy(), line.at(line.length()).xy());
@@ -102,7 +101,7 @@ impl RoadUser {
                 return None;
             }
             // The way along it that leads to the ego's path.
-            let to_path = |place: Point| facts.route.project_near(place, s, 0.0, SIGHT + 15.0).d.abs();
+            let to_path = |place: Point| facts.ahead(place).d.abs();
             let way = if to_path(place + 0.5 * way) < to_path(place) { way } else { -way };
             let (comes, doubt) = self.along(way);
             let on = (place - from).dot(&way) * (place - to).dot(&way) < 0.0;
@@ -169,7 +168,7 @@ fn meets(kind: Kind, place: Vector, velocity: Vector, facts: &EgoFacts<'_>) -> O
     for k in 0..=steps {
         let t = k as f64 * STEP;
         let place = Point::from(place + velocity * t);
-        let on = facts.route.project_near(place, on_route.s, 0.0, SIGHT + 15.0);
+        let on = facts.ahead(place);
         // Beyond the ends of the searched stretch a point is off the route.
         if (on.distance - on.d.abs()).abs() > 0.1 {
             continue;

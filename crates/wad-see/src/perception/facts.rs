@@ -4,11 +4,16 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use std::ops::Range;
 use std::sync::Arc;
-use sumo_network::geometry::{Pose, wrap_angle};
+use sumo_network::geometry::{Point, Pose, Projection, wrap_angle};
 use sumo_network::network::{Network, Route};
 use sumo_network::seeds;
 use wad_sim::bridge::Ego;
 use wad_sim::criteria::EgoOnRoute;
+
+/// Largest distance of a vehicle in front (m from the front bumper).
+pub const SIGHT: f64 = 50.0;
+/// How far along the route from the ego's centre on somebody is looked for (m).
+pub(super) const REACH: f64 = SIGHT + 15.0;
 
 /// What the ego knows beside its camera's frame: its motion, its waypoints, and the signals' states.
 #[derive(Clone, Copy, Debug)]
@@ -38,6 +43,12 @@ impl<'a> EgoFacts<'a> {
             signals: &ego.world().traffic_lights,
             tick,
         }
+    }
+
+    /// Where `place` is on the route from the ego's centre on, as far as it can see. The offset of what is farther is no distance
+    /// from the route.
+    pub fn ahead(&self, place: Point) -> Projection {
+        self.route.project_near(place, self.on_route.s, 0.0, REACH)
     }
 
     /// The same `distance` m farther along the route, as far from its middle and as askew: for looks from where the ego is

@@ -1,14 +1,13 @@
 //! The vehicle in front: the nearest detected road user in the ego's path, its gap by ground-plane
 //! projection, its speed by a filter over the ticks. Nothing here comes from SUMO.
 
+pub use super::facts::SIGHT;
 use super::road_users::RoadUsers;
 use super::{Detection, EgoFacts, GroundPlane};
 use crate::observation::LeadState;
 use sumo_network::geometry::{Point, direction};
 use wad_camera::model::ObjectClass;
 
-/// Largest distance of a vehicle in front (m from the front bumper).
-pub const SIGHT: f64 = 50.0;
 /// Half the breadth of the way that must be free (m): the ego's half and a hand's breadth.
 pub const HALF_WAY: f64 = 1.2;
 /// Places further than this from the route (m) are beside another part of it.

@@ -12,7 +12,7 @@ const OUTLOOK: f64 = 90.0;
 const COAST: u32 = 3;
 const ASIDE: u32 = 12;
 /// Who is faster than this (m/s) rides.
-const WALKS: f64 = 3.0;
+const RIDES: f64 = 3.0;
 
 /// The kinds of road users that are tracked separately.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -214,7 +214,7 @@ impl RoadUser {
             Kind::TwoWheeler => 1,
             Kind::Person => -1,
         };
-        let rides = self.rides > 0 || self.velocity.norm() > WALKS;
+        let rides = self.rides > 0 || self.velocity.norm() > RIDES;
         self.kind = if rides { Kind::TwoWheeler } else { Kind::Person };
     }
 

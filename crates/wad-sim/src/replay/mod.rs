@@ -22,7 +22,7 @@ pub use format::{Body, Header};
 pub use recorder::{Moment, Recorder, digest};
 
 use crate::bridge::TICK_MS;
-use crate::criteria::Event;
+use crate::criteria::{EgoOnRoute, Event};
 use flate2::read::GzDecoder;
 use format::{FORMAT, Line, Memory};
 use std::fs::File;
@@ -83,6 +83,11 @@ pub struct Frame {
 }
 
 impl Frame {
+    /// The ego, `length` (m) long, on its route.
+    pub fn on_route(&self, length: f64) -> EgoOnRoute {
+        EgoOnRoute { state: self.ego, s: self.s, d: self.d, front_s: self.s + 0.5 * length }
+    }
+
     /// Its size in memory (bytes).
     fn size(&self) -> usize {
         let world = &self.world;

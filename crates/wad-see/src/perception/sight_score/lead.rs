@@ -2,6 +2,7 @@
 
 use super::{Spread, share};
 use crate::observation::LeadState;
+use crate::perception::facts::REACH;
 use crate::perception::lead::{HALF_WAY, SIGHT};
 use crate::perception::{EgoFacts, crossing};
 use serde::Serialize;
@@ -39,7 +40,7 @@ pub fn who_crosses(facts: &EgoFacts<'_>, world: &WorldState, frame: &Frame) -> (
 fn in_path(facts: &EgoFacts<'_>, actor: &Actor) -> Option<LeadState> {
     let on_route = &facts.on_route;
     let shape = &actor.actor_type;
-    if (actor.pose.xy() - on_route.state.pose.xy()).norm() > SIGHT + 15.0 {
+    if (actor.pose.xy() - on_route.state.pose.xy()).norm() > REACH {
         return None;
     }
     let steps = (shape.length / 0.5).ceil().max(1.0) as usize;
@@ -48,7 +49,7 @@ fn in_path(facts: &EgoFacts<'_>, actor: &Actor) -> Option<LeadState> {
         for side in [-0.5, -0.25, 0.0, 0.25, 0.5] {
             let along = shape.length * (i as f64 / steps as f64 - 0.5);
             let place = actor.pose.to_world(Vector::new(along, side * shape.width));
-            let on = facts.route.project_near(place, on_route.s, 0.0, SIGHT + 15.0);
+            let on = facts.ahead(place);
             // Beyond the ends of the searched stretch a point is off the route.
             if (on.distance - on.d.abs()).abs() > 0.1 || on.d.abs() > HALF_WAY {
                 continue;
