@@ -74,6 +74,36 @@ fn the_expert_arrives_and_reckless_driving_ends_badly() {
 }
 
 #[test]
+fn a_told_expert_also_follows_whom_an_agent_is_told_of() {
+    let assets = Assets::load("town5").unwrap();
+    let new = |told_lead| {
+        let detector = "truth:faulty".to_string();
+        env(&assets, EnvOptions { told_lead, detector, ..EnvOptions::evaluation() })
+    };
+    let (mut told, mut untold) = (new(true), new(false));
+    let traffic = Some(TrafficSpec::Counts(Counts::new(70, 150)));
+    let task = TaskSpec { traffic, ..TaskSpec::new(TaskKind::Composite) };
+    told.reset(&task, 1).expect("a start");
+    untold.reset(&task, 1).expect("a start");
+    // The same drive, until the one is told of somebody whom the other does not see.
+    for tick in 0..400 {
+        let (with, without) = (told.expert().unwrap(), untold.expert().unwrap());
+        if with != without {
+            let wish = |control: Control| control.throttle - control.brake;
+            assert!(wish(with) < wish(without), "tick {tick}: {with:?}, untold {without:?}");
+            assert!(
+                told.raw().lead.is_some(),
+                "tick {tick}: nobody is told, and still {with:?}, {without:?}"
+            );
+            return;
+        }
+        told.step(with).expect("a step");
+        assert!(untold.step(without).expect("a step").info.ending.is_none());
+    }
+    panic!("it never went by whom the agent is told of");
+}
+
+#[test]
 fn a_sumo_that_dies_costs_one_episode() {
     let assets = Assets::load("town3").unwrap();
     let mut env = env(&assets, blind(EnvOptions::training()));

@@ -62,6 +62,9 @@ pub struct EnvOptions {
     /// cannot see. Default false.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub told_expert: bool,
+    /// The expert also follows whom the agent is told of as the vehicle in front, seen or foretold, though it may see that
+    /// nobody is there. Default false.
+    pub told_lead: bool,
     /// The front camera.
     pub camera: CameraConfig,
     /// Tick length (ms). Default 167, the paper's six a second.
@@ -102,6 +105,7 @@ impl Default for EnvOptions {
             observation: ObservationMode::default(),
             detector: "truth".to_string(),
             told_expert: false,
+            told_lead: false,
             camera: CameraConfig::default(),
             tick_ms: wad_sim::bridge::DEFAULT_TICK_MS,
             sight: 100.0,

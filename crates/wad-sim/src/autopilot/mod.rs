@@ -129,6 +129,16 @@ pub struct Decision {
     pub brake_light: bool,
 }
 
+/// What an agent is told, for an expert that is to show it nothing that it is not told.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Told {
+    /// What a detector believes of the ego's light; None: the expert goes by SUMO's.
+    pub light: Option<ToldLight>,
+    /// The road user in the path: the expert follows it beside those that it sees itself, so that it does not drive on
+    /// where an agent is told that it must not.
+    pub lead: Option<Leader>,
+}
+
 /// What others believe of the ego's light, such as a detector.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ToldLight {
@@ -145,7 +155,7 @@ pub struct Autopilot {
     plans: Vec<LinkPlan>,
     tracker: Tracker,
     lights: Lights,
-    told: Option<ToldLight>,
+    told: Told,
     changer: LaneChanger,
     pedals: Pedals,
     /// Acceleration asked for at the last tick (m/s2).
@@ -202,7 +212,7 @@ impl Autopilot {
             plans: Vec::new(),
             tracker: Tracker::default(),
             lights: Lights::default(),
-            told: None,
+            told: Told::default(),
             changer: LaneChanger::default(),
             pedals: Pedals::default(),
             last_acceleration: 0.0,
@@ -217,10 +227,9 @@ impl Autopilot {
         self.pedals.overruled();
     }
 
-    /// For the next [`Autopilot::control`] the lights are what `told` says, not what SUMO shows: so it drives as one would who
-    /// is told no more.
-    pub fn tell(&mut self, told: ToldLight) {
-        self.told = Some(told);
+    /// For the next [`Autopilot::control`] it goes by what `told` says too.
+    pub fn tell(&mut self, told: Told) {
+        self.told = told;
     }
 
     /// One tick: from the state after the last SUMO step, the control for the next `tick_s` seconds.
@@ -271,7 +280,7 @@ impl Autopilot {
         let leader = self.follow_leaders(&now, &mut choice);
         let light = SignalAhead::find(network, route, front_s - 0.5, |signal| world.signal(signal));
         self.pass_junctions(&now, light, &mut choice);
-        self.told = None;
+        self.told = Told::default();
 
         let walk = pedestrians::Approach { front_s, rear_s, speed, top: profile.target.max(2.0) };
         if let Some(halt) = pedestrians::judge(network, &self.path, &self.plans, world, &walk, &params) {
@@ -377,6 +386,11 @@ impl Autopilot {
                 leader = Some(Leader { gap_m: gap, speed_mps: obstacle.speed });
             }
         }
+        if let Some(Leader { gap_m, speed_mps }) = self.told.lead {
+            let then = gap_m - (speed - speed_mps) * latency;
+            let a = follow(speed, then, speed_mps, profile.target.max(1.0), params);
+            choice.offer(a, Reason::Leader { gap: gap_m, speed: speed_mps });
+        }
         leader
     }
 
@@ -384,7 +398,7 @@ impl Autopilot {
     fn pass_junctions(&mut self, now: &Situation<'_>, light: Option<SignalAhead>, choice: &mut Choice) {
         let by_lane = ByLane::new(now.world);
         let mut yielding_at = None;
-        let told_stop = self.told.and_then(|told| told.stop);
+        let told_stop = self.told.light.and_then(|light| light.stop);
         if let Some(distance) = told_stop {
             let a = self.stop(now.speed, distance - self.params.stop_margin, now.latency);
             choice.offer(a, Reason::RedLight { distance });
@@ -423,7 +437,7 @@ impl Autopilot {
         let (params, speed, latency) = (self.params, now.speed, now.latency);
         let top = now.profile.target.max(speed);
         let link = now.network.link(plan.link);
-        let verdict = if self.told.is_some() && link.signal.is_some() {
+        let verdict = if self.told.light.is_some() && link.signal.is_some() {
             Verdict::Go { yields: yields_at(link, now.world) }
         } else {
             self.lights.judge(now.network, plan, now.world, distance, speed, top, latency, &params)

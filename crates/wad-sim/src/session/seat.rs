@@ -2,7 +2,7 @@
 
 use super::{Act, Tick};
 use crate::assets::Assets;
-use crate::autopilot::{Autopilot, AutopilotParams, Decision, EgoModel, ToldLight};
+use crate::autopilot::{Autopilot, AutopilotParams, Decision, EgoModel, Told};
 use crate::bridge::{Ego, Lamps};
 use crate::criteria::{Criteria, CriteriaParams, Situation};
 use sumo_network::network::{Network, RoadOption, Route};
@@ -78,8 +78,8 @@ impl Seat {
         self.decision.is_some()
     }
 
-    /// What the expert goes by at lights when it decides for the next tick ([`Autopilot::tell`]).
-    pub fn tell(&mut self, told: ToldLight) {
+    /// What the expert goes by too when it decides for the next tick ([`Autopilot::tell`]).
+    pub fn tell(&mut self, told: Told) {
         self.expert.tell(told);
     }
 

@@ -1,6 +1,6 @@
 //! The closed loop: vehicle, route, scripted traffic, and the result.
 
-use crate::autopilot::{Autopilot, AutopilotParams, Decision, EgoModel, ToldLight};
+use crate::autopilot::{Autopilot, AutopilotParams, Decision, EgoModel, Told};
 use std::path::Path;
 use std::sync::Arc;
 use sumo_network::geometry::{Point, Pose, Vector, direction};
@@ -105,8 +105,8 @@ pub struct Setup<'a> {
     pub pedestrians: Vec<Script<'a>>,
     /// State of the one traffic light over time.
     pub light: Box<dyn Fn(f64) -> Option<&'static str> + 'a>,
-    /// What is told of the light, from the distance to the stop line (m); None: it looks itself.
-    pub told: Option<fn(f64) -> ToldLight>,
+    /// What is told, from the distance to the stop line (m); None: it looks itself.
+    pub told: Option<fn(f64) -> Told>,
     pub tick_s: f64,
     pub seconds: f64,
     /// Ends this far before the route's end (m).

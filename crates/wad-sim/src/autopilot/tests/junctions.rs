@@ -1,7 +1,7 @@
 //! Lights, gaps in cross traffic, full junctions.
 
 use super::drive::*;
-use crate::autopilot::{Reason, ToldLight};
+use crate::autopilot::{Leader, Reason, Told, ToldLight};
 
 #[test]
 fn it_stands_before_the_line_at_red_and_goes_at_green() {
@@ -53,12 +53,31 @@ fn a_light_out_of_sight_is_not_passed() {
     assert!(report.speed < 0.1 && report.to_line > 0.3, "{report:?}");
 }
 
+fn light(stop: Option<f64>) -> Told {
+    Told { light: Some(ToldLight { stop }), lead: None }
+}
+
+#[test]
+fn it_stands_behind_whom_it_is_told() {
+    let network = net();
+    let mut setup = Setup::new(&network, ("WC_1", 5.0), ("EF_1", 150.0), 10.0);
+    // Somebody stands 20 m before the line, where the autopilot itself sees nobody.
+    setup.told = Some(|to_line| {
+        let gap_m = to_line - 20.0;
+        Told { lead: (gap_m > 0.0).then_some(Leader { gap_m, speed_mps: 0.0 }), light: None }
+    });
+    setup.seconds = 30.0;
+    let report = setup.run();
+    assert!(report.speed < 0.1 && report.to_line > 20.5 && report.to_line < 24.0, "{report:?}");
+    assert!(matches!(report.last.unwrap().reason, Reason::Leader { .. }), "{report:?}");
+}
+
 #[test]
 fn it_goes_by_the_light_that_it_is_told() {
     let network = net();
     let mut setup = Setup::new(&network, ("WC_1", 5.0), ("EF_1", 150.0), 10.0);
     // The line seems 4 m nearer than it is, and the light is green.
-    setup.told = Some(|to_line| ToldLight { stop: Some(to_line - 4.0) });
+    setup.told = Some(|to_line| light(Some(to_line - 4.0)));
     setup.seconds = 45.0;
     let report = setup.run();
     assert!(report.speed < 0.1 && report.to_line > 5.0 && report.to_line < 6.0, "{report:?}");
@@ -66,7 +85,7 @@ fn it_goes_by_the_light_that_it_is_told() {
 
     let mut setup = Setup::new(&network, ("WC_1", 5.0), ("EF_1", 150.0), 10.0);
     setup.light = Box::new(|_| Some(SIDE_GREEN));
-    setup.told = Some(|_| ToldLight { stop: None });
+    setup.told = Some(|_| light(None));
     let report = setup.run();
     assert!(report.red_runs == 1 && report.seconds < 50.0, "nobody told it of the red light: {report:?}");
 }
