@@ -361,7 +361,6 @@ fn config(args: &Args) -> anyhow::Result<TrainConfig> {
         config.env.detector.clone_from(detector);
     }
     config.env.told_expert = wad_cosim::perception::sees_the_road(&config.env.detector);
-    config.env.told_lead = true;
     with_settings(config, &args.set)
 }
 
