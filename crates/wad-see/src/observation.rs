@@ -65,6 +65,13 @@ pub struct LeadState {
     pub closing_speed: f64,
 }
 
+impl LeadState {
+    /// Its speed (m/s) where the ego drives at `ego` m/s; who comes towards the ego counts as standing.
+    pub fn speed(&self, ego: f64) -> f64 {
+        (ego - self.closing_speed).max(0.0)
+    }
+}
+
 /// Speeds (m/s), distances (m) and angles (rad) that become 1.
 pub(crate) const SPEED: f64 = 15.0;
 const LATERAL: f64 = 1.75;

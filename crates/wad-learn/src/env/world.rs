@@ -14,7 +14,6 @@ use sumo_network::network::{EdgeKind, LaneId, Route, TrafficLightId};
 use sumo_network::seeds;
 use wad_see::eyes::{Eyes, LookTimes};
 use wad_see::latent::Encoder;
-use wad_see::observation::LeadState;
 use wad_sim::assets::Assets;
 use wad_sim::autopilot::{AutopilotParams, Leader, Told, ToldLight};
 use wad_sim::bridge::{BridgeError, BridgeOptions, Ego};
@@ -423,13 +422,10 @@ impl World {
         let running = self.slots[index].is_running();
         let (true, Some(sumo)) = (running, &mut self.sumo) else { return Err(EnvError::NoEpisode) };
         let raw = self.slots[index].eyes().raw();
-        let seat = sumo.session.bridge_and_seat(index).1;
-        let speed = seat.ego().on_route().state.speed;
-        let follows =
-            |lead: LeadState| Leader { gap_m: lead.gap, speed_mps: (speed - lead.closing_speed).max(0.0) };
-        seat.tell(Told {
+        let lead = raw.lead.filter(|_| self.options.told_lead);
+        sumo.session.bridge_and_seat(index).1.tell(Told {
             light: self.options.told_expert.then_some(ToldLight { stop: raw.stop_light }),
-            lead: raw.lead.filter(|_| self.options.told_lead).map(follows),
+            lead: lead.map(|lead| Leader { gap_m: lead.gap, speed_mps: lead.speed(raw.speed) }),
         });
         Ok(sumo.session.plan(index).control)
     }

@@ -196,7 +196,7 @@ pub fn wanted(p: &RewardParams, facts: &Facts) -> Wanted {
     let mut speed = facts.speed_limit.min(facts.curve_speed);
     let mut stop = false;
     if let Some(lead) = facts.lead {
-        let other = (facts.speed - lead.closing_speed).max(0.0);
+        let other = lead.speed(facts.speed);
         let room = lead.gap - p.gap - p.headway * other;
         speed = speed.min((other * other + 2.0 * p.braking * room).max(0.0).sqrt());
         stop |= other < p.standing_other && lead.gap <= p.stop_zone;

@@ -200,6 +200,12 @@ impl Situation<'_> {
     fn reach(&self) -> f64 {
         15.0 + 4.0 * self.speed + 0.25 * self.speed * self.speed
     }
+
+    /// Acceleration (m/s2) behind somebody `gap` (m) ahead at `other` m/s, once the pedals act.
+    fn behind(&self, gap: f64, other: f64, params: &AutopilotParams) -> f64 {
+        let then = gap - (self.speed - other) * self.latency;
+        follow(self.speed, then, other, self.profile.target.max(1.0), params)
+    }
 }
 
 impl Autopilot {
@@ -363,7 +369,7 @@ impl Autopilot {
 
     fn follow_leaders(&self, now: &Situation<'_>, choice: &mut Choice) -> Option<Leader> {
         let params = &self.params;
-        let &Situation { front_s, speed, latency, profile, .. } = now;
+        let &Situation { front_s, speed, profile, .. } = now;
         let mut leader: Option<Leader> = None;
         for obstacle in now.obstacles {
             let gap = obstacle.near_s - front_s;
@@ -375,8 +381,7 @@ impl Autopilot {
                 }
             }
             let other = if passes { obstacle.speed.clamp(0.0, 0.5) } else { obstacle.speed };
-            let then = gap - (speed - other) * latency;
-            let mut a = follow(speed, then, other, profile.target.max(1.0), params);
+            let mut a = now.behind(gap, other, params);
             if obstacle.predicted {
                 // It is not there yet: open the gap without a shock unless it is tight.
                 a = a.max(if gap < 0.3 * speed { -4.0 } else { -2.5 });
@@ -387,8 +392,7 @@ impl Autopilot {
             }
         }
         if let Some(Leader { gap_m, speed_mps }) = self.told.lead {
-            let then = gap_m - (speed - speed_mps) * latency;
-            let a = follow(speed, then, speed_mps, profile.target.max(1.0), params);
+            let a = now.behind(gap_m, speed_mps, params);
             choice.offer(a, Reason::Leader { gap: gap_m, speed: speed_mps });
         }
         leader
@@ -497,8 +501,7 @@ impl Autopilot {
         let mut waits = false;
         let outcome = right_of_way::judge(network, plan, world, by_lane, &motion, &params);
         for merging in &outcome.merging {
-            let gap = merging.gap - (speed - merging.speed) * now.latency;
-            let a = follow(speed, gap, merging.speed, now.profile.target.max(1.0), &params).max(-4.0);
+            let a = now.behind(merging.gap, merging.speed, &params).max(-4.0);
             choice.offer(a, Reason::Merge { gap: merging.gap, speed: merging.speed });
             waits |= merging.speed < 0.3 && front_s > plan.stop_s;
         }
