@@ -281,11 +281,11 @@ fn is_same(seen: f64, expected: f64) -> bool {
 }
 
 /// Whether a light whose line is seen `distance` m ahead can be the ego's: there its route enters a junction. What is seen
-/// inside one, of other lanes and of those who walk, is not.
+/// inside one, of other lanes and of those who walk, is not, nor is one whose line the ego's front has passed, however far ahead
+/// that line seemed to be.
 pub fn can_be(facts: &EgoFacts<'_>, distance: f64) -> bool {
     let ahead = |line_s: f64| line_s - facts.on_route.front_s;
-    let mut entries =
-        facts.route.links.iter().map(|link| ahead(link.stop_s)).filter(|entry| *entry > -PASSED);
+    let mut entries = facts.route.links.iter().map(|link| ahead(link.stop_s)).filter(|entry| *entry >= 0.0);
     entries.any(|entry| is_same(distance, entry))
 }
 
@@ -508,7 +508,8 @@ mod tests {
         };
         assert!(is_light(20.0, 20.0) && is_light(20.0, 14.0), "a network's error");
         assert!(!is_light(20.0, 9.0) && !is_light(20.0, 40.0));
-        assert!(is_light(-1.0, 1.0), "who stands on the line");
+        assert!(is_light(0.1, 1.0), "who stands at the line");
+        assert!(!is_light(-0.1, 1.0), "its front has passed the line, though that seems to be ahead");
         assert!(!is_light(-4.0, 2.0) && !is_light(-4.0, 10.0), "inside the junction");
         // One that was believed is forgotten there.
         let seen = Some(SeenLight { state: SignalState::Red, distance: 10.0, certainty: 0.9 });
