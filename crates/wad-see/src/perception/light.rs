@@ -284,9 +284,8 @@ fn is_same(seen: f64, expected: f64) -> bool {
 /// inside one, of other lanes and of those who walk, is not, nor is one whose line the ego's front has passed, however far ahead
 /// that line seemed to be.
 pub fn can_be(facts: &EgoFacts<'_>, distance: f64) -> bool {
-    let ahead = |line_s: f64| line_s - facts.on_route.front_s;
-    let mut entries = facts.route.links.iter().map(|link| ahead(link.stop_s)).filter(|entry| *entry >= 0.0);
-    entries.any(|entry| is_same(distance, entry))
+    let mut entries = facts.route.links.iter().map(|link| link.stop_s - facts.on_route.front_s);
+    entries.any(|entry| entry >= 0.0 && is_same(distance, entry))
 }
 
 #[cfg(test)]
