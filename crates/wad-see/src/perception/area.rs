@@ -61,6 +61,20 @@ impl DrivableArea {
         })
     }
 
+    /// The share of road in the middle of a box (left, top, right, bottom, pixels) below the horizon: three fifths of its breadth,
+    /// cells whose middle lies there. 0 where there are none.
+    pub fn share_within(&self, [left, top, right, bottom]: [f32; 4]) -> f32 {
+        let middle = |cell: usize| (cell as f32 + 0.5) * CELL as f32;
+        let side = 0.2 * (right - left);
+        let columns = (0..COLUMNS).filter(|&column| (left + side..right - side).contains(&middle(column)));
+        let columns = columns.fold(0_u64, |bits, column| bits | 1 << column);
+        let within = |row: &usize| (top..bottom).contains(&(HORIZON as f32 + middle(*row)));
+        let (road, all) = (0..ROWS).filter(within).fold((0, 0), |(road, all), row| {
+            (road + (self.0[row] & columns).count_ones(), all + columns.count_ones())
+        });
+        if all > 0 { road as f32 / all as f32 } else { 0.0 }
+    }
+
     /// Of the cells that are road in either, how many are in both.
     pub fn overlap(&self, other: &Self) -> (usize, usize) {
         let count = |join: fn(u64, u64) -> u64| {
@@ -79,6 +93,28 @@ impl DrivableArea {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_box_is_looked_at_in_its_middle_below_the_horizon() {
+        // Road right of column 32 and below row 10.
+        let area = DrivableArea::new(|row, column| row >= 10 && column >= 32);
+        let [horizon, cell] = [HORIZON as f32, CELL as f32];
+        let share = |columns: [f32; 2], rows: [f32; 2]| {
+            area.share_within([
+                columns[0] * cell,
+                horizon + rows[0] * cell,
+                columns[1] * cell,
+                horizon + rows[1] * cell,
+            ])
+        };
+        assert_eq!(share([40.0, 50.0], [12.0, 18.0]), 1.0);
+        assert_eq!(share([40.0, 50.0], [2.0, 18.0]), 0.5);
+        assert_eq!(share([27.0, 37.0], [12.0, 18.0]), 0.5);
+        // Its outer fifths do not count, nor what is above the horizon.
+        assert_eq!(share([30.0, 40.0], [12.0, 18.0]), 1.0);
+        assert_eq!(share([40.0, 50.0], [-20.0, 20.0]), 0.5);
+        assert_eq!(share([40.0, 50.0], [-20.0, -10.0]), 0.0);
+    }
 
     #[test]
     fn a_cell_is_road_if_half_of_its_pixels_are() {

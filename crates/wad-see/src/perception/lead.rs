@@ -10,6 +10,8 @@ use wad_camera::model::ObjectClass;
 
 /// Half the breadth of the way that must be free (m): the ego's half and a hand's breadth.
 pub const HALF_WAY: f64 = 1.2;
+/// The same for people, who stand on kerbs as near to the path as that and wait: their boxes reach farther than their bodies.
+const HALF_WAY_PAST_PEOPLE: f64 = 1.0;
 /// Places further than this from the route (m) are beside another part of it.
 const BEND: f64 = 4.5;
 /// Ticks without a detection until the vehicle in front is dropped.
@@ -80,7 +82,8 @@ fn locate(
     let on_left = a.d.abs() > b.d.abs();
     let (outer, inner_column) = if on_left { (a.d, right) } else { (b.d, left) };
     let inner = outer - f64::from(2.0 * half).copysign(outer);
-    let reaches = |d: f64| d.signum() != outer.signum() || d.abs() < HALF_WAY;
+    let half_way = if class == ObjectClass::Person { HALF_WAY_PAST_PEOPLE } else { HALF_WAY };
+    let reaches = |d: f64| d.signum() != outer.signum() || d.abs() < half_way;
     // One that pulls out shows more than its breadth too. The box's side towards the path is seen on a ray: if that is
     // in the path as far as the flank can reach, so is the vehicle.
     let pulls_out = || {
@@ -96,7 +99,7 @@ fn locate(
     let [left_is_cut, right_is_cut, _] = ground.cuts(detection.bounds);
     let is_cut = if on_left { left_is_cut } else { right_is_cut };
     let spans = a.d.signum() != b.d.signum() && (a.d - b.d).abs() < 2.0 * BEND;
-    let within = spans || !is_cut && (reaches(inner) || middle.d.abs() < HALF_WAY) || pulls_out();
+    let within = spans || !is_cut && (reaches(inner) || middle.d.abs() < half_way) || pulls_out();
     let gap = (middle.s - facts.on_route.front_s - f64::from(behind)).max(0.0);
     let ahead = f64::from(near - behind);
     (within && gap <= SIGHT).then_some(Candidate { detection: index, class, gap, ahead })
@@ -269,6 +272,15 @@ mod tests {
         assert!(gap(&[seen(ObjectClass::Car, 25.0, 0.0, 1.8, 1.5)], 60.0, 0.0, 0.2).is_none());
         // And on the path, though to the right of the picture's middle.
         assert!(gap(&[seen(ObjectClass::Car, 25.0, -5.0, 1.8, 1.5)], 60.0, 0.0, 0.2).is_some());
+        // People may stand nearer than cars.
+        for (class, within) in [(ObjectClass::Person, false), (ObjectClass::Bicycle, true)] {
+            assert_eq!(
+                gap(&[seen(class, 6.0, 1.35, 0.5, 1.7)], 60.0, 0.0, 0.0).is_some(),
+                within,
+                "{class:?}"
+            );
+            assert!(gap(&[seen(class, 6.0, 1.15, 0.5, 1.7)], 60.0, 0.0, 0.0).is_some(), "{class:?}");
+        }
         // Half of it in the way.
         assert!(gap(&[seen(ObjectClass::Car, 15.0, 1.8, 1.8, 1.5)], 60.0, 0.0, 0.0).is_some());
     }
