@@ -66,13 +66,12 @@ impl DrivableArea {
     pub fn share_within(&self, [left, top, right, bottom]: [f32; 4]) -> f32 {
         let middle = |cell: usize| (cell as f32 + 0.5) * CELL as f32;
         let side = 0.2 * (right - left);
-        let columns = (0..COLUMNS).filter(|&column| (left + side..right - side).contains(&middle(column)));
-        let columns = columns.fold(0_u64, |bits, column| bits | 1 << column);
-        let within = |row: &usize| (top..bottom).contains(&(HORIZON as f32 + middle(*row)));
-        let (road, all) = (0..ROWS).filter(within).fold((0, 0), |(road, all), row| {
-            (road + (self.0[row] & columns).count_ones(), all + columns.count_ones())
+        let within = Self::new(|row, column| {
+            (top..bottom).contains(&(HORIZON as f32 + middle(row)))
+                && (left + side..right - side).contains(&middle(column))
         });
-        if all > 0 { road as f32 / all as f32 } else { 0.0 }
+        let ((road, _), (all, _)) = (self.overlap(&within), within.overlap(&within));
+        road as f32 / all.max(1) as f32
     }
 
     /// Of the cells that are road in either, how many are in both.

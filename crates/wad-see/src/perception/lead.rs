@@ -272,7 +272,7 @@ mod tests {
         assert!(gap(&[seen(ObjectClass::Car, 25.0, 0.0, 1.8, 1.5)], 60.0, 0.0, 0.2).is_none());
         // And on the path, though to the right of the picture's middle.
         assert!(gap(&[seen(ObjectClass::Car, 25.0, -5.0, 1.8, 1.5)], 60.0, 0.0, 0.2).is_some());
-        // People may stand nearer than cars.
+        // People may stand nearer than others.
         for (class, within) in [(ObjectClass::Person, false), (ObjectClass::Bicycle, true)] {
             assert_eq!(
                 gap(&[seen(class, 6.0, 1.35, 0.5, 1.7)], 60.0, 0.0, 0.0).is_some(),

@@ -124,7 +124,7 @@ impl View {
                 truths.push(Truth { label: PERSON, ignored: true, ..one });
             }
         }
-        let counts = |d: &&Detection| d.score >= least.of(d.bounds[3] - d.bounds[1]);
+        let counts = |d: &&Detection| least.keeps(d, None);
         let found = self.found.iter().filter(counts);
         Scored { truths, found: found.map(|d| Found { label: group(d.class), detection: *d }).collect() }
     }

@@ -7,7 +7,6 @@ use super::kind::{self, Backbone, CLASSES, Part, STRIDE, Sees};
 use super::network::CenterNet;
 use super::reader::{self, SignReader};
 use crate::inference::{self, InferenceError};
-use crate::perception::area::DrivableArea;
 use crate::perception::coco::join_guesses;
 use crate::perception::heads::{self, Head, Tensor as Output};
 use crate::perception::{Detection, Detector, GroundPlane, LeastScore, PerceptionError, Seen, SeenSign};
@@ -234,29 +233,16 @@ impl CenterNetDetector {
         let mut found = heads::decode(&head, &tensors, width, decode::logit(least));
         found.iter_mut().for_each(|d| d.score = decode::sigmoid(d.score));
         join_guesses(&mut found, ONE_VEHICLE);
-        found.retain(|d| d.score >= self.least.of(d.size()[1]));
         for detection in &mut found {
             let [l, t, r, b] = detection.bounds;
             detection.bounds = [l, t + first as f32, r, b + first as f32];
         }
-        if let (Some(seen), LeastScore::Usual) = (&self.seen, self.least) {
-            found.retain(|detection| !is_free_road(detection, &seen.area));
-        }
+        let area = self.seen.as_ref().map(|seen| &seen.area);
+        found.retain(|detection| self.least.keeps(detection, area));
         heads::clip(&mut found, [width as f32, height as f32]);
         Ok(found)
     }
 }
-
-/// Whether something large, of which the network is not sure, stands where the same network sees free road: then it is not there.
-/// An ego that stands for it would see the same picture until its time is up (docs/detector.md, "What stands on free road").
-fn is_free_road(detection: &Detection, area: &DrivableArea) -> bool {
-    detection.size()[1] >= LARGE && detection.score < SURE && area.share_within(detection.bounds) > MOST_ROAD
-}
-
-/// Large (pixels), sure, and how much of what stands on the road is taken to be road at most.
-const LARGE: f32 = 100.0;
-const SURE: f32 = 0.5;
-const MOST_ROAD: f32 = 0.5;
 
 /// A class adds to the certainty of a vehicle from this score on, and to which: boxes that overlap by more are one (IoU).
 const LEAST_SHARE: f32 = 0.05;
@@ -407,19 +393,7 @@ impl Watcher {
 
 #[cfg(test)]
 mod tests {
-    use super::{Detection, DrivableArea, is_free_road, range};
-
-    #[test]
-    fn who_is_unsure_and_large_on_free_road_is_not_there() {
-        use wad_camera::model::ObjectClass;
-        let road = DrivableArea::new(|_, _| true);
-        let someone =
-            |score, top| Detection { class: ObjectClass::Person, bounds: [320.0, top, 380.0, 420.0], score };
-        assert!(is_free_road(&someone(0.43, 270.0), &road));
-        assert!(!is_free_road(&someone(0.5, 270.0), &road), "sure");
-        assert!(!is_free_road(&someone(0.43, 330.0), &road), "small");
-        assert!(!is_free_road(&someone(0.43, 270.0), &DrivableArea::default()), "something stands there");
-    }
+    use super::range;
 
     #[test]
     fn what_few_pictures_show_is_within_the_range() {
