@@ -55,6 +55,23 @@ fn checkpoints(out: &Path) -> usize {
 }
 
 #[test]
+fn the_latent_is_small_beside_the_raw_states_unless_a_size_is_given() {
+    let dir = tempfile::tempdir().unwrap();
+    let cases: [(&str, &[&str], f64); 3] = [
+        ("both", &[], 0.02),
+        ("latent", &["--inputs", "latent"], 1.0),
+        ("given", &["--inputs", "latent", "--latent-gain", "0.3"], 0.3),
+    ];
+    for (name, args, gain) in cases {
+        let out = dir.path().join(name);
+        let output = train(&out, &["--algo", "td3", "--steps", "0"]).args(args).args(SMALL).output().unwrap();
+        assert!(output.status.success(), "{name}: {}", stderr(&output));
+        let config: Value = serde_json::from_slice(&std::fs::read(out.join("config.json")).unwrap()).unwrap();
+        assert_eq!(config["latent_gain"], gain, "{name}");
+    }
+}
+
+#[test]
 fn wad_t_trains_stops_on_ctrl_c_goes_on_and_drives() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("wad_t");

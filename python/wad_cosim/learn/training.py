@@ -72,7 +72,7 @@ class Settings:
     #: Transitions that are kept.
     buffer: int = 200_000
     #: Deviation to which the latent is scaled.
-    latent_gain: float = 0.1
+    latent_gain: float = 0.02
     #: Steps between checkpoints.
     checkpoint_every: int = 10_000
 

@@ -156,9 +156,9 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=200))]
     egos: u32,
     /// Standard deviation to which the latent is scaled: with 1 its 200 numbers drown the raw states at first,
-    /// and the actor is stuck at full lock.
-    #[arg(long, value_name = "X", default_value_t = 0.1)]
-    latent_gain: f64,
+    /// and the actor is stuck at full lock [default: 0.02; with `--inputs latent` 1].
+    #[arg(long, value_name = "X")]
+    latent_gain: Option<f64>,
     /// Share of the images changed to other days: other light, tints, haze, wet roads, rain; never in
     /// validation.
     #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
@@ -335,7 +335,6 @@ fn config(args: &Args) -> anyhow::Result<TrainConfig> {
     let hash = find_encoder(&encoder).map_err(|e| Exit::Input.because(e))?.hash().to_string();
     let mut config = TrainConfig::new(algorithm, curriculum, &encoder, &hash);
     config.seed = args.seed;
-    config.latent_gain = args.latent_gain;
     config.egos = args.egos;
     config.other_days = args.other_days;
     config.latent_mixing = args.latent_mixing;
@@ -357,6 +356,7 @@ fn config(args: &Args) -> anyhow::Result<TrainConfig> {
         *noise *= args.noise;
     }
     args.inputs.choose(&mut config);
+    config.latent_gain = args.latent_gain.unwrap_or(config.latent_gain);
     if let Some(detector) = &args.detector {
         config.env.detector.clone_from(detector);
     }

@@ -114,7 +114,7 @@ impl TrainConfig {
             algorithm,
             inputs: Inputs::Both,
             egos: 1,
-            latent_gain: 0.1,
+            latent_gain: Inputs::Both.latent_gain(),
             other_days: 0.0,
             latent_mixing: 0.0,
             seed: 0,
@@ -147,9 +147,11 @@ impl TrainConfig {
         self.inputs.dims()
     }
 
-    /// Drops a part of the observation, in the networks and in the environment.
+    /// Drops a part of the observation, in the networks and in the environment; the latent's scale is then
+    /// [`Inputs::latent_gain`].
     pub fn set_inputs(&mut self, inputs: Inputs) {
         self.inputs = inputs;
+        self.latent_gain = inputs.latent_gain();
         self.env.observation = inputs.observation();
     }
 
