@@ -156,7 +156,7 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=200))]
     egos: u32,
     /// Standard deviation to which the latent is scaled: with 1 its 200 numbers drown the raw states at first,
-    /// and the actor is stuck at full lock [default: 0.02; with `--inputs latent` 1].
+    /// and the actor is stuck at full lock [default: 0.02; with --inputs latent: 1].
     #[arg(long, value_name = "X")]
     latent_gain: Option<f64>,
     /// Share of the images changed to other days: other light, tints, haze, wet roads, rain; never in
