@@ -196,7 +196,7 @@ fn play(args: &Args, kept: &Kept, recording: &Recording) -> anyhow::Result<(Vec<
     let whole = !stop.load(Ordering::Relaxed);
     if astray > 0 {
         super::note(format_args!(
-            "{astray} of {shown} states are not looked at: the ego is on another route than at the start, which is not recorded"
+            "{astray} of {shown} states are not looked at: the ego is on another route than the recording tells (older builds did not write where a drive without an end goes on)"
         ));
     }
     if let Some(path) = &args.record {

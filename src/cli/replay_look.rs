@@ -12,7 +12,8 @@ use wad_cosim::observation::LeadState;
 use wad_cosim::perception::{self, EgoFacts, LightAhead, sight_score};
 use wad_cosim::replay::{Frame, Recording};
 
-/// Farther (m) from where its route has it, the ego drives another route.
+/// Farther (m) from where its route has it, the ego drives another route: recordings of older builds do not tell where one that
+/// has no end goes on.
 const ASTRAY: f64 = 1.0;
 
 /// What is seen, and what is there.
@@ -80,7 +81,7 @@ impl Looker {
     pub fn new(kept: &Kept, recording: &Recording, assets: &Assets, detector: &str) -> anyhow::Result<Self> {
         let detector = perception::detector(detector, perception::LeastScore::Usual)
             .map_err(|e| Exit::Input.because(e))?;
-        let route = kept.episode.placement.route(assets.network()).map_err(|e| Exit::Input.because(e))?;
+        let route = kept.route(recording, assets.network()).map_err(|e| Exit::Input.because(e))?;
         let camera = kept.options.camera;
         let eyes = Eyes::new(assets.town(), camera, detector).map_err(|e| Exit::Input.because(e))?;
         let mut eyes = eyes.with_outputs(Outputs { boxes: true, ..Outputs::RGB });
@@ -100,7 +101,7 @@ impl Looker {
         self.eyes.follow(&frame.world);
     }
 
-    /// Looks at the state that it was led to; None where the ego is on another route than at the start.
+    /// Looks at the state that it was led to; None where the ego is on another route than the recording tells.
     ///
     /// # Errors
     /// A stage of perception fails.

@@ -141,7 +141,7 @@ fn load(episodes: &Episodes, id: &str, towns: &mut BTreeMap<String, Arc<Assets>>
     let artist = view::artist(&assets, ego.length, &kept.options.detector, None, 0)?;
     Ok(Played {
         listed,
-        route: kept.episode.placement.route(network).ok(),
+        route: kept.route(&recording, network).ok(),
         network: Arc::clone(network),
         map: street_map(network, assets.polygons()),
         driver: kept.episode.case.agent.to_string(),

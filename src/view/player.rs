@@ -9,6 +9,7 @@ use super::server::{Listener, ViewError};
 use crate::autopilot::{Autopilot, AutopilotParams, EgoModel};
 use crate::camera::Preset;
 use crate::criteria::Event;
+use crate::eval::kept::centre_line;
 use crate::network::{Network, Route};
 use crate::replay::{Frame, Recording};
 use crate::telemetry::{LeaderRecord, LightRecord};
@@ -210,7 +211,9 @@ impl Player {
         self.state.dt = header.tick_ms / 1000.0;
         self.state.route_id += 1;
         let id = self.state.route_id;
-        let line: Vec<f64> = header.route.iter().flatten().map(|v| net::tenth(*v)).collect();
+        let whole = self.played.route.as_ref().map(|route| centre_line(route));
+        let line = whole.as_ref().unwrap_or(&header.route);
+        let line: Vec<f64> = line.iter().flatten().map(|v| net::tenth(*v)).collect();
         self.hub.set_route(id, json!({ "type": "route", "id": id, "line": line }).to_string());
         (self.at, self.state.paused, self.state.over, self.due) = (0, false, None, Instant::now());
         let number = self.hub.another_artist();

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
+use wad_cosim::eval::kept::Kept;
 
 /// A suite of short episodes, in a folder of its own.
 struct Small {
@@ -254,6 +255,22 @@ fn a_failure_is_replayed_to_the_bit_and_reported() {
 }
 
 #[test]
+fn a_drive_without_an_end_is_looked_at_beyond_its_first_destination() {
+    let small = Small::new(1800, 1);
+    let endless =
+        read(Path::new(&small.suite)).replace("\"tick_limit\"", "\"endless\": true, \"tick_limit\"");
+    std::fs::write(&small.suite, endless).unwrap();
+    ok(&mut small.eval("run", &["--keep", "all"]));
+    let folder = std::fs::read_dir(small.out("run/episodes")).unwrap().next().unwrap().unwrap().path();
+    let (_, recording) = Kept::open(&folder).unwrap();
+    let first = 5.0 * recording.header().route.len() as f64;
+    let end = recording.frames().last().unwrap().s;
+    assert!(end > first, "{end} m: a drive beyond the {first} m of its first route tells more");
+    let answer = ok(wad(&["replay", "--json", "--last", "0.4", "--detector", "truth"]).arg(&folder));
+    assert_eq!(json(&answer)["looks"].as_array().unwrap().len(), 2, "{}", stderr(&answer));
+}
+
+#[test]
 fn detectors_have_lines_of_their_own_and_a_pool_has_one() {
     let small = Small::new(30, 2);
     let agent = |name: &str, throttle: &str| {
@@ -313,7 +330,7 @@ fn detectors_have_lines_of_their_own_and_a_pool_has_one() {
 /// A SUMO that dies says nothing about the recording: before, the verdict was that the episode "ended earlier".
 #[test]
 fn a_sumo_that_dies_while_an_episode_is_verified_is_no_difference() {
-    let small = Small::new(1500, 1);
+    let small = Small::new(1800, 1);
     ok(&mut small.eval("run", &["--agent", "autopilot", "--keep", "all"]));
     let kept = std::fs::read_dir(small.out("run").join("episodes")).unwrap().next().unwrap().unwrap().path();
     let mut replay = wad(&["replay", "--verify"]);

@@ -100,6 +100,8 @@ pub struct Route {
     pub from: LanePosition,
     /// Where it ends on the net.
     pub to: LanePosition,
+    /// Where it was led to, one after the other: its first destination and those that it was lengthened to. The last is `to`.
+    pub destinations: Vec<LanePosition>,
     /// The vehicle class that it is for.
     pub class: VehicleClass,
     /// Where each of `edges` is entered (m).
@@ -196,7 +198,10 @@ impl Network {
             }
         }
         pieces.extend(more);
-        *route = Route::new(self, pieces, route.from, to, route.class)?;
+        let longer = Route::new(self, pieces, route.from, to, route.class)?;
+        let mut destinations = std::mem::take(&mut route.destinations);
+        destinations.push(to);
+        *route = Route { destinations, ..longer };
         Ok(())
     }
 
@@ -239,6 +244,7 @@ impl Route {
             centre_line: line,
             from,
             to,
+            destinations: vec![to],
             class,
             edge_starts: Vec::new(),
             samples,

@@ -4,9 +4,11 @@ use super::{Case, EpisodeRecord};
 use crate::env::{EnvOptions, Fleet};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
+use sumo_network::network::{Network, Route};
 use wad_sim::bridge::Ego;
 use wad_sim::criteria::Event;
 use wad_sim::replay::{self, Body, Header, Moment, Recorder, Recording, ReplayError};
+use wad_sim::tasks::TaskError;
 use wad_sim::telemetry::{WriteError, pretty_json, write_whole};
 use wad_vehicle::Control;
 
@@ -68,6 +70,18 @@ impl Kept {
         Ok(Packed { episode, states: recorder.bytes() })
     }
 
+    /// The ego's route to its end: the episode's, with what it was lengthened to while it was driven.
+    ///
+    /// # Errors
+    /// A place of it is not on this net.
+    pub fn route(&self, recording: &Recording, network: &Network) -> Result<Route, TaskError> {
+        let mut route = self.episode.placement.route(network)?;
+        for spot in recording.frames().iter().flat_map(|frame| &frame.onward) {
+            network.extend_route(&mut route, spot.on(network)?)?;
+        }
+        Ok(route)
+    }
+
     /// Reads the folder.
     ///
     /// # Errors
@@ -113,18 +127,21 @@ impl Packed {
 /// Metres between the points of a recorded route.
 const ROUTE_STEP: f64 = 5.0;
 
+/// A route's centre line, a point every few metres (m).
+pub fn centre_line(route: &Route) -> Vec<[f64; 2]> {
+    let points = (route.length() / ROUTE_STEP).ceil() as usize;
+    (0..=points)
+        .map(|i| route.at((i as f64 * ROUTE_STEP).min(route.length())).pose.xy())
+        .map(|p| [p.x, p.y].map(|x| (x * 100.0).round() / 100.0))
+        .collect()
+}
+
 /// The recording's header for an episode that has just begun.
 pub(super) fn header(fleet: &Fleet, ego: usize, case: &Case) -> Header {
     let (assets, options) = (fleet.assets(), fleet.options());
     let body = Body::of(&options.ego);
     let mut header = Header::new(&case.town, assets.name(), options.tick_ms, case.spec.weather, body);
-    if let Some(route) = fleet.ego(ego).map(|ego| ego.route()) {
-        let points = (route.length() / ROUTE_STEP).ceil() as usize;
-        header.route = (0..=points)
-            .map(|i| route.at((i as f64 * ROUTE_STEP).min(route.length())).pose.xy())
-            .map(|p| [p.x, p.y].map(|x| (x * 100.0).round() / 100.0))
-            .collect();
-    }
+    header.route = fleet.ego(ego).map(|ego| centre_line(ego.route())).unwrap_or_default();
     header.lights = assets.network().traffic_lights.iter().map(|light| light.id.clone()).collect();
     header
 }
@@ -139,5 +156,14 @@ pub(super) fn with_moment(
 ) {
     let Some(ego) = ego else { return };
     let at = ego.on_route();
-    then(&Moment { tick, control, ego: &at.state, s: at.s, d: at.d, world: ego.world(), events });
+    then(&Moment {
+        tick,
+        control,
+        ego: &at.state,
+        s: at.s,
+        d: at.d,
+        destinations: &ego.route().destinations,
+        world: ego.world(),
+        events,
+    });
 }

@@ -290,7 +290,8 @@ struct Run {
 impl Run {
     /// At its begin, recorded if it may be kept.
     fn begin(fleet: &Fleet, ego: usize, case: &Case, keeps: bool) -> Self {
-        let recorder = keeps.then(|| Recorder::new(&kept::header(fleet, ego, case)));
+        let recorder = keeps
+            .then(|| Recorder::new(&kept::header(fleet, ego, case), Arc::clone(fleet.assets().network())));
         let ego = fleet.ego(ego);
         let mut run = Self {
             recorder,

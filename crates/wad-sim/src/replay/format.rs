@@ -2,6 +2,7 @@
 
 use super::Frame;
 use crate::criteria::Event;
+use crate::tasks::Spot;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -86,6 +87,9 @@ pub struct Line {
     pub ego: EgoText,
     pub s: f64,
     pub d: f64,
+    /// What the route was lengthened to since the tick before.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub onward: Vec<Spot>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub types: Vec<TypeLine>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -190,6 +194,7 @@ impl Memory {
             ego: ego_state(&line.ego)?,
             s: line.s,
             d: line.d,
+            onward: line.onward,
             world: WorldState {
                 tick: line.tick,
                 time: line.time,

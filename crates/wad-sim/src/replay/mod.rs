@@ -23,6 +23,7 @@ pub use recorder::{Moment, Recorder, digest};
 
 use crate::bridge::TICK_MS;
 use crate::criteria::{EgoOnRoute, Event};
+use crate::tasks::Spot;
 use flate2::read::GzDecoder;
 use format::{FORMAT, Line, Memory};
 use std::fs::File;
@@ -74,6 +75,8 @@ pub struct Frame {
     pub s: f64,
     /// Its offset to the left of its route (m).
     pub d: f64,
+    /// Where its route was lengthened to since the tick before, in a drive without an end.
+    pub onward: Vec<Spot>,
     /// The road users in its sight, to the millimetre, without their lanes; and the lights in its sight.
     pub world: WorldState,
     /// What happened in the tick.
@@ -95,6 +98,7 @@ impl Frame {
             + size_of_val(world.vehicles.as_slice())
             + size_of_val(world.pedestrians.as_slice())
             + size_of_val(world.traffic_lights.as_slice())
+            + self.onward.iter().map(|spot| size_of_val(spot) + spot.lane.capacity()).sum::<usize>()
     }
 }
 
@@ -233,6 +237,7 @@ impl Body {
 mod tests {
     use super::*;
     use sumo_network::geometry::{Pose, Vector};
+    use sumo_network::network::testing;
     use wad_camera::Preset;
 
     fn ego(x: f64) -> EgoState {
@@ -277,7 +282,9 @@ mod tests {
     }
 
     fn recorded() -> Recorder {
-        let mut recorder = Recorder::new(&header());
+        let network = Arc::new(testing::net());
+        let destinations = ["ab_0", "bc_0", "ca_0"].map(|lane| testing::place(&network, lane, 9.0));
+        let mut recorder = Recorder::new(&header(), network);
         for tick in 0..3_u64 {
             let mut world = WorldState { tick, time: tick as f64 * 0.167, ..WorldState::default() };
             world.vehicles.push(other("car 1", 4, tick as f64));
@@ -295,6 +302,8 @@ mod tests {
                 ego: &ego,
                 s: 1.0,
                 d: 0.1,
+                // The route is lengthened in the third tick.
+                destinations: &destinations[..if tick < 2 { 1 } else { 3 }],
                 world: &world,
                 events: &events,
             });
@@ -321,6 +330,11 @@ mod tests {
         assert_eq!(recording.frames()[0].world.traffic_lights.get(1), Some(&None));
         assert_eq!(last.world.traffic_lights[1].as_deref(), Some("Gr"));
         assert_eq!(last.events, [Event::Sidewalk]);
+        let onward = |tick: usize| -> Vec<(&str, f64)> {
+            recording.frames()[tick].onward.iter().map(|spot| (&*spot.lane, spot.s)).collect()
+        };
+        assert_eq!((onward(0), onward(1)), (vec![], vec![]));
+        assert_eq!(onward(2), [("bc_0", 9.0), ("ca_0", 9.0)]);
     }
 
     #[test]
@@ -334,6 +348,7 @@ mod tests {
             ego: &ego,
             s: 0.0,
             d: 0.0,
+            destinations: &[],
             world: &world,
             events: &[],
         };

@@ -2,11 +2,13 @@
 
 use super::format::{ActorLine, Header, Line, NewLine, TypeLine, ego_numbers};
 use crate::criteria::Event;
+use crate::tasks::Spot;
 use flate2::Compression;
 use flate2::write::GzEncoder;
 use std::collections::HashSet;
 use std::io::Write;
 use std::sync::Arc;
+use sumo_network::network::{LanePosition, Network};
 use sumo_network::world::{Actor, WorldState};
 use wad_vehicle::{Control, EgoState};
 
@@ -23,6 +25,8 @@ pub struct Moment<'a> {
     pub s: f64,
     /// The ego's offset to the left of its route (m).
     pub d: f64,
+    /// Where the ego's route was led to, one after the other ([`sumo_network::network::Route::destinations`]).
+    pub destinations: &'a [LanePosition],
     /// The road users and lights in the ego's sight.
     pub world: &'a WorldState,
     /// What happened in the tick.
@@ -32,7 +36,10 @@ pub struct Moment<'a> {
 /// A recording under way.
 #[derive(Debug)]
 pub struct Recorder {
+    network: Arc<Network>,
     text: Vec<u8>,
+    /// How many destinations are known.
+    destinations: Option<usize>,
     types: HashSet<String>,
     /// Keys are given again when actors are forgotten: what counts is the pair.
     actors: HashSet<(u64, Arc<str>)>,
@@ -40,17 +47,23 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// Begins a recording.
-    pub fn new(header: &Header) -> Self {
-        let mut recorder =
-            Self { text: Vec::new(), types: HashSet::new(), actors: HashSet::new(), lights: Vec::new() };
+    /// Begins a recording on a net.
+    pub fn new(header: &Header, network: Arc<Network>) -> Self {
+        let mut recorder = Self {
+            network,
+            text: Vec::new(),
+            destinations: None,
+            types: HashSet::new(),
+            actors: HashSet::new(),
+            lights: Vec::new(),
+        };
         recorder.write(header);
         recorder
     }
 
     /// Adds a tick.
     pub fn add(&mut self, moment: &Moment<'_>) {
-        let Moment { tick, control, ego, s, d, world, events } = *moment;
+        let Moment { tick, control, ego, s, d, destinations, world, events } = *moment;
         let (mut types, mut new) = (Vec::new(), Vec::new());
         for actor in world.vehicles.iter().chain(&world.pedestrians) {
             if !self.actors.contains(&(actor.key, Arc::clone(&actor.id))) {
@@ -70,6 +83,9 @@ impl Recorder {
                 old.clone_from(now);
             }
         }
+        // Those of the start are the episode's own.
+        let known = self.destinations.replace(destinations.len()).unwrap_or(destinations.len());
+        let onward = destinations.iter().skip(known).map(|&at| Spot::at(&self.network, at)).collect();
         self.write(&Line {
             tick,
             time: world.time,
@@ -78,6 +94,7 @@ impl Recorder {
             ego: ego_numbers(ego).map(|x| x.to_string()),
             s: rounded(s, 1e3),
             d: rounded(d, 1e3),
+            onward,
             types,
             new,
             vehicles: world.vehicles.iter().map(line).collect(),
