@@ -16,12 +16,13 @@ pub fn maker(
     move |spec| Made::open(spec, None, &camera, limits)
 }
 
-/// The driver of a run in the town of `assets`, with camera and perception if it needs them.
+/// The driver of a run in the town of `assets`, with camera, perception and, if asked for, mirrors if it looks.
 pub fn pilot(
     assets: &Assets,
     spec: &DriverSpec,
     encoder: Option<&str>,
     detector: &str,
+    mirrors: bool,
 ) -> anyhow::Result<Pilot> {
     if let Some(pilot) = Pilot::blind(spec) {
         return Ok(pilot);
@@ -29,6 +30,7 @@ pub fn pilot(
     let camera = CameraConfig::default();
     let made = Made::open(spec, encoder, &camera, Limits::default()).map_err(|e| Exit::Input.because(e))?;
     let pilot = Pilot::of_agent(assets, made.agent, made.encoder, detector, camera);
+    let pilot = pilot.and_then(|pilot| if mirrors { pilot.with_mirrors() } else { Ok(pilot) });
     pilot.map_err(|e| Exit::Input.because(e))
 }
 

@@ -95,6 +95,7 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
         agent: "autopilot",
         encoder: None,
         detector: &args.detector,
+        mirrors: false,
         weather: Preset::ClearNoon,
         traffic: None,
         out: scratch.path(),

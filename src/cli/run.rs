@@ -104,6 +104,9 @@ pub struct Args {
     perception: bool,
     #[arg(long, help = format!("The detector: {}", perception::DETECTORS), default_value = perception::DEFAULT_DETECTOR, value_name = "NAME")]
     detector: String,
+    /// Cameras in place of the door mirrors look back before a change of lane; without them nobody sees who is beside the ego.
+    #[arg(long)]
+    mirrors: bool,
     /// Run no faster than real time.
     #[arg(long)]
     realtime: bool,
@@ -173,6 +176,7 @@ fn open_view(listener: Listener, args: &Args, drive: &Drive, out: &Path) -> anyh
         agent: &args.agent.to_string(),
         encoder: args.encoder.as_deref(),
         detector: &args.detector,
+        mirrors: args.mirrors,
         weather: args.weather.unwrap_or_default(),
         traffic: args.traffic.unwrap_or_default().counts(&drive.bridge().config().town()),
         out,
@@ -292,7 +296,8 @@ fn town(args: &Args, config: &Path) -> anyhow::Result<Arc<Assets>> {
 
 /// The drivers. The live view shows the same camera frames that they get.
 fn pilots(args: &Args, assets: &Assets) -> anyhow::Result<Vec<Pilot>> {
-    let mut first = agents::pilot(assets, &args.agent, args.encoder.as_deref(), &args.detector)?;
+    let mut first =
+        agents::pilot(assets, &args.agent, args.encoder.as_deref(), &args.detector, args.mirrors)?;
     if let Some(decoder) = decoder(args).filter(|_| first.driver.looks()) {
         first.eyes = first.eyes.with_decoder(decoder);
     }
@@ -301,7 +306,7 @@ fn pilots(args: &Args, assets: &Assets) -> anyhow::Result<Vec<Pilot>> {
         pilots.push(match &args.agent {
             // A person has one wheel.
             DriverSpec::Manual => Pilot::autopilot(),
-            spec => agents::pilot(assets, spec, args.encoder.as_deref(), &args.detector)?,
+            spec => agents::pilot(assets, spec, args.encoder.as_deref(), &args.detector, args.mirrors)?,
         });
     }
     Ok(pilots)

@@ -70,6 +70,7 @@ pub struct About<'a> {
     pub agent: &'a str,
     pub encoder: Option<&'a str>,
     pub detector: &'a str,
+    pub mirrors: bool,
     pub weather: Preset,
     pub traffic: Option<Counts>,
     pub out: &'a Path,
@@ -173,10 +174,10 @@ pub fn artist(
 
 fn maker(about: &About<'_>, assets: &Arc<Assets>) -> MakeDriver {
     let (assets, encoder) = (Arc::clone(assets), about.encoder.map(str::to_string));
-    let detector = about.detector.to_string();
+    let (detector, mirrors) = (about.detector.to_string(), about.mirrors);
     let make = move |name: &str| {
         let spec: DriverSpec = name.parse().map_err(|e: DriverError| e.to_string())?;
-        agents::pilot(&assets, &spec, encoder.as_deref(), &detector).map_err(|e| format!("{e:#}"))
+        agents::pilot(&assets, &spec, encoder.as_deref(), &detector, mirrors).map_err(|e| format!("{e:#}"))
     };
     Arc::new(make)
 }

@@ -21,6 +21,8 @@ mod fleet;
 mod fuzz;
 mod json;
 mod licences;
+#[cfg(feature = "vision")]
+mod mirrors;
 mod netedit;
 mod nets;
 mod network;

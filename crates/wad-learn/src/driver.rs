@@ -280,6 +280,9 @@ pub struct PilotRecord {
     /// The detector's name, of drivers that use one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub detector: Option<String>,
+    /// Whether it looks back before a change of lane.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub mirrors: bool,
     /// The camera's weather, of drivers that use one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub weather: Option<Preset>,
@@ -289,15 +292,20 @@ impl Pilot {
     /// A blind driver; None if the specification names an agent.
     pub fn blind(spec: &DriverSpec) -> Option<Self> {
         let driver = Driver::blind(spec)?;
-        let record =
-            PilotRecord { agent: spec.to_string(), encoder_hash: None, detector: None, weather: None };
+        let record = PilotRecord {
+            agent: spec.to_string(),
+            encoder_hash: None,
+            detector: None,
+            mirrors: false,
+            weather: None,
+        };
         Some(Self { driver, eyes: Eyes::blind(), record })
     }
 
     /// The expert.
     pub fn autopilot() -> Self {
         let agent = DriverSpec::Autopilot.to_string();
-        let record = PilotRecord { agent, encoder_hash: None, detector: None, weather: None };
+        let record = PilotRecord { agent, encoder_hash: None, detector: None, mirrors: false, weather: None };
         Self { driver: Driver::Autopilot, eyes: Eyes::blind(), record }
     }
 
@@ -322,6 +330,7 @@ impl Pilot {
             agent: agent.name().to_string(),
             encoder_hash: Some(encoder.hash().to_string()),
             detector: Some(detector.to_string()),
+            mirrors: false,
             weather: None,
         };
         // People who watch want to see the whole chain, also where the agent leaves a part of it out.
@@ -331,6 +340,15 @@ impl Pilot {
         };
         let eyes = Eyes::of_agent(assets, mode, detector, camera, encoder)?;
         Ok(Self { driver: Driver::Agent(agent), eyes, record })
+    }
+
+    /// Also looks back before a change of lane, by cameras in place of the door mirrors.
+    ///
+    /// # Errors
+    /// The cameras cannot be made.
+    pub fn with_mirrors(self) -> Result<Self, EyesError> {
+        let record = PilotRecord { mirrors: self.driver.looks(), ..self.record };
+        Ok(Self { eyes: self.eyes.with_mirrors()?, record, driver: self.driver })
     }
 
     /// Begins a drive in a weather: clears its memory. `seed` is the run's.

@@ -10,7 +10,7 @@ use crate::latent::{Decoder, Encoder, LatentError};
 use crate::observation::{LATENT_SIZE, Observation, ObservationMode, RAW_SIZE, RawState};
 use crate::perception::{
     self, Detector, EgoFacts, ImageKind, LightAhead, Percept, Perception, PerceptionError, StopLight,
-    TransformedImage, stages,
+    TransformedImage, mirrors, stages,
 };
 use crate::surroundings::Surroundings;
 use std::time::Instant;
@@ -90,6 +90,8 @@ struct Sight {
     town: Town,
     camera: Camera,
     perception: Option<Perception>,
+    /// Looks back where the route changes lanes.
+    mirror: Option<Camera>,
     /// The camera's outputs beside perception's.
     outputs: Outputs,
     weather: Weather,
@@ -124,6 +126,7 @@ impl Eyes {
             town,
             camera: Camera::new(config)?,
             perception: None,
+            mirror: None,
             outputs: Outputs::NONE,
             weather: Weather::from(weather),
         };
@@ -167,6 +170,18 @@ impl Eyes {
         let surroundings = (mode == ObservationMode::Vector).then(Surroundings::default);
         let latent = vec![0.0; mode.latent_size()];
         Ok(Self { mode, surroundings, latent, ..eyes }.with_encoder(encoder))
+    }
+
+    /// Also looks into [mirrors].
+    ///
+    /// # Errors
+    /// The camera's size or field of view is out of range.
+    pub fn with_mirrors(mut self) -> Result<Self, EyesError> {
+        if let Some(Sight { camera, perception: Some(perception), mirror, .. }) = &mut self.sight {
+            *mirror = Some(Camera::new(mirrors::camera(camera.config()))?);
+            perception.look_back();
+        }
+        Ok(self)
     }
 
     /// Also makes the latent.
@@ -270,8 +285,12 @@ impl Eyes {
             (now - std::mem::replace(&mut clock, now)).as_secs_f64()
         };
         sight.render(&facts.on_route.state.pose, self.mode);
+        let behind = sight.render_behind(facts);
         self.times.camera = lap();
         let Some(perception) = &mut sight.perception else { return Ok(()) };
+        if let (Some(pose), Some(mirror)) = (behind, &sight.mirror) {
+            perception.detect_behind(mirror.frame(), &pose, facts.tick)?;
+        }
         let frame = sight.camera.frame();
         perception.detect(frame)?;
         self.times.detect = lap();
@@ -419,5 +438,13 @@ impl Sight {
         let picture = if mode.encodes() { Outputs::RGB } else { Outputs::NONE };
         let outputs = self.outputs.with(needs).with(picture);
         self.camera.render(self.town.scene(), self.town.actors(), pose, &self.weather, outputs);
+    }
+
+    /// Renders what is in the mirror, if there is one to look into, and tells from where.
+    fn render_behind(&mut self, facts: &EgoFacts<'_>) -> Option<Pose> {
+        let (mirror, needs) = (self.mirror.as_mut()?, self.perception.as_ref()?.needs());
+        let pose = mirrors::pose(facts)?;
+        mirror.render(self.town.scene(), self.town.actors(), &pose, &self.weather, needs);
+        Some(pose)
     }
 }

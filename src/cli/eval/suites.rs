@@ -66,6 +66,9 @@ pub struct Args {
     routes: Option<PathBuf>,
     #[arg(long, help = format!("The detector: {}", wad_cosim::perception::DETECTORS), default_value = wad_cosim::perception::DEFAULT_DETECTOR, value_name = "NAME")]
     detector: String,
+    /// Cameras in place of the door mirrors look back before a change of lane; without them nobody sees who is beside the ego.
+    #[arg(long)]
+    mirrors: bool,
     /// SUMOs in parallel; each takes a core.
     #[arg(long, value_name = "N", default_value_t = 1)]
     jobs: usize,
@@ -149,6 +152,7 @@ pub fn run(suite: &str, args: Args) -> anyhow::Result<Exit> {
     let options = EnvOptions {
         termination: suite.termination,
         detector: args.detector.clone(),
+        mirrors: args.mirrors,
         ..EnvOptions::evaluation()
     };
     let limits = Limits::answer_within(args.agent_timeout).ok_or_else(|| {

@@ -5,6 +5,7 @@ use anyhow::Context;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use wad_cosim::driver::DriverSpec;
+use wad_cosim::env::EnvOptions;
 use wad_cosim::eval::Results;
 use wad_cosim::eval::report::{self, Page, Pool, Report, Table};
 
@@ -91,7 +92,7 @@ fn page_of_markdown(report: &Report, overview: &[Table], tables: &[Vec<Table>]) 
                 "- run `{name}`: wad-cosim {}, SUMO {}, detector {}{}\n",
                 manifest.build,
                 manifest.sumo,
-                manifest.options.detector,
+                manifest.options.sight_name(),
                 agents.join("")
             );
         }
@@ -104,18 +105,19 @@ fn page_of_markdown(report: &Report, overview: &[Table], tables: &[Vec<Table>]) 
 /// The paragraph that names the detectors of the runs.
 fn detectors(report: &Report) -> String {
     let manifests = || report.sections.iter().flat_map(|section| &section.runs).map(|(_, manifest)| manifest);
-    let names: BTreeSet<&str> = manifests().map(|manifest| manifest.options.detector.as_str()).collect();
-    let named = |name: &&str| match *name {
-        "truth" => "`--detector truth`, the renderer's own boxes".to_string(),
-        other => format!("`--detector {other}`"),
+    let named = |options: &EnvOptions| {
+        let mirrors = if options.mirrors { " --mirrors" } else { "" };
+        let what = if options.detector == "truth" { ", the renderer's own boxes" } else { "" };
+        format!("`--detector {}{mirrors}`{what}", options.detector)
     };
+    let names: BTreeSet<String> = manifests().map(|manifest| named(&manifest.options)).collect();
     let text = match names.first() {
         None => return String::new(),
         Some(name) if names.len() == 1 => {
-            format!("every figure of ours on this page was driven with {}.", named(name))
+            format!("every figure of ours on this page was driven with {name}.")
         }
         Some(_) => {
-            let all: Vec<String> = names.iter().map(named).collect();
+            let all: Vec<String> = names.into_iter().collect();
             format!(
                 "the runs of this page were driven with {}; tables with several name each agent's.",
                 all.join("; ")

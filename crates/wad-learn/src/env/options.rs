@@ -65,6 +65,10 @@ pub struct EnvOptions {
     /// The expert also follows whom the agent is told of as the vehicle in front, seen or foretold, though it may see that
     /// nobody is there. Default false.
     pub told_lead: bool,
+    /// Cameras in place of the door mirrors look back before a change of lane, and who is there counts as the vehicle in front.
+    /// Default false: the paper has a front camera alone.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub mirrors: bool,
     /// The front camera.
     pub camera: CameraConfig,
     /// Tick length (ms). Default 167, the paper's six a second.
@@ -106,6 +110,7 @@ impl Default for EnvOptions {
             detector: "truth".to_string(),
             told_expert: false,
             told_lead: false,
+            mirrors: false,
             camera: CameraConfig::default(),
             tick_ms: wad_sim::bridge::DEFAULT_TICK_MS,
             sight: 100.0,
@@ -123,6 +128,12 @@ impl Default for EnvOptions {
 }
 
 impl EnvOptions {
+    /// By what agents see: the detector's name, `and mirrors` where there are some.
+    pub fn sight_name(&self) -> String {
+        let mirrors = if self.mirrors { " and mirrors" } else { "" };
+        format!("{}{mirrors}", self.detector)
+    }
+
     /// For evaluation: fresh worlds, the spec's thresholds.
     pub fn evaluation() -> Self {
         Self::default()

@@ -74,7 +74,8 @@ impl World {
         let folder = Scratch::new().map_err(|source| EnvError::Folder { source })?;
         let eyes = encoders.into_iter().map(|encoder| {
             let (mode, detector) = (options.observation, &options.detector);
-            Ok(Slot::new(Eyes::of_agent(&assets, mode, detector, options.camera, encoder)?))
+            let eyes = Eyes::of_agent(&assets, mode, detector, options.camera, encoder)?;
+            Ok(Slot::new(if options.mirrors { eyes.with_mirrors()? } else { eyes }))
         });
         let slots = eyes.collect::<Result<_, EnvError>>()?;
         Ok(Self {

@@ -254,7 +254,7 @@ mod tests {
             let place = Point::new(place[0] + velocity[0] * t, place[1] + velocity[1] * t);
             let at = facts.on_route.state.pose.to_local(place);
             let detection = seen(class, at.x as f32, at.y as f32, 1.8, 1.6);
-            users.update(&[detection], &ground, &facts);
+            users.update(&[detection], &ground, &facts.on_route.state.pose, facts.tick);
             nearest(&users, &facts)
         };
         (0..12).map(tick).collect()

@@ -374,7 +374,7 @@ mod tests {
             let facts = road.facts(60.0 + f64::from(driven), 0.0, 0.0, 8.0);
             let y = if tick < 8 { 3.5 } else { 1.5 };
             let found = [seen(ObjectClass::Car, 30.0 - driven, y, 1.8, 1.5)];
-            users.update(&found, &ground, &facts);
+            users.update(&found, &ground, &facts.on_route.state.pose, facts.tick);
             let state = tracker.update(nearest(&found, &ground, &facts).as_ref(), &users, &ground, &facts);
             closing.push(state.map(|state| state.closing_speed));
         }

@@ -20,6 +20,7 @@ pub mod lead;
 mod least_score;
 mod light;
 pub mod metrics;
+pub mod mirrors;
 #[cfg(feature = "vision")]
 mod onnx;
 pub mod onnx_file;

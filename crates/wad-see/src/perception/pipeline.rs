@@ -4,6 +4,7 @@ use super::crossing;
 use super::facts::EgoFacts;
 use super::lead::{self, LeadTracker};
 use super::light::{self, LightAhead, SeenLights, StopLight};
+use super::mirrors::Mirrors;
 use super::paint::Painter;
 use super::road_users::RoadUsers;
 use super::sight_score::{LightCounts, LimitCounts};
@@ -12,6 +13,7 @@ use super::{
     PerceptionError, SeenLimit, SeenSign, TransformedImage,
 };
 use crate::observation::{LeadState, RawState};
+use sumo_network::geometry::Pose;
 use wad_camera::{CameraConfig, Frame, Outputs};
 
 /// What was perceived in a tick.
@@ -32,11 +34,13 @@ pub struct Percept {
     pub limit: Option<u32>,
     /// What is road; None where the detector does not see it.
     pub area: Option<DrivableArea>,
-    /// The road user in the ego's path. The nearer of it and `crossing` is the raw state's vehicle in
+    /// The road user in the ego's path. The nearest of it, `crossing` and `beside` is the raw state's vehicle in
     /// front.
     pub lead: Option<LeadState>,
     /// A vehicle that will be in the ego's path where the ego has to give way.
     pub crossing: Option<LeadState>,
+    /// Who keeps the ego from a change of lane, where it has to wait for that; None without [mirrors](super::mirrors).
+    pub beside: Option<LeadState>,
     /// The encoder's input.
     pub transformed: TransformedImage,
     /// The raw states, in units.
@@ -51,6 +55,7 @@ pub struct Perception {
     lanes: LaneDetector,
     lead: LeadTracker,
     road_users: RoadUsers,
+    mirrors: Option<Mirrors>,
     seen_lights: SeenLights,
     light_counts: LightCounts,
     seen_limit: SeenLimit,
@@ -70,6 +75,7 @@ impl Perception {
             lanes: LaneDetector::default(),
             lead: LeadTracker::default(),
             road_users: RoadUsers::default(),
+            mirrors: None,
             seen_lights: SeenLights::default(),
             light_counts: LightCounts::default(),
             seen_limit: SeenLimit::default(),
@@ -86,10 +92,16 @@ impl Perception {
                 area: None,
                 lead: None,
                 crossing: None,
+                beside: None,
                 transformed: TransformedImage::default(),
                 raw: RawState::STANDING,
             },
         }
+    }
+
+    /// Also looks back where the route changes lanes.
+    pub fn look_back(&mut self) {
+        self.mirrors = Some(Mirrors::new(&self.camera));
     }
 
     /// Makes this image for the encoder.
@@ -124,6 +136,9 @@ impl Perception {
         self.lanes.reset();
         self.lead.reset();
         self.road_users.reset();
+        if let Some(mirrors) = &mut self.mirrors {
+            mirrors.reset();
+        }
         self.seen_lights.reset();
         self.light_counts = LightCounts::default();
         self.seen_limit.reset();
@@ -155,6 +170,15 @@ impl Perception {
             return Err(PerceptionError::Size { expected, found, hint });
         }
         self.detector.detect(frame, &self.camera, &mut self.percept.detections)
+    }
+
+    /// Before the first stage, where there is a mirror to look into: who is in its `frame`, taken from `pose`.
+    ///
+    /// # Errors
+    /// The detector fails.
+    pub fn detect_behind(&mut self, frame: &Frame, pose: &Pose, tick: f64) -> Result<(), PerceptionError> {
+        let Some(mirrors) = &mut self.mirrors else { return Ok(()) };
+        mirrors.look(&mut *self.detector, frame, pose, tick)
     }
 
     /// Second stage: the lane boundaries.
@@ -192,13 +216,18 @@ impl Perception {
         };
         self.percept.light = light;
         self.percept.light_red = light.is_some_and(|light| light.is_red_here());
-        self.road_users.update(&self.percept.detections, &self.ground, facts);
+        let pose = &facts.on_route.state.pose;
+        self.road_users.update(&self.percept.detections, &self.ground, pose, facts.tick);
         let nearest = lead::nearest(&self.percept.detections, &self.ground, facts);
         let lead = self.lead.update(nearest.as_ref(), &self.road_users, &self.ground, facts);
         let crossing = crossing::nearest(&self.road_users, facts);
-        (self.percept.lead, self.percept.crossing) = (lead, crossing);
-        tracing::debug!("in front: {lead:?}, will cross: {crossing:?}, by {:?}", self.percept.detections);
-        let lead = lead.into_iter().chain(crossing).min_by(|a, b| a.gap.total_cmp(&b.gap));
+        let beside = self.mirrors.as_mut().and_then(|mirrors| mirrors.keeps_back(&self.road_users, facts));
+        (self.percept.lead, self.percept.crossing, self.percept.beside) = (lead, crossing, beside);
+        tracing::debug!(
+            "in front: {lead:?}, will cross: {crossing:?}, beside: {beside:?}, by {:?}",
+            self.percept.detections
+        );
+        let lead = lead.into_iter().chain(crossing).chain(beside).min_by(|a, b| a.gap.total_cmp(&b.gap));
         let speed = facts.on_route.state.speed;
         let early = if self.detector.seen().is_some() { light::STAND } else { 0.0 };
         let stop_light = self.stop_light.update(light.as_ref(), early, speed).filter(|d| *d <= lead::SIGHT);

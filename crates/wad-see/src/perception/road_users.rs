@@ -1,9 +1,9 @@
 //! Road users on the ground: place and velocity of each detected vehicle and person, by a Kalman filter over the ticks.
 //! Nothing here comes from SUMO.
 
-use super::{Detection, EgoFacts, GroundPlane};
+use super::{Detection, GroundPlane};
 use nalgebra::{Matrix2, Matrix4, Matrix4x2};
-use sumo_network::geometry::{Point, Vector, direction};
+use sumo_network::geometry::{Point, Pose, Vector, direction};
 use wad_camera::model::ObjectClass;
 
 /// Road users are followed within this distance (m): two who come towards each other at 15 m/s know of each other for 3 s.
@@ -122,14 +122,14 @@ impl RoadUsers {
         self.users.iter().find(|user| user.id == id)
     }
 
-    /// One tick later.
-    pub fn update(&mut self, detections: &[Detection], ground: &GroundPlane, facts: &EgoFacts<'_>) {
+    /// `tick` s later: `detections` in the picture of a camera over `ground`, whose vehicle is at `pose`.
+    pub fn update(&mut self, detections: &[Detection], ground: &GroundPlane, pose: &Pose, tick: f64) {
         for user in &mut self.users {
-            user.predict(facts.tick);
+            user.predict(tick);
         }
         let sightings = detections.iter().enumerate();
         let sightings: Vec<(usize, Sighting)> =
-            sightings.filter_map(|(index, one)| Some((index, sight(one, ground, facts)?))).collect();
+            sightings.filter_map(|(index, one)| Some((index, sight(one, ground, pose)?))).collect();
         let mut pairs = Vec::new();
         for (user, one) in self.users.iter_mut().enumerate() {
             one.missed += 1;
@@ -153,8 +153,7 @@ impl RoadUsers {
                 self.of[detection] = Some(user.id);
             }
         }
-        self.users
-            .retain(|user| user.missed <= COAST || user.missed <= ASIDE && user.is_aside(ground, facts));
+        self.users.retain(|user| user.missed <= COAST || user.missed <= ASIDE && user.is_aside(ground, pose));
         for (detection, sighting) in &sightings {
             if self.of[*detection].is_none() {
                 self.of[*detection] = Some(self.next);
@@ -166,7 +165,7 @@ impl RoadUsers {
 }
 
 /// Where a detection stands. If a side of the picture cuts it, its other end tells, less well; its lower edge has to be seen.
-fn sight(detection: &Detection, ground: &GroundPlane, facts: &EgoFacts<'_>) -> Option<Sighting> {
+fn sight(detection: &Detection, ground: &GroundPlane, pose: &Pose) -> Option<Sighting> {
     let kind = Kind::of(detection.class)?;
     let [left, _, right, bottom] = detection.bounds;
     let [x, middle] = ground.point([0.5 * (left + right), bottom])?;
@@ -183,7 +182,6 @@ fn sight(detection: &Detection, ground: &GroundPlane, facts: &EgoFacts<'_>) -> O
         [false, true, false] => (end(left)? - half as f32, either),
         _ => return None,
     };
-    let pose = &facts.on_route.state.pose;
     let place = pose.to_world(Point::new(f64::from(x), f64::from(y)).coords).coords;
     // Along the ray a row's height, across it little.
     let far = 0.3 + f64::from(ground.metres_per_row(x));
@@ -229,8 +227,8 @@ impl RoadUser {
     }
 
     /// Whether a part of it is beside the picture, where it moves on unseen.
-    fn is_aside(&self, ground: &GroundPlane, facts: &EgoFacts<'_>) -> bool {
-        let at = facts.on_route.state.pose.to_local(Point::from(self.place));
+    fn is_aside(&self, ground: &GroundPlane, pose: &Pose) -> bool {
+        let at = pose.to_local(Point::from(self.place));
         let [half, _] = self.kind.half();
         [half, -half].iter().any(|side| {
             let column = ground.pixel([at.x as f32, (at.y + side) as f32]).map(|[column, _]| column);
@@ -283,9 +281,14 @@ mod tests {
         let facts = road.facts(60.0, 0.0, 0.0, 0.0);
         let mut users = RoadUsers::default();
         let car = |x: f32, y: f32| seen(ObjectClass::Car, x, y, 1.8, 1.5);
-        users.update(&[car(42.0, -4.0), car(42.0, 3.0)], &ground, &facts);
+        users.update(&[car(42.0, -4.0), car(42.0, 3.0)], &ground, &facts.on_route.state.pose, facts.tick);
         for tick in 1..6 {
-            users.update(&[car(42.0 - 1.5 * tick as f32, 3.0)], &ground, &facts);
+            users.update(
+                &[car(42.0 - 1.5 * tick as f32, 3.0)],
+                &ground,
+                &facts.on_route.state.pose,
+                facts.tick,
+            );
         }
         let [user] = users.users[..] else { panic!("{:?}", users.users) };
         assert!(user.velocity.x < -3.0 && user.velocity.y.abs() < 0.5, "{user:?}");
@@ -297,7 +300,13 @@ mod tests {
         let (road, ground) = (Road::new("GGG"), GroundPlane::new(&CameraConfig::default()));
         let facts = road.facts(60.0, 0.0, 0.0, 0.0);
         let [right, bottom] = ground.pixel([12.0, 8.0]).unwrap();
-        let cut = |bounds| sight(&Detection { class: ObjectClass::Car, bounds, score: 0.9 }, &ground, &facts);
+        let cut = |bounds| {
+            sight(
+                &Detection { class: ObjectClass::Car, bounds, score: 0.9 },
+                &ground,
+                &facts.on_route.state.pose,
+            )
+        };
         let y = |found: Option<Sighting>| {
             found.map(|found| facts.on_route.state.pose.to_local(Point::from(found.place)).y)
         };
@@ -305,10 +314,10 @@ mod tests {
         assert!(cut([0.0, 200.0, right, 512.0]).is_none(), "its wheels are below the picture");
         let ticks = |detection: Detection| {
             let mut users = RoadUsers::default();
-            users.update(&[detection], &ground, &facts);
+            users.update(&[detection], &ground, &facts.on_route.state.pose, facts.tick);
             (0..30)
                 .take_while(|_| {
-                    users.update(&[], &ground, &facts);
+                    users.update(&[], &ground, &facts.on_route.state.pose, facts.tick);
                     users.iter().next().is_some()
                 })
                 .count()
@@ -328,7 +337,8 @@ mod tests {
                 users.update(
                     &[seen(class, 20.0, -6.0 + speed * tick as f32 * 0.167, 0.6, 1.7)],
                     &ground,
-                    &facts,
+                    &facts.on_route.state.pose,
+                    facts.tick,
                 );
                 let [user] = users.users[..] else { panic!("{:?}", users.users) };
                 (user.id, user.kind)
@@ -346,7 +356,12 @@ mod tests {
         let mut users = RoadUsers::default();
         let (road, ground) = (Road::new("GGG"), GroundPlane::new(&CameraConfig::default()));
         let facts = road.facts(60.0, 0.0, 0.0, 8.0);
-        users.update(&[seen(ObjectClass::Car, 20.0, 0.0, 1.8, 1.5)], &ground, &facts);
+        users.update(
+            &[seen(ObjectClass::Car, 20.0, 0.0, 1.8, 1.5)],
+            &ground,
+            &facts.on_route.state.pose,
+            facts.tick,
+        );
         assert_eq!(users.iter().count(), 1);
         users.reset();
         assert!(users.iter().next().is_none());

@@ -138,7 +138,7 @@ impl Report {
                     return Err(ReportError::Mixed { first, second, differences });
                 }
             }
-            let detector = run.manifest.options.detector.clone();
+            let detector = run.manifest.options.sight_name();
             section.runs.push((run.path.clone(), run.manifest));
             section.episodes.extend(run.episodes.into_iter().map(|record| Entry {
                 run: run.path.clone(),
@@ -159,10 +159,10 @@ impl Report {
     }
 }
 
-/// The settings that must be equal in gathered runs: all but the selection and the detector.
+/// The settings that must be equal in gathered runs: all but the selection and by what agents see.
 fn comparable(manifest: &Manifest) -> Manifest {
     Manifest {
-        options: EnvOptions { detector: String::new(), ..manifest.options.clone() },
+        options: EnvOptions { detector: String::new(), mirrors: false, ..manifest.options.clone() },
         detector: None,
         selection: Default::default(),
         agents: Default::default(),

@@ -109,7 +109,7 @@ fn provenance(section: &Section) -> String {
             escape(&path.display().to_string()),
             escape(&manifest.build),
             escape(&manifest.sumo),
-            escape(&manifest.options.detector),
+            escape(&manifest.options.sight_name()),
             manifest.options.tick_ms,
             if agents.is_empty() { "" } else { "; " },
             escape(&agents.join("; "))
