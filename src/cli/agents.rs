@@ -30,8 +30,7 @@ pub fn pilot(
     let camera = CameraConfig::default();
     let made = Made::open(spec, encoder, &camera, Limits::default()).map_err(|e| Exit::Input.because(e))?;
     let pilot = Pilot::of_agent(assets, made.agent, made.encoder, detector, camera);
-    let pilot = pilot.and_then(|pilot| if mirrors { pilot.with_mirrors() } else { Ok(pilot) });
-    pilot.map_err(|e| Exit::Input.because(e))
+    pilot.and_then(|pilot| pilot.with_mirrors(mirrors)).map_err(|e| Exit::Input.because(e))
 }
 
 /// Whether the trained agent `name` learned from demonstrations; None if its file is missing or is not the

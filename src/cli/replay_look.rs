@@ -84,11 +84,7 @@ impl Looker {
         let route = kept.route(recording, assets.network()).map_err(|e| Exit::Input.because(e))?;
         let camera = kept.options.camera;
         let eyes = Eyes::new(assets.town(), camera, detector).map_err(|e| Exit::Input.because(e))?;
-        let eyes = if kept.options.mirrors {
-            eyes.with_mirrors().map_err(|e| Exit::Input.because(e))?
-        } else {
-            eyes
-        };
+        let eyes = eyes.with_mirrors(kept.options.mirrors).map_err(|e| Exit::Input.because(e))?;
         let mut eyes = eyes.with_outputs(Outputs { boxes: true, ..Outputs::RGB });
         let header = recording.header();
         eyes.reset(header.weather, kept.episode.episode_seed);

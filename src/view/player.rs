@@ -9,7 +9,6 @@ use super::server::{Listener, ViewError};
 use crate::autopilot::{Autopilot, AutopilotParams, EgoModel};
 use crate::camera::Preset;
 use crate::criteria::Event;
-use crate::eval::kept::centre_line;
 use crate::network::{Network, Route};
 use crate::replay::{Frame, Recording};
 use crate::telemetry::{LeaderRecord, LightRecord};
@@ -211,9 +210,10 @@ impl Player {
         self.state.dt = header.tick_ms / 1000.0;
         self.state.route_id += 1;
         let id = self.state.route_id;
-        let whole = self.played.route.as_ref().map(|route| centre_line(route));
-        let line = whole.as_ref().unwrap_or(&header.route);
-        let line: Vec<f64> = line.iter().flatten().map(|v| net::tenth(*v)).collect();
+        let line = match &self.played.route {
+            Some(route) => net::line(&route.centre_line, 3.0),
+            None => header.route.iter().flatten().map(|v| Value::from(net::tenth(*v))).collect(),
+        };
         self.hub.set_route(id, json!({ "type": "route", "id": id, "line": line }).to_string());
         (self.at, self.state.paused, self.state.over, self.due) = (0, false, None, Instant::now());
         let number = self.hub.another_artist();

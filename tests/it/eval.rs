@@ -330,7 +330,7 @@ fn detectors_have_lines_of_their_own_and_a_pool_has_one() {
 /// A SUMO that dies says nothing about the recording: before, the verdict was that the episode "ended earlier".
 #[test]
 fn a_sumo_that_dies_while_an_episode_is_verified_is_no_difference() {
-    let small = Small::new(1800, 1);
+    let small = Small::new(1500, 1);
     ok(&mut small.eval("run", &["--agent", "autopilot", "--keep", "all"]));
     let kept = std::fs::read_dir(small.out("run").join("episodes")).unwrap().next().unwrap().unwrap().path();
     let mut replay = wad(&["replay", "--verify"]);

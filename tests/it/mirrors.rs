@@ -69,18 +69,20 @@ fn facts<'a>(
 
 /// Who keeps the ego back, and who is in front in the raw states, after eight ticks beside a car that is `back` (m) behind it on
 /// the lane to the side `left` (m).
-fn told(assets: &Assets, mirrors: bool, option: RoadOption, car: Option<[f64; 2]>) -> [Option<LeadState>; 2] {
+fn told(
+    assets: &Assets,
+    mirrors: bool,
+    (route, start): &(Route, f64),
+    car: Option<[f64; 2]>,
+) -> [Option<LeadState>; 2] {
     let detector = perception::detector("truth", LeastScore::Usual).unwrap();
-    let mut eyes = Eyes::new(assets.town(), CameraConfig::default(), detector).unwrap();
-    if mirrors {
-        eyes = eyes.with_mirrors().unwrap();
-    }
+    let eyes = Eyes::new(assets.town(), CameraConfig::default(), detector).unwrap();
+    let mut eyes = eyes.with_mirrors(mirrors).unwrap();
     eyes.reset(Preset::ClearNoon, 1);
     let network = assets.network();
-    let (route, start) = changing(network, option);
     let signals = vec![None; network.traffic_lights.len()];
     for tick in 0..8_u32 {
-        let facts = facts(network, &route, start - 25.0 + SPEED * TICK * f64::from(tick), &signals);
+        let facts = facts(network, route, start - 25.0 + SPEED * TICK * f64::from(tick), &signals);
         let mut world =
             WorldState { tick: u64::from(tick), traffic_lights: signals.clone(), ..WorldState::default() };
         if let Some([back, left]) = car {
@@ -117,15 +119,15 @@ fn told(assets: &Assets, mirrors: bool, option: RoadOption, car: Option<[f64; 2]
 fn who_is_beside_the_ego_before_a_change_of_lane_is_seen_in_the_mirror_alone() {
     let assets = Assets::load("town5").unwrap();
     for (option, left) in [(RoadOption::ChangeLaneLeft, 3.3), (RoadOption::ChangeLaneRight, -3.3)] {
-        let beside = Some([5.0, left]);
-        let [kept, lead] = told(&assets, true, option, beside);
+        let (way, beside) = (changing(assets.network(), option), Some([5.0, left]));
+        let [kept, lead] = told(&assets, true, &way, beside);
         let kept = kept.unwrap_or_else(|| panic!("{option:?}: nobody is seen"));
         assert!((5.0..30.0).contains(&kept.gap) && kept.closing_speed == SPEED, "{option:?}: {kept:?}");
         assert_eq!(lead, Some(kept), "{option:?}: it counts as the vehicle in front");
-        assert_eq!(told(&assets, false, option, beside), [None, None], "{option:?}: without mirrors");
-        assert_eq!(told(&assets, true, option, None), [None, None], "{option:?}: nobody is there");
+        assert_eq!(told(&assets, false, &way, beside), [None, None], "{option:?}: without mirrors");
+        assert_eq!(told(&assets, true, &way, None), [None, None], "{option:?}: nobody is there");
         assert_eq!(
-            told(&assets, true, option, Some([5.0, -left])),
+            told(&assets, true, &way, Some([5.0, -left])),
             [None, None],
             "{option:?}: on the other side"
         );

@@ -270,7 +270,7 @@ pub struct Pilot {
 }
 
 /// The driver in a run's `config.json`.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct PilotRecord {
     /// The [`DriverSpec`] as text.
     pub agent: String,
@@ -292,20 +292,14 @@ impl Pilot {
     /// A blind driver; None if the specification names an agent.
     pub fn blind(spec: &DriverSpec) -> Option<Self> {
         let driver = Driver::blind(spec)?;
-        let record = PilotRecord {
-            agent: spec.to_string(),
-            encoder_hash: None,
-            detector: None,
-            mirrors: false,
-            weather: None,
-        };
+        let record = PilotRecord { agent: spec.to_string(), ..PilotRecord::default() };
         Some(Self { driver, eyes: Eyes::blind(), record })
     }
 
     /// The expert.
     pub fn autopilot() -> Self {
         let agent = DriverSpec::Autopilot.to_string();
-        let record = PilotRecord { agent, encoder_hash: None, detector: None, mirrors: false, weather: None };
+        let record = PilotRecord { agent, ..PilotRecord::default() };
         Self { driver: Driver::Autopilot, eyes: Eyes::blind(), record }
     }
 
@@ -330,8 +324,7 @@ impl Pilot {
             agent: agent.name().to_string(),
             encoder_hash: Some(encoder.hash().to_string()),
             detector: Some(detector.to_string()),
-            mirrors: false,
-            weather: None,
+            ..PilotRecord::default()
         };
         // People who watch want to see the whole chain, also where the agent leaves a part of it out.
         let mode = match agent.observes() {
@@ -342,13 +335,13 @@ impl Pilot {
         Ok(Self { driver: Driver::Agent(agent), eyes, record })
     }
 
-    /// Also looks back before a change of lane, by cameras in place of the door mirrors.
+    /// Also looks back before a change of lane, by cameras in place of the door mirrors, if `wanted`.
     ///
     /// # Errors
     /// The cameras cannot be made.
-    pub fn with_mirrors(self) -> Result<Self, EyesError> {
-        let record = PilotRecord { mirrors: self.driver.looks(), ..self.record };
-        Ok(Self { eyes: self.eyes.with_mirrors()?, record, driver: self.driver })
+    pub fn with_mirrors(self, wanted: bool) -> Result<Self, EyesError> {
+        let record = PilotRecord { mirrors: wanted && self.driver.looks(), ..self.record };
+        Ok(Self { eyes: self.eyes.with_mirrors(wanted)?, record, driver: self.driver })
     }
 
     /// Begins a drive in a weather: clears its memory. `seed` is the run's.

@@ -172,12 +172,14 @@ impl Eyes {
         Ok(Self { mode, surroundings, latent, ..eyes }.with_encoder(encoder))
     }
 
-    /// Also looks into [mirrors].
+    /// Also looks into [mirrors], if `wanted`.
     ///
     /// # Errors
     /// The camera's size or field of view is out of range.
-    pub fn with_mirrors(mut self) -> Result<Self, EyesError> {
-        if let Some(Sight { camera, perception: Some(perception), mirror, .. }) = &mut self.sight {
+    pub fn with_mirrors(mut self, wanted: bool) -> Result<Self, EyesError> {
+        if let (true, Some(Sight { camera, perception: Some(perception), mirror, .. })) =
+            (wanted, &mut self.sight)
+        {
             *mirror = Some(Camera::new(mirrors::camera(camera.config()))?);
             perception.look_back();
         }

@@ -75,7 +75,7 @@ impl World {
         let eyes = encoders.into_iter().map(|encoder| {
             let (mode, detector) = (options.observation, &options.detector);
             let eyes = Eyes::of_agent(&assets, mode, detector, options.camera, encoder)?;
-            Ok(Slot::new(if options.mirrors { eyes.with_mirrors()? } else { eyes }))
+            Ok(Slot::new(eyes.with_mirrors(options.mirrors)?))
         });
         let slots = eyes.collect::<Result<_, EnvError>>()?;
         Ok(Self {

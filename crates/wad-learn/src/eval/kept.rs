@@ -127,21 +127,18 @@ impl Packed {
 /// Metres between the points of a recorded route.
 const ROUTE_STEP: f64 = 5.0;
 
-/// A route's centre line, a point every few metres (m).
-pub fn centre_line(route: &Route) -> Vec<[f64; 2]> {
-    let points = (route.length() / ROUTE_STEP).ceil() as usize;
-    (0..=points)
-        .map(|i| route.at((i as f64 * ROUTE_STEP).min(route.length())).pose.xy())
-        .map(|p| [p.x, p.y].map(|x| (x * 100.0).round() / 100.0))
-        .collect()
-}
-
 /// The recording's header for an episode that has just begun.
 pub(super) fn header(fleet: &Fleet, ego: usize, case: &Case) -> Header {
     let (assets, options) = (fleet.assets(), fleet.options());
     let body = Body::of(&options.ego);
     let mut header = Header::new(&case.town, assets.name(), options.tick_ms, case.spec.weather, body);
-    header.route = fleet.ego(ego).map(|ego| centre_line(ego.route())).unwrap_or_default();
+    if let Some(route) = fleet.ego(ego).map(|ego| ego.route()) {
+        let points = (route.length() / ROUTE_STEP).ceil() as usize;
+        header.route = (0..=points)
+            .map(|i| route.at((i as f64 * ROUTE_STEP).min(route.length())).pose.xy())
+            .map(|p| [p.x, p.y].map(|x| (x * 100.0).round() / 100.0))
+            .collect();
+    }
     header.lights = assets.network().traffic_lights.iter().map(|light| light.id.clone()).collect();
     header
 }

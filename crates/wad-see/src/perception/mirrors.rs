@@ -11,6 +11,7 @@ use crate::observation::LeadState;
 use sumo_network::geometry::{Point, Pose, Vector, direction};
 use sumo_network::network::{Lane, RoadOption, RouteSection};
 use wad_camera::{CameraConfig, Frame, Mount};
+use wad_sim::autopilot::lane_change::{BEGUN, room};
 
 /// Where the mirrors are: ahead of the ego's centre and beside it (m), and how far from straight ahead they look (rad).
 const AHEAD: f64 = 0.9;
@@ -18,8 +19,6 @@ const ASIDE: f64 = 0.95;
 const BACK: f64 = 145.0 * std::f64::consts::PI / 180.0;
 /// Above the ground (m).
 const UP: f64 = 1.0;
-/// The share of a change's length until which an ego that waits is still on its lane.
-const BEGUN: f64 = 0.2;
 /// From so long (s) and so far (m) before that place on somebody is looked for.
 const NOTICE: f64 = 3.0;
 const ROOM: f64 = 7.0;
@@ -43,8 +42,9 @@ struct Change<'a> {
 impl<'a> Change<'a> {
     fn due(facts: &EgoFacts<'a>) -> Option<Self> {
         let (s, speed) = (facts.on_route.s, facts.on_route.state.speed.max(0.0));
-        let changes =
-            facts.route.sections.iter().filter(|at| at.from_lane.is_some() && at.s_end > at.s_start);
+        let sections = &facts.route.sections;
+        let ahead = &sections[sections.partition_point(|at| at.s_end <= s)..];
+        let changes = ahead.iter().filter(|at| at.from_lane.is_some() && at.s_end > at.s_start);
         let mut ways = changes.map(|at| (at, at.s_start + BEGUN * (at.s_end - at.s_start) - s));
         let (section, way) = ways.find(|(_, way)| *way > 0.0)?;
         let target = facts.network.lane(section.lane);
@@ -72,15 +72,9 @@ impl<'a> Change<'a> {
             return false;
         }
         let along = velocity.dot(&direction(facts.route.at(on.s).pose.heading));
-        let closing = along - speed;
-        // As much as the autopilot leaves: a metre, what speeds differ by in a moment, and what braking takes.
         let apart = (on.s - s).abs() - half[0] - 0.5 * facts.length;
-        let room = if on.s > s {
-            (-closing).max(0.0) * 0.6 + closing.min(0.0).powi(2) / 6.0
-        } else {
-            0.25 * along.max(0.0) + closing.max(0.0) * 0.8 + closing.max(0.0).powi(2) / 6.0
-        };
-        apart < 1.0 + room
+        // As much as the autopilot leaves.
+        apart < room(on.s > s, along, speed, 1.0)
     }
 }
 

@@ -12,6 +12,21 @@ use sumo_network::world::WorldState;
 /// Length (m) that the latest possible change takes at walking pace.
 const LAST_CHANGE: f64 = 12.0;
 
+/// The share of a change's length until which there is a way back.
+pub const BEGUN: f64 = 0.2;
+
+/// The room (m) that a change of lane leaves between the ego, `speed` (m/s) fast, and somebody on the other lane, `along` (m/s)
+/// fast, ahead of or behind it: a metre, and a `share` of what speeds differ by in a moment and of what braking takes.
+pub fn room(is_ahead: bool, along: f64, speed: f64, share: f64) -> f64 {
+    let closing = along - speed;
+    let more = if is_ahead {
+        (-closing).max(0.0) * 0.6 + closing.min(0.0).powi(2) / 6.0
+    } else {
+        0.25 * along.max(0.0) + closing.max(0.0) * 0.8 + closing.max(0.0).powi(2) / 6.0
+    };
+    1.0 + share * more
+}
+
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Phase {
     /// Along the route's own line.
@@ -139,18 +154,14 @@ impl LaneChanger {
             }
             let ahead = v.s - v.half_along - (route_s + half);
             let behind = route_s - half - (v.s + v.half_along);
-            let closing = v.along - speed;
-            let room_ahead = 1.0 + share * ((-closing).max(0.0) * 0.6 + closing.min(0.0).powi(2) / 6.0);
-            let room_behind = 1.0
-                + share * (0.25 * v.along.max(0.0) + closing.max(0.0) * 0.8 + closing.max(0.0).powi(2) / 6.0);
-            let fits = if v.s > route_s { ahead >= room_ahead } else { behind >= room_behind };
-            free &= fits;
+            let is_ahead = v.s > route_s;
+            free &= if is_ahead { ahead } else { behind } >= room(is_ahead, v.along, speed, share);
             if v.s > route_s - 1.0 && beside.is_none_or(|b| ahead < b.0) {
                 beside = Some((ahead, v.along));
             }
         }
         change.phase = match change.phase {
-            Phase::Follow if route_s < change.s_start + 0.2 * (change.s_end - change.s_start) => {
+            Phase::Follow if route_s < change.s_start + BEGUN * (change.s_end - change.s_start) => {
                 // Not moved over by much yet: look again.
                 if free || route_s < change.s_start - 2.0 - speed { Phase::Follow } else { Phase::Hold }
             }
@@ -163,7 +174,7 @@ impl LaneChanger {
             }
             Phase::Hold => Phase::Hold,
             Phase::Move { from_s, length } => {
-                if !free && !forced && route_s < from_s + 0.2 * length && route_s < change.last_start() {
+                if !free && !forced && route_s < from_s + BEGUN * length && route_s < change.last_start() {
                     Phase::Hold
                 } else {
                     Phase::Move { from_s, length }

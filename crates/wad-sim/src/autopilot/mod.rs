@@ -5,7 +5,7 @@
 //! It draws no random numbers; equal input gives equal output.
 
 mod junction;
-mod lane_change;
+pub mod lane_change;
 mod leader;
 mod lights;
 mod params;
