@@ -5,6 +5,7 @@ use std::sync::Arc;
 use wad_cosim::assets::Assets;
 use wad_cosim::camera::{CameraConfig, Preset};
 use wad_cosim::criteria::EgoOnRoute;
+use wad_cosim::env::EnvOptions;
 use wad_cosim::eyes::Eyes;
 use wad_cosim::geometry::{Vector, direction};
 use wad_cosim::network::{LaneId, LanePosition, LinkDirection, Network, RoadOption, Route, VehicleClass};
@@ -152,6 +153,9 @@ fn an_evaluation_with_mirrors_says_so_and_goes_on_with_them_only() {
     assert_eq!(json(&first)["episodes"], 1);
     let config = std::fs::read_to_string(out.join("config.json")).unwrap();
     assert!(config.contains(r#""mirrors": true"#), "{config}");
+    // A training's --set knows what config.json names.
+    let plain = serde_json::to_value(EnvOptions::training()).unwrap();
+    assert_eq!(plain["mirrors"], false, "{plain}");
     let other = eval(&["--resume"]);
     assert_eq!(other.status.code(), Some(2), "{}", stderr(&other));
     assert!(stderr(&other).contains("mirrors"), "{}", stderr(&other));

@@ -67,7 +67,6 @@ pub struct EnvOptions {
     pub told_lead: bool,
     /// Cameras in place of the door mirrors look back before a change of lane, and who is there counts as the vehicle in front.
     /// Default false: the paper has a front camera alone.
-    #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub mirrors: bool,
     /// The front camera.
     pub camera: CameraConfig,
