@@ -54,7 +54,9 @@ fn openstreetmap_comes_with_signals_and_buildings_and_is_driven_on() {
     let dir = tempfile::tempdir().unwrap();
     let osm = dir.path().join("town.osm");
     std::fs::write(&osm, TOWN).unwrap();
-    let made = nets::import(&osm, &dir.path().join("town")).unwrap();
+    // The folder's name becomes the files', also in XML.
+    let out = dir.path().join("R&D");
+    let made = nets::import(&osm, &out).unwrap();
     let network = Network::load(&made.net).unwrap();
     let shapes = Shapes::load(&made.polygons.unwrap(), &network).unwrap();
     let facts = nets::facts(&network, &shapes, "town");
@@ -62,7 +64,7 @@ fn openstreetmap_comes_with_signals_and_buildings_and_is_driven_on() {
     assert!(facts.sidewalks > 0 && facts.crossings > 0, "{facts:?}");
     assert_eq!(facts.speed_limits_kmh, [30, 50]);
     assert!(drive(&made.config, Counts::new(3, 5), 60) > 0);
-    assert!(matches!(nets::import(&osm, &dir.path().join("town")), Err(NetError::Taken { .. })));
+    assert!(matches!(nets::import(&osm, &out), Err(NetError::Taken { .. })));
 }
 
 #[test]
@@ -148,6 +150,13 @@ fn facts_name_what_is_missing_and_which_command_adds_it() {
     let facts = nets::facts(&bare, &Shapes::default(), "grid6");
     let said = format!("{:?}", facts.problems);
     assert!(said.contains("no sidewalks") && said.contains("net enrich grid6 --sidewalks"), "{said}");
+}
+
+#[test]
+fn lanes_that_would_be_missing_are_counted() {
+    let moved = nets::Moved { missing: 3, ..nets::Moved::default() };
+    let error = NetError::Moved(moved).to_string();
+    assert_eq!(error, "3 lanes for cars would be missing: nothing is written");
 }
 
 #[test]

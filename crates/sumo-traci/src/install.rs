@@ -56,11 +56,10 @@ pub struct SumoInstall {
 
 impl SumoInstall {
     /// The first SUMO found: at `WAD_COSIM_SUMO_HOME`, the program's own ([`SumoInstall::set_own`]), in the
-    /// cache folder that scripts/setup fills, at `SUMO_HOME`, next to a `sumo` on the PATH. A variable that is
-    /// set and wrong is an error.
+    /// cache folder that scripts/setup fills, at `SUMO_HOME`, next to a `sumo` on the PATH.
     ///
     /// # Errors
-    /// There is none.
+    /// There is none, or none at `WAD_COSIM_SUMO_HOME` where that is set: nothing else is tried then.
     pub fn find() -> Result<Self, InstallError> {
         Self::find_with(|name| std::env::var_os(name).filter(|value| !value.is_empty()))
     }

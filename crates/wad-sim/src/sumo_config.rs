@@ -422,6 +422,24 @@ mod tests {
     }
 
     #[test]
+    fn a_copy_of_a_gzipped_file_in_latin_1_is_utf_8() {
+        use std::io::Write;
+        let dir = tempfile::tempdir().unwrap();
+        let text = "<?xml version=\"1.0\" encoding=\"ISO-8859-1\"?>\
+                    <additional><e1Detector id=\"\u{fc}\" lane=\"a_0\" file=\"d.xml\"/></additional>";
+        let bytes: Vec<u8> = text.chars().map(|c| u8::try_from(c).unwrap()).collect();
+        let path = dir.path().join("d.add.xml.gz");
+        let mut file =
+            flate2::write::GzEncoder::new(std::fs::File::create(&path).unwrap(), Default::default());
+        file.write_all(&bytes).unwrap();
+        file.finish().unwrap();
+        let copy = Redirection::into(dir.path()).copy(&path).unwrap();
+        assert!(copy.ends_with("redirected-d.add.xml"), "{}", copy.display());
+        let copy = std::fs::read_to_string(copy).unwrap();
+        assert!(copy.contains("encoding=\"UTF-8\"") && copy.contains("id=\"\u{fc}\""), "{copy}");
+    }
+
+    #[test]
     fn a_config_that_is_not_xml_or_names_a_missing_net_says_so() {
         let dir = tempfile::tempdir().unwrap();
         let schema = OptionSchema::parse(TEMPLATE).unwrap();

@@ -14,8 +14,8 @@ pub enum NetworkError {
         /// The system's error.
         source: std::io::Error,
     },
-    /// A gzip file that is damaged or cut off.
-    #[error("cannot unpack {}: {source}; the gzip file is damaged or cut off, fetch or build it again", path.display())]
+    /// A gzip file that is damaged, cut off or too large.
+    #[error("cannot unpack {}: {source}; the gzip file is damaged, cut off or too large: fetch or build it again", path.display())]
     Compressed {
         /// The file.
         path: PathBuf,

@@ -35,6 +35,7 @@ pub use permissions::{Permissions, VehicleClass};
 pub use polygons::{PointOfInterest, Polygon, Shapes};
 pub use programs::SignalProgram;
 pub use route::{RoadOption, Route, RouteError, RouteLink, RoutePoint, RouteSection};
+pub use xml::{read_bytes, read_text};
 
 use crate::geometry::{Point, Polyline};
 use pedestrian::PedestrianNetwork;

@@ -47,12 +47,11 @@ pub struct Shapes {
     pub polygons: Vec<Polygon>,
     /// Points of interest, in the file's order.
     pub points: Vec<PointOfInterest>,
-    /// Number of ignored shapes: without usable coordinates, or in longitude and latitude.
-    pub skipped: usize,
 }
 
 impl Shapes {
-    /// Reads an additional file, plain or gzipped. Other elements are ignored.
+    /// Reads an additional file, plain or gzipped. Other elements are ignored, and so are shapes without usable
+    /// coordinates or in longitude and latitude.
     /// `network` places points that are given by lane.
     ///
     /// # Errors
@@ -73,16 +72,11 @@ impl Shapes {
         while let Some(step) = walk.next()? {
             let Step::Open(element) = step else { continue };
             match element.name() {
-                "poly" => match polygon(&element) {
-                    Some(polygon) => {
-                        shapes.polygons.push(polygon);
-                        open = true;
-                    }
-                    None => {
-                        shapes.skipped += 1;
-                        open = false;
-                    }
-                },
+                "poly" => {
+                    let polygon = polygon(&element);
+                    open = polygon.is_some();
+                    shapes.polygons.extend(polygon);
+                }
                 "param" => {
                     let [key, value] = element.read(["key", "value"]);
                     let height = value.and_then(|v| v.trim().parse::<f64>().ok()).filter(|h| h.is_finite());
@@ -94,10 +88,7 @@ impl Shapes {
                 }
                 "poi" => {
                     open = false;
-                    match point(&element, network) {
-                        Some(point) => shapes.points.push(point),
-                        None => shapes.skipped += 1,
-                    }
+                    shapes.points.extend(point(&element, network));
                 }
                 _ => open = false,
             }
@@ -203,7 +194,7 @@ mod tests {
         <edge id="e" from="a" to="b"><lane id="e_0" index="0" speed="10" length="100" shape="0,0 100,0"/></edge></net>"#;
 
     #[test]
-    fn shapes_are_read_and_broken_ones_counted() {
+    fn shapes_are_read_and_broken_ones_left_out() {
         let path = Path::new("town.poly.xml");
         let network = Network::from_xml(path, NET).unwrap();
         let shapes = Shapes::from_xml(
@@ -215,8 +206,7 @@ mod tests {
             &network,
         )
         .unwrap();
-        assert_eq!(shapes.skipped, 3);
-        assert_eq!(shapes.polygons.len(), 2);
+        assert_eq!((shapes.polygons.len(), shapes.points.len()), (2, 1));
         assert_eq!(shapes.polygons[0].height, Some(12.5));
         assert_eq!(shapes.polygons[1].height, None);
         assert_eq!(shapes.polygons[0].colour, [128, 64, 0, 255]);

@@ -3,23 +3,6 @@
 use super::{EdgeKind, LaneId, LinkDirection, Network, VehicleClass};
 
 impl Network {
-    /// Lanes of normal edges that `class` can get to from `lane` (itself included), in file order.
-    /// Whether an edge is long enough for the lane changes is left to [`Network::route`].
-    pub fn reachable_from(&self, lane: LaneId, class: VehicleClass) -> Vec<LaneId> {
-        let mut seen = vec![false; self.lanes.len()];
-        let mut stack = vec![lane];
-        seen[lane.index()] = true;
-        while let Some(lane) = stack.pop() {
-            for next in self.next_lanes(lane, class, true) {
-                if !std::mem::replace(&mut seen[next.index()], true) {
-                    stack.push(next);
-                }
-            }
-        }
-        let road = |&l: &LaneId| self.edge(self.lane(l).edge).kind == EdgeKind::Normal;
-        (0..self.lanes.len() as u32).map(LaneId).filter(|l| seen[l.index()]).filter(road).collect()
-    }
-
     /// The largest set of lanes of normal edges in which `class` can drive on from each to each, in
     /// file order: where random routes begin and end. Turn-arounds count only where the net is
     /// mostly dead ends, so that less than half of it is connected without them.
@@ -136,9 +119,5 @@ mod tests {
             names(&network.largest_component(VehicleClass::Bicycle)),
             ["ab_0", "ab_1", "bc_0", "ca_0"]
         );
-        let reached = network.reachable_from(ring[0], VehicleClass::Passenger);
-        assert_eq!(reached.len(), 6, "all but the bus lane");
-        let dead_end = network.lane_by_id("bl_0").unwrap();
-        assert_eq!(network.reachable_from(dead_end, VehicleClass::Passenger), [dead_end]);
     }
 }

@@ -10,20 +10,33 @@ use std::path::Path;
 /// A file that unpacks to more than this is refused (bytes).
 const LARGEST: u64 = 4 << 30;
 
-/// Reads a whole file as text; gzip is found by its magic bytes. Text that is not UTF-8 is read as Latin-1.
-pub(super) fn read_text(path: &Path) -> Result<String, NetworkError> {
+/// Reads a whole file, plain or gzipped; gzip is found by its magic bytes.
+///
+/// # Errors
+/// It cannot be read, is damaged gzip, or unpacks to more than 4 GiB.
+pub fn read_bytes(path: &Path) -> Result<Vec<u8>, NetworkError> {
     let bytes = std::fs::read(path).map_err(|source| NetworkError::Io { path: path.to_owned(), source })?;
-    let bytes = if bytes.starts_with(&[0x1f, 0x8b]) {
-        let mut unpacked = Vec::with_capacity(bytes.len().saturating_mul(8));
-        flate2::read::MultiGzDecoder::new(bytes.as_slice())
-            .take(LARGEST)
-            .read_to_end(&mut unpacked)
-            .map_err(|source| NetworkError::Compressed { path: path.to_owned(), source })?;
-        unpacked
-    } else {
-        bytes
-    };
-    Ok(match String::from_utf8(bytes) {
+    if !bytes.starts_with(&[0x1f, 0x8b]) {
+        return Ok(bytes);
+    }
+    unpack(&bytes, LARGEST).map_err(|source| NetworkError::Compressed { path: path.to_owned(), source })
+}
+
+fn unpack(packed: &[u8], most: u64) -> std::io::Result<Vec<u8>> {
+    let mut bytes = Vec::with_capacity(packed.len().saturating_mul(8));
+    flate2::read::MultiGzDecoder::new(packed).take(most + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > most {
+        return Err(std::io::Error::other(format!("it unpacks to more than {most} bytes")));
+    }
+    Ok(bytes)
+}
+
+/// The same as text. What is not UTF-8 is read as Latin-1.
+///
+/// # Errors
+/// As [`read_bytes`].
+pub fn read_text(path: &Path) -> Result<String, NetworkError> {
+    Ok(match String::from_utf8(read_bytes(path)?) {
         Ok(text) => text,
         Err(error) => error.into_bytes().iter().map(|&b| b as char).collect(),
     })
@@ -155,4 +168,20 @@ fn unescaped(value: Cow<'_, str>) -> Cow<'_, str> {
         return Cow::Owned(plain.into_owned());
     }
     value
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Write;
+
+    #[test]
+    fn what_unpacks_to_too_much_is_refused_and_not_cut() {
+        let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+        encoder.write_all(b"<net/>").unwrap();
+        let packed = encoder.finish().unwrap();
+        assert_eq!(unpack(&packed, 6).unwrap(), b"<net/>");
+        let error = unpack(&packed, 5).unwrap_err().to_string();
+        assert_eq!(error, "it unpacks to more than 5 bytes");
+    }
 }

@@ -3,7 +3,7 @@
 use super::{NetError, arguments, run};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
-use sumo_network::network::Network;
+use sumo_network::network::{Network, read_bytes};
 use sumo_traci::process::SumoInstall;
 
 /// A folder that `run` takes.
@@ -48,8 +48,8 @@ const OSM: &[(&str, &str)] = &[
 const OPENDRIVE: &[(&str, &str)] =
     &[("opendrive.curve-resolution", "1"), ("tls.guess-signals", "true"), ("tls.discard-simple", "true")];
 
-fn write(path: &Path, text: &str) -> Result<(), NetError> {
-    std::fs::write(path, text).map_err(|source| NetError::Write { path: path.to_path_buf(), source })
+fn write(path: &Path, contents: &[u8]) -> Result<(), NetError> {
+    std::fs::write(path, contents).map_err(|source| NetError::Write { path: path.to_path_buf(), source })
 }
 
 /// A new folder, and the name of what is in it: the folder's.
@@ -72,17 +72,16 @@ fn finish(
     warnings: Vec<String>,
 ) -> Result<Made, NetError> {
     Network::load(&net)?;
+    let config = out.join(format!("{name}.sumocfg"));
+    let name = quick_xml::escape::escape(name);
     let additional = polygons
         .as_ref()
         .map_or(String::new(), |_| format!("\n        <additional-files value=\"{name}.poly.xml\"/>"));
-    let config = out.join(format!("{name}.sumocfg"));
-    write(
-        &config,
-        &format!(
-            "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<sumoConfiguration>\n    <input>\n        \
-             <net-file value=\"{name}.net.xml\"/>{additional}\n    </input>\n</sumoConfiguration>\n"
-        ),
-    )?;
+    let text = format!(
+        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<sumoConfiguration>\n    <input>\n        \
+         <net-file value=\"{name}.net.xml\"/>{additional}\n    </input>\n</sumoConfiguration>\n"
+    );
+    write(&config, text.as_bytes())?;
     Ok(Made { config, net, polygons, warnings })
 }
 
@@ -173,7 +172,7 @@ pub fn import(source: &Path, out: &Path) -> Result<Made, NetError> {
         let mut given = vec![OsString::from(option), source.into()];
         if option == "--sumo-net-file" {
             // A SUMO net is copied unchanged: netconvert would compute its geometry again.
-            copy_net(source, &net)?;
+            write(&net, &read_bytes(source)?)?;
             return finish(out, &name, net.clone(), None, Vec::new());
         }
         given.extend(arguments(COMMON));
@@ -193,19 +192,6 @@ pub fn import(source: &Path, out: &Path) -> Result<Made, NetError> {
         finish(out, &name, net.clone(), polygons, warnings)
     })();
     or_clean(out, made)
-}
-
-fn copy_net(from: &Path, to: &Path) -> Result<(), NetError> {
-    use std::io::Read;
-    let read = |source| NetError::Read { path: from.to_path_buf(), source };
-    let bytes = std::fs::read(from).map_err(read)?;
-    let mut text = Vec::new();
-    if bytes.starts_with(&[0x1f, 0x8b]) {
-        flate2::read::MultiGzDecoder::new(&bytes[..]).read_to_end(&mut text).map_err(read)?;
-    } else {
-        text = bytes;
-    }
-    std::fs::write(to, text).map_err(|source| NetError::Write { path: to.to_path_buf(), source })
 }
 
 /// OpenStreetMap's buildings, parks and waters as polygons of the net.

@@ -71,10 +71,8 @@ pub enum NetError {
         /// Its last messages.
         said: String,
     },
-    /// Enriching would move lanes away from their lines.
-    #[error(
-        "{} lanes would leave their line, `{}` by {:.2} m: nothing is written", .0.lanes, .0.worst_lane, .0.worst
-    )]
+    /// Enriching would move lanes away from their lines, or lose some.
+    #[error("{0}: nothing is written")]
     Moved(Moved),
     /// A net's XML has another form than netconvert's.
     #[error("`{}` is not XML as netconvert writes it: {problem}", path.display())]

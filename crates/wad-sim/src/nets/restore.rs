@@ -7,7 +7,7 @@ use nalgebra::Point3;
 use quick_xml::events::{BytesStart, Event};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
-use std::fmt::Write as _;
+use std::fmt::{self, Write as _};
 use std::path::Path;
 use sumo_network::geometry::{Point, Polyline};
 use sumo_network::network::{EdgeKind, LaneId, Network, VehicleClass};
@@ -29,6 +29,18 @@ pub struct Moved {
     pub cut: usize,
     /// How far the worst of these is cut or grows (m).
     pub most_cut: f64,
+}
+
+impl fmt::Display for Moved {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { missing, lanes, worst, worst_lane, .. } = self;
+        let off = format!("{lanes} lanes would leave their line, `{worst_lane}` by {worst:.2} m");
+        match (lanes, missing) {
+            (_, 0) => write!(f, "{off}"),
+            (0, _) => write!(f, "{missing} lanes for cars would be missing"),
+            _ => write!(f, "{missing} lanes for cars would be missing, and {off}"),
+        }
+    }
 }
 
 /// Beyond this a lane has left its line (m): twice what two decimals round.

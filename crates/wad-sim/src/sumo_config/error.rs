@@ -1,6 +1,7 @@
 //! Why a configuration cannot be used.
 
 use std::path::PathBuf;
+use sumo_network::network::NetworkError;
 
 /// Why a configuration could not be used.
 #[derive(Debug, thiserror::Error)]
@@ -13,6 +14,9 @@ pub enum ConfigError {
         /// The system's error.
         source: std::io::Error,
     },
+    /// A file that the configuration names cannot be read.
+    #[error(transparent)]
+    File(#[from] NetworkError),
     /// The file is not a SUMO configuration.
     #[error("`{}` is not a SUMO configuration: {problem}; expected XML with a <net-file value=\"...\"/>", path.display())]
     Malformed {

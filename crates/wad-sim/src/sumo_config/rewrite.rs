@@ -5,8 +5,8 @@ use super::xml::Events;
 use quick_xml::XmlVersion;
 use quick_xml::events::{BytesStart, Event};
 use std::collections::BTreeMap;
-use std::io::Read;
 use std::path::{Path, PathBuf};
+use sumo_network::network::read_text;
 
 pub fn absolute_list(folder: &Path, value: &str) -> String {
     let absolute: Vec<String> = value
@@ -92,18 +92,10 @@ pub fn without_type(file: &Path, dropped: &str, dir: &Path) -> Result<PathBuf, C
 
 /// A file's text, plain or gzipped.
 fn read_plain(file: &Path) -> Result<String, ConfigError> {
-    let read_error = |source| ConfigError::Read { path: file.to_path_buf(), source };
-    let bytes = std::fs::read(file).map_err(read_error)?;
-    let text = if bytes.starts_with(&[0x1f, 0x8b]) {
-        let mut text = String::new();
-        flate2::read::MultiGzDecoder::new(&bytes[..]).read_to_string(&mut text).map_err(read_error)?;
-        text
-    } else {
-        String::from_utf8_lossy(&bytes).into_owned()
-    };
+    let text = read_text(file)?;
     // SUMO reads UTF-16 too, in which nothing would be found here.
     if text.contains('\0') || !text.contains('<') {
-        let problem = "it is not text in UTF-8".to_string();
+        let problem = "it is not text in UTF-8 or Latin-1".to_string();
         return Err(ConfigError::NotXml { path: file.to_path_buf(), problem });
     }
     Ok(text)

@@ -1,7 +1,7 @@
 //! XML, event by event.
 
 use quick_xml::XmlVersion;
-use quick_xml::events::Event;
+use quick_xml::events::{BytesDecl, Event};
 use std::collections::BTreeMap;
 
 /// The events of an XML text. One that ends within an element is an error: it has been cut off. So is one with a
@@ -23,6 +23,8 @@ impl<'a> Events<'a> {
             Event::Start(_) => self.open += 1,
             Event::End(_) => self.open = self.open.saturating_sub(1),
             Event::Eof if self.open > 0 => return Err("it is cut off before its end".to_string()),
+            // The text is in UTF-8 by now, and so will be what is written of it.
+            Event::Decl(_) => return Ok(Event::Decl(BytesDecl::new("1.0", Some("UTF-8"), None))),
             Event::DocType(_) => return Err("it declares a document type (<!DOCTYPE>)".to_string()),
             _ => {}
         }
