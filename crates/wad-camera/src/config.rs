@@ -2,6 +2,7 @@
 
 use super::error::CameraError;
 use serde::{Deserialize, Serialize};
+use std::fmt;
 
 /// Where a camera sits on a vehicle: relative to the centre of the footprint, in its frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -82,13 +83,8 @@ impl CameraConfig {
 
     /// Identifies the definition: weights trained on one camera's pictures belong to it alone.
     pub fn hash(&self) -> String {
-        let m = &self.mount;
-        let text = format!(
-            "camera 1: {}x{} fov {:.4} mount {:.4} {:.4} {:.4} {:.5} {:.5}",
-            self.width, self.height, self.fov_deg, m.forward, m.left, m.up, m.yaw, m.pitch
-        );
         // FNV-1a: stable over releases of the standard library.
-        let hash = text
+        let hash = format!("camera 1: {self}")
             .bytes()
             .fold(0xcbf2_9ce4_8422_2325_u64, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3));
         format!("{hash:016x}")
@@ -110,6 +106,18 @@ impl CameraConfig {
             return Err(CameraError::FieldOfView { found: self.fov_deg });
         }
         Ok(())
+    }
+}
+
+/// Size (pixels), field of view (degrees), mount (m, then rad): all that the hash goes by.
+impl fmt::Display for CameraConfig {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let m = &self.mount;
+        write!(
+            f,
+            "{}x{} fov {:.4} mount {:.4} {:.4} {:.4} {:.5} {:.5}",
+            self.width, self.height, self.fov_deg, m.forward, m.left, m.up, m.yaw, m.pitch
+        )
     }
 }
 

@@ -45,7 +45,7 @@ pub struct CpuRenderer {
     surfaces: Vec<Surface>,
     looks: Vec<u32>,
     /// By look: the number of the thing and the material.
-    groups: Vec<u32>,
+    groups: Vec<[u32; 2]>,
     facades: Vec<FacadeNumbers>,
     grounds: Vec<GroundNumbers>,
     row: Row,
@@ -153,7 +153,7 @@ impl Renderer for CpuRenderer {
 
 impl CpuRenderer {
     /// Draws the ground under everything; its material.
-    fn ground_plane(&mut self, scene: &Scene, view: &View, tris: usize) -> Option<u16> {
+    fn ground_plane(&mut self, scene: &Scene, view: &View, tris: usize) -> Option<u32> {
         let plane = scene.ground.map(|(material, z)| (material, (view.eye.z - z) as f32));
         let Some((material, below)) = plane.filter(|(_, below)| *below >= 0.1) else {
             settle(&mut self.visibility, 0, [0.0; 3], f32::MAX);
@@ -192,7 +192,7 @@ impl CpuRenderer {
         }
     }
 
-    fn rows(&mut self, geometry: &Geometry<'_>, shot: &Shot<'_>, plane: Option<u16>, frame: &mut Frame) {
+    fn rows(&mut self, geometry: &Geometry<'_>, shot: &Shot<'_>, plane: Option<u32>, frame: &mut Frame) {
         let &Shot { scene, view, weather, outputs, .. } = shot;
         let (width, height, stride) = (view.width, view.height, self.visibility.stride);
         let library = &scene.library;
@@ -203,7 +203,7 @@ impl CpuRenderer {
         self.looks.resize(geometry.tris.len() + 1, 0);
         if let Some(material) = plane {
             self.surfaces.push(lighting.ground(material));
-            self.groups.push(u32::MAX);
+            self.groups.push([u32::MAX; 2]);
             self.looks[geometry.tris.len()] = 1;
         }
         self.seen.clear();
@@ -299,7 +299,7 @@ impl CpuRenderer {
                     tags.fill(tag as u8);
                     if matches!(tag, SemanticTag::Road | SemanticTag::SideWalk) {
                         for (tag, paint) in tags.iter_mut().zip(&self.marks.paint[y * stride + x0..]) {
-                            if paint & 0xff >= 128 && paint >> 8 != super::model::PaintColour::Tar as u16 {
+                            if *paint >= 128 {
                                 *tag = SemanticTag::RoadLine as u8;
                             }
                         }
@@ -466,10 +466,10 @@ impl CpuRenderer {
 }
 
 /// Tells faces of one material of one thing from others.
-fn group(geometry: &Geometry<'_>, index: usize) -> u32 {
+fn group(geometry: &Geometry<'_>, index: usize) -> [u32; 2] {
     let tri = &geometry.tris[index];
     let face = &geometry.items[tri.item as usize].mesh.faces.list[tri.face as usize];
-    tri.item << 16 | u32::from(face.material)
+    [tri.item, face.material]
 }
 
 /// What lies over the whole picture: glows of lamps, drops on the glass.

@@ -157,7 +157,7 @@ pub struct Outline<'a> {
     pub looks: &'a [u32],
     pub surfaces: &'a [Surface],
     /// By look: equal for faces of one material of one thing.
-    pub groups: &'a [u32],
+    pub groups: &'a [[u32; 2]],
 }
 
 impl Outline<'_> {

@@ -247,7 +247,7 @@ impl<'a> Gather<'a, '_> {
     }
 
     fn lamps(&self, instance: Option<&Instance>) -> Lamps {
-        let mut lamps = instance.map_or(Lamps::default(), |i| i.lamps).with(Channel::Always);
+        let mut lamps = instance.map_or(Lamps::default(), |i| i.lamps);
         if self.weather.lamps {
             lamps = lamps.with(Channel::StreetLamp);
             if instance.is_some_and(|i| i.signal.is_none()) {

@@ -13,7 +13,7 @@ use super::weather::Weather;
 /// The buffers; rows as in the visibility buffer.
 #[derive(Debug, Default)]
 pub struct Marks {
-    /// Coverage 0..255 of paint, its colour's number in the high byte.
+    /// Coverage 0..255 of paint.
     pub paint: Large<u16>,
     /// Share of sun left by road users in the low byte, of sky light in the high byte.
     pub shade: Large<u16>,
@@ -37,8 +37,8 @@ struct Edge([f32; 3]);
 /// What a polygon does to a pixel.
 #[derive(Clone, Copy)]
 enum Ink {
-    /// Colour number, strength (0..255).
-    Paint(u16, f32),
+    /// Strength (0..255).
+    Paint(f32),
     /// What is left of sun and sky light in the middle (0..1).
     Shade(f32, f32),
 }
@@ -285,7 +285,7 @@ fn paint_shape(paint: &Paint, origin: [f32; 3], view: &View) -> Option<Shape> {
             sides += usize::from(want_side);
         }
     }
-    let ink = Ink::Paint(paint.colour as u16, 255.0 * paint.strength);
+    let ink = Ink::Paint(255.0 * paint.strength);
     Some(Shape { edges, count: filled, strip: sides == 2, rows, columns, iz, tolerance: 0.02, ink })
 }
 
@@ -374,12 +374,11 @@ multiversion! {
                     *cover = if on { *cover } else { 0.0 };
                 }
                 match shape.ink {
-                    Ink::Paint(colour, strength) => {
+                    Ink::Paint(strength) => {
                         let Some(paint) = paint[at..].first_chunk_mut::<{ PAD }>() else { break };
                         for (pixel, cover) in paint.iter_mut().zip(cover) {
                             let new = (cover * strength) as u16;
-                            let old = *pixel & 0xff;
-                            *pixel = if new > old { new | colour << 8 } else { *pixel };
+                            *pixel = if new > *pixel { new } else { *pixel };
                         }
                     }
                     Ink::Shade(sun, sky) => {

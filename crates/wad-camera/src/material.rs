@@ -10,7 +10,7 @@ pub fn srgb(red: u8, green: u8, blue: u8) -> Rgb {
 
 /// Index into [`Library::materials`](super::model::Library::materials).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub struct MaterialId(pub u16);
+pub struct MaterialId(pub u32);
 
 /// CARLA's semantic tags, by its numbers (0.9.14 and later).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -169,26 +169,24 @@ pub enum Channel {
     /// Never.
     #[default]
     None = 0,
-    /// Always.
-    Always = 1,
     /// Brake lamps.
-    Brake = 2,
-    /// Rear lamps: on with the headlamps.
-    Head = 3,
-    /// Rear lamps.
-    Tail = 4,
+    Brake = 1,
+    /// Head lamps.
+    Head = 2,
+    /// Rear lamps: on with the head lamps.
+    Tail = 3,
     /// Left blinkers.
-    BlinkLeft = 5,
+    BlinkLeft = 4,
     /// Right blinkers.
-    BlinkRight = 6,
+    BlinkRight = 5,
     /// Red of a signal.
-    SignalRed = 7,
+    SignalRed = 6,
     /// Yellow of a signal.
-    SignalYellow = 8,
+    SignalYellow = 7,
     /// Green of a signal.
-    SignalGreen = 9,
+    SignalGreen = 8,
     /// Street lamps.
-    StreetLamp = 10,
+    StreetLamp = 9,
 }
 
 /// Where a material's colour comes from.

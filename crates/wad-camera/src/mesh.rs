@@ -43,7 +43,7 @@ pub struct Face {
     /// Indices into [`Mesh::vertices`]; a triangle's last one is there twice.
     pub corners: [u32; 4],
     /// Index into the library's materials.
-    pub material: u16,
+    pub material: u32,
 }
 
 /// What of a mesh is needed to find where it shows.
@@ -110,7 +110,7 @@ fn joined(mesh: &Mesh, one: &Triangle, other: &Triangle, materials: &[Material])
         let (e, f) = (sub(p[(n + 1) % 4], p[n]), sub(p[(n + 2) % 4], p[(n + 1) % 4]));
         dot(cross(e, f), normal) > 1e-3 * size * (dot(e, e) * dot(f, f)).sqrt()
     });
-    if !turns || !texture_continues(&materials[usize::from(one.material.0)], four.map(|v| v.uv), p) {
+    if !turns || !texture_continues(&materials[one.material.0 as usize], four.map(|v| v.uv), p) {
         return None;
     }
     Some(corners)

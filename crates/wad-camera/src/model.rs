@@ -97,7 +97,7 @@ impl Library {
     /// Adds a material.
     pub fn material(&mut self, material: Material) -> MaterialId {
         self.materials.push(material);
-        MaterialId(self.materials.len() as u16 - 1)
+        MaterialId(self.materials.len() as u32 - 1)
     }
     /// Adds a model.
     pub fn model(&mut self, model: Model) -> ModelId {
@@ -204,23 +204,7 @@ impl Instance {
     }
 }
 
-/// The colour of paint on the ground.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u8)]
-pub enum PaintColour {
-    /// Lane lines.
-    White = 0,
-    /// Lines of road works, kerbs.
-    Yellow = 1,
-    /// Cycle lanes, no-parking.
-    Red = 2,
-    /// Parking.
-    Blue = 3,
-    /// Patches and seams of tar.
-    Tar = 4,
-}
-
-/// Paint on the road: a convex quadrilateral, drawn with exact coverage however thin it is.
+/// White paint on the road: a convex quadrilateral, drawn with exact coverage however thin it is.
 ///
 /// A bent line is a chain of quads: corners 0-1 and 2-3 are its sides, 1-2 its front end, 3-0 its rear
 /// end. Ends shared with the next quad of the chain are not softened.
@@ -228,25 +212,12 @@ pub enum PaintColour {
 pub struct Paint {
     /// Counter-clockwise seen from above (m, chunk frame), on the surface (no offset needed).
     pub corners: [[f32; 3]; 4],
-    /// What colour.
-    pub colour: PaintColour,
     /// 0 worn off .. 1 fresh.
     pub strength: f32,
     /// Whether the front end (1-2) and the rear end (3-0) are the line's own ends.
     pub front_end: bool,
     /// See `front_end`.
     pub rear_end: bool,
-}
-
-/// A street lamp's light.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PointLight {
-    /// m, chunk frame.
-    pub position: [f32; 3],
-    /// Light of its lamp.
-    pub colour: Rgb,
-    /// How far it lights the ground (m).
-    pub radius: f32,
 }
 
 /// A piece of the town, about [`CHUNK_SIZE`] wide. Everything in it that is not instanced is baked into
@@ -264,8 +235,6 @@ pub struct Chunk {
     pub paint: Vec<Paint>,
     /// The models placed in it.
     pub instances: Vec<Instance>,
-    /// Street lamps.
-    pub lights: Vec<PointLight>,
 }
 
 impl Chunk {

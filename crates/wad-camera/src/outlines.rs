@@ -2,7 +2,7 @@
 //! what nearer road users and the town's walls hide.
 //!
 //! Against the drawn boxes: nearer road users hide as boxes, trees and lamps hide nothing, and static objects
-//! (benches, signal heads) are left out.
+//! (parked cars, benches, signal heads) are left out and hide nothing.
 
 use super::Shot;
 use super::frame::ObjectTruth;

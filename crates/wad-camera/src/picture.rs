@@ -92,7 +92,7 @@ impl Picture {
         })
     }
 
-    /// A frame's picture with the boxes of its objects: solid round the visible pixels, thin round the whole object.
+    /// A frame's picture with the boxes round its objects' visible pixels.
     pub fn boxes(frame: &Frame) -> Self {
         let mut picture = Self::rgb(frame);
         for object in &frame.objects {

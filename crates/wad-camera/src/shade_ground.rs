@@ -14,8 +14,8 @@ use super::weather::Weather;
 /// Runs shorter than this are not worth posts.
 const POSTED: usize = 16;
 
-const PAINTS: [[f32; 3]; 5] =
-    [[0.72, 0.72, 0.70], [0.72, 0.46, 0.07], [0.45, 0.08, 0.06], [0.08, 0.16, 0.42], [0.035, 0.035, 0.037]];
+/// The albedo of paint.
+const PAINT: [f32; 3] = [0.72, 0.72, 0.70];
 
 /// What the ground's shading needs to know of the row.
 pub struct Ground<'a> {
@@ -138,20 +138,12 @@ fn slabs<L: Lane>(a: &Along<'_>, at: L, z: L) -> L {
 #[inline(always)]
 fn paint_of<L: Lane>(a: &Along<'_>, words: &[u16], n_fine: L, n_mid: L) -> ([L; 3], L) {
     let v = L::splat;
-    let (cover, colour) = L::load_bytes(words);
+    let (cover, _) = L::load_bytes(words);
     // Worn paint lets the asphalt through.
     let wear = (n_fine.fma(v(0.5), n_mid + v(0.1)) * v(4.0)).unit();
     let cover = cover * v(1.0 / 255.0) * (v(1.0) - v(0.30 * a.g.numbers.wear) * wear);
     let grain = n_fine.fma(v(0.15), v(1.0));
-    let mut paint = [grain; 3];
-    for i in 0..3 {
-        paint[i] = v(PAINTS[0][i]);
-        for (number, other) in PAINTS.iter().enumerate().skip(1) {
-            paint[i] = L::select(colour.less(v(number as f32 - 0.5)), paint[i], v(other[i]));
-        }
-        paint[i] = paint[i] * grain;
-    }
-    (paint, cover)
+    ([v(PAINT[0]) * grain, v(PAINT[1]) * grain, v(PAINT[2]) * grain], cover)
 }
 
 /// The albedo when wet, and how much it mirrors (0..255).

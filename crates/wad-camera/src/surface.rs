@@ -39,7 +39,7 @@ impl Kind {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Surface {
     pub kind: Kind,
-    pub material: u16,
+    pub material: u32,
     /// Smooth: red, green, blue. Textured: s, t. Value = depth (v[0] x + v[1] y + v[2]) + v[3].
     pub planes: [[f32; 4]; 3],
     /// Own colour of textured surfaces; the lit colour of flat ones.
@@ -219,7 +219,7 @@ impl Lighting<'_> {
     }
 
     /// The looks of the ground plane under everything.
-    pub fn ground(&self, material: u16) -> Surface {
+    pub fn ground(&self, material: u32) -> Surface {
         let m = &self.library.materials[material as usize];
         let up = [0.0, 0.0, 1.0];
         let kind = match m.texture {

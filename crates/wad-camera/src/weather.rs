@@ -175,7 +175,7 @@ pub struct Weather {
     pub wetness: f32,
     /// Street lamps and the cars' head and tail lamps are on.
     pub lamps: bool,
-    /// Falls with the light, so that lamps glow brighter in dull light.
+    /// Rises as the light falls, so that lamps glow brighter in dull light; 1 at noon.
     pub lamp_gain: f32,
 }
 

@@ -27,8 +27,8 @@ pub(super) const HEAD: [f64; 3] = [0.30, 0.40, 1.06];
 /// Sizes of a pedestrians' head (m).
 pub(super) const SMALL_HEAD: [f64; 3] = [0.22, 0.30, 0.62];
 /// Height of a lamp's light (m), and how far it reaches out.
-pub(super) const LAMP_HEIGHT: f64 = 7.0;
-pub(super) const LAMP_REACH: f64 = 1.9;
+const LAMP_HEIGHT: f64 = 7.0;
+const LAMP_REACH: f64 = 1.9;
 
 fn made(
     library: &mut Library,

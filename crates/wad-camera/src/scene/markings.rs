@@ -2,7 +2,6 @@
 
 use super::roads::{JunctionHeight, Station, Surface, stations, surface};
 use super::tiles::Tiles;
-use crate::model::PaintColour;
 use nalgebra::Point3;
 use sumo_network::geometry::{Point, Pose, Vector};
 use sumo_network::network::{EdgeId, EdgeKind, LaneId, LinkDirection, Network, VehicleClass};
@@ -46,7 +45,7 @@ impl Painter<'_> {
         let last = line.len() - 2;
         for (i, pair) in line.windows(2).enumerate() {
             let q = [pair[0].off(lo, 0.0), pair[1].off(lo, 0.0), pair[1].off(hi, 0.0), pair[0].off(hi, 0.0)];
-            self.tiles.paint(q, PaintColour::White, self.strength, [i == last, i == 0]);
+            self.tiles.paint(q, self.strength, [i == last, i == 0]);
         }
     }
 
@@ -119,7 +118,7 @@ pub(super) fn build(network: &Network, seed: u64, tiles: &mut Tiles) {
             };
             // The long sides lie along the traffic.
             let q = [p(&b, -half), p(&b, half), p(&a, half), p(&a, -half)];
-            tiles.paint(q, PaintColour::White, 0.85, [true, true]);
+            tiles.paint(q, 0.85, [true, true]);
             s += bar + gap;
         }
     }
@@ -293,12 +292,7 @@ fn ends(network: &Network, id: LaneId, sides: [bool; 2], tiles: &mut Tiles, stre
             Point3::new(q.x, q.y, pose.position.z)
         };
         // Its sides lie across the lane.
-        tiles.paint(
-            [p(&b, right), p(&b, left), p(&a, left), p(&a, right)],
-            PaintColour::White,
-            strength,
-            [true, true],
-        );
+        tiles.paint([p(&b, right), p(&b, left), p(&a, left), p(&a, right)], strength, [true, true]);
     };
     let (from, to) = (length - STOP_LINE.0, length - STOP_LINE.1);
     match line_at_end(network, id) {
@@ -339,7 +333,7 @@ fn arrow(tiles: &mut Tiles, pose: &Pose, [left, straight, right]: [bool; 3], str
             q.rotate_left(2);
         }
         let z = pose.position.z;
-        tiles.paint(q.map(|p: Point| Point3::new(p.x, p.y, z)), PaintColour::White, strength, [true, true]);
+        tiles.paint(q.map(|p: Point| Point3::new(p.x, p.y, z)), strength, [true, true]);
     };
     let shaft = if straight { 2.6 } else { 1.7 };
     if left || straight || right {

@@ -1,7 +1,7 @@
 //! Things along the streets: lamps, trees, hedges, benches, bins, bus stops, parked cars, signs, rails.
 
 use super::bridges;
-use super::furniture::{BENCH, Furniture, LAMP_HEIGHT, LAMP_REACH, SIGN};
+use super::furniture::{BENCH, Furniture, SIGN};
 use super::ground::{Ground, Terrain, uses};
 use super::look::Look;
 use super::markings::opposite;
@@ -10,9 +10,7 @@ use super::roads::{Station, Surface, stations, surface};
 use super::tiles::{Levels, Tiles};
 use super::trees::{Plants, leaf_colour};
 use crate::actors::Cast;
-use crate::model::{
-    Box3, Instance, LIMITS, ModelId, Object, ObjectClass, PaintColour, PlacedSign, STATIC_IDS, Sign,
-};
+use crate::model::{Box3, Instance, LIMITS, ModelId, Object, ObjectClass, PlacedSign, STATIC_IDS, Sign};
 use crate::shape::Shaper;
 use nalgebra::Point3;
 use std::f64::consts::FRAC_PI_2;
@@ -363,9 +361,6 @@ fn lamps(site: &mut Site<'_>, side: &Side<'_>, lanes: usize) {
         let s = length * (i as f64 + 0.5) / count;
         let (at, heading) = side.place(s, 0.42);
         if let Some(lamp) = site.put(site.furniture.lamp, at, heading, 0.12) {
-            let light = at + direction(heading) * (LAMP_REACH - 0.3);
-            let z = lamp.pose.position.z + LAMP_HEIGHT;
-            site.tiles.light(Point3::new(light.x, light.y, z), [1.0, 0.82, 0.55], 16.0);
             site.tiles.instance(lamp);
         }
     }
@@ -530,7 +525,7 @@ pub(super) fn car_park(site: &mut Site<'_>, outline: &[Point]) {
                 };
                 for x in [x, x + bay] {
                     let [p, q, r, s] = line(x);
-                    site.tiles.paint([q, r, s, p], PaintColour::White, 0.6, [true, true]);
+                    site.tiles.paint([q, r, s, p], 0.6, [true, true]);
                 }
                 if site.dice.chance(0.6) {
                     let centre = frame.to_world(Vector::new(x + 0.5 * bay, y + 0.5 * deep));

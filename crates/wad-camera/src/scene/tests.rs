@@ -77,7 +77,7 @@ fn standing_points(scene: &Scene, low: f32, high: f32) -> Vec<(Point3<f64>, &str
     for chunk in &scene.chunks {
         let mesh = &chunk.levels[0].1;
         for t in &mesh.triangles {
-            let material = &scene.library.materials[usize::from(t.material.0)];
+            let material = &scene.library.materials[t.material.0 as usize];
             if stands(material.tag) {
                 sample(
                     t.corners.map(|i| {
@@ -140,7 +140,7 @@ fn houses_on_a_slope_do_not_float() {
     for chunk in &scene.chunks {
         let mesh = &chunk.levels[0].1;
         for t in &mesh.triangles {
-            if scene.library.materials[usize::from(t.material.0)].tag != SemanticTag::Building {
+            if scene.library.materials[t.material.0 as usize].tag != SemanticTag::Building {
                 continue;
             }
             for i in t.corners {
@@ -433,7 +433,7 @@ fn a_left_hand_net_has_its_kerb_towards_the_road() {
     let mut faces = 0;
     for chunk in &scene.chunks {
         let mesh = &chunk.levels[2].1;
-        for t in mesh.triangles.iter().filter(|t| usize::from(t.material.0) == kerb) {
+        for t in mesh.triangles.iter().filter(|t| t.material.0 as usize == kerb) {
             let v = &mesh.vertices[t.corners[0] as usize];
             assert!(v.normal[1] < -0.9, "{v:?}");
             assert!((f64::from(v.position[1]) + chunk.origin.y - 3.6).abs() < 0.05);
@@ -451,7 +451,7 @@ fn nets_without_polygons_get_houses_beside_their_roads() {
         .chunks
         .iter()
         .flat_map(|c| &c.levels[0].1.triangles)
-        .filter(|t| scene.library.materials[usize::from(t.material.0)].tag == SemanticTag::Building)
+        .filter(|t| scene.library.materials[t.material.0 as usize].tag == SemanticTag::Building)
         .count();
     assert!(walls > 1000, "{walls}");
     let worst = standing_points(&scene, 0.2, 2.0)

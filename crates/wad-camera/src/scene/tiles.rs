@@ -2,9 +2,7 @@
 
 use super::look::Look;
 use super::polygon::clipped;
-use crate::model::{
-    CHUNK_SIZE, Chunk, Instance, Library, MaterialId, Mesh, Paint, PaintColour, PointLight, Triangle, Vertex,
-};
+use crate::model::{CHUNK_SIZE, Chunk, Instance, Library, MaterialId, Mesh, Paint, Triangle, Vertex};
 use crate::shape::{V3, bounds_of};
 use nalgebra::Point3;
 use std::collections::BTreeMap;
@@ -42,7 +40,6 @@ struct Tile {
     meshes: [Mesh; 3],
     paint: Vec<Paint>,
     instances: Vec<Instance>,
-    lights: Vec<PointLight>,
 }
 
 /// Collects the town by tile. Coordinates are the world's (m).
@@ -78,7 +75,6 @@ impl Tile {
             vertex.position[2] += up;
         }
         self.paint.iter_mut().flat_map(|p| &mut p.corners).for_each(|c| c[2] += up);
-        self.lights.iter_mut().for_each(|l| l.position[2] += up);
     }
 }
 
@@ -190,8 +186,8 @@ impl Tiles {
         }
     }
 
-    /// Paint on the ground, counter-clockwise from above: sides 0-1 and 2-3, front end 1-2, rear end 3-0.
-    pub fn paint(&mut self, corners: [Point3<f64>; 4], colour: PaintColour, strength: f32, ends: [bool; 2]) {
+    /// White paint on the ground, counter-clockwise from above: sides 0-1 and 2-3, front end 1-2, rear end 3-0.
+    pub fn paint(&mut self, corners: [Point3<f64>; 4], strength: f32, ends: [bool; 2]) {
         let x = corners.iter().map(|c| c.x).sum::<f64>() / 4.0;
         let y = corners.iter().map(|c| c.y).sum::<f64>() / 4.0;
         if !(x.is_finite() && y.is_finite()) {
@@ -201,7 +197,6 @@ impl Tiles {
         let (tile, origin) = self.tile(x, y);
         tile.paint.push(Paint {
             corners: corners.map(|c| local(c, origin)),
-            colour,
             strength,
             front_end: ends[0],
             rear_end: ends[1],
@@ -212,12 +207,6 @@ impl Tiles {
     pub fn instance(&mut self, instance: Instance) {
         let p = instance.pose.position;
         self.tile(p.x, p.y).0.instances.push(instance);
-    }
-
-    /// A street lamp's light.
-    pub fn light(&mut self, at: Point3<f64>, colour: [f32; 3], radius: f32) {
-        let (tile, origin) = self.tile(at.x, at.y);
-        tile.lights.push(PointLight { position: local(at, origin), colour, radius });
     }
 
     /// The chunks, in a fixed order; `ground` is the ground's height at a place (m), where a chunk's
@@ -264,7 +253,6 @@ impl Tiles {
                     levels: REACH.into_iter().zip(tile.meshes).collect(),
                     paint: tile.paint,
                     instances: tile.instances,
-                    lights: tile.lights,
                 }
             })
             .collect()

@@ -65,8 +65,7 @@ fn road() -> Scene {
             mesh.triangles.push(Triangle { corners, material: asphalt });
         }
         let corners = [[0.0, -0.06, 0.0], [32.0, -0.06, 0.0], [32.0, 0.06, 0.0], [0.0, 0.06, 0.0]];
-        let paint =
-            Paint { corners, colour: PaintColour::White, strength: 1.0, front_end: false, rear_end: false };
+        let paint = Paint { corners, strength: 1.0, front_end: false, rear_end: false };
         scene.chunks.push(Chunk {
             origin: Point3::new(f64::from(i) * 32.0, 0.0, 0.0),
             bounds: [[0.0, -4.0, 0.0], [32.0, 4.0, 3.0]],
@@ -118,6 +117,17 @@ fn depth_tags_and_ids_are_those_of_what_stands_there() {
     assert_eq!(frame.semantic[300 * 512 + 2], SemanticTag::Terrain as u8);
     assert_eq!(frame.semantic[3], SemanticTag::Sky as u8);
     assert_eq!(frame.depth[3], f32::INFINITY);
+}
+
+#[test]
+fn materials_beyond_65536_are_not_taken_for_the_first_ones() {
+    let mut scene = road();
+    scene.library.materials.resize(1 << 16, Material::default());
+    let model = car(&mut scene);
+    let actors = ActorFrame { instances: vec![at(model, 7, 22.95, -1.8)], ..Default::default() };
+    let mut camera = camera(512);
+    let frame = camera.render(&scene, &actors, &EGO(), &Weather::default(), Outputs::ALL);
+    assert_eq!(frame.semantic[258 * 512 + 256], SemanticTag::Car as u8);
 }
 
 #[test]
