@@ -131,7 +131,7 @@ pub struct Situation<'a> {
     pub tick: f64,
 }
 
-/// Finds the events of each tick, and reports each event once.
+/// Finds the events of each tick. An event comes when it begins, but the arrival in every tick at the route's end.
 #[derive(Clone, Debug, Default)]
 pub struct Criteria {
     params: CriteriaParams,
@@ -187,9 +187,13 @@ impl Criteria {
             let partner = (contact.kind as u8, contact.key);
             let apart = self.in_contact.get(&partner).map(|last| self.clock - last);
             let fresh = apart.is_none_or(|apart| apart > self.params.collision_separation + now.tick);
-            if contact.kind == PartnerKind::Pedestrian || contact.impulse > self.params.collision_impulse {
+            let least = match contact.kind {
+                PartnerKind::Pedestrian => 0.0,
+                _ => self.params.collision_impulse,
+            };
+            if contact.impulse > least {
                 if fresh {
-                    events.push(cause::collision(now, contact));
+                    events.push(cause::collision(now, contact, self.params.outside_lane));
                 }
                 self.in_contact.insert(partner, self.clock);
             } else if let Some(last) = self.in_contact.get_mut(&partner) {
@@ -259,4 +263,91 @@ fn is_held(now: &Situation<'_>) -> bool {
         let half = 0.5 * (actor.actor_type.width + now.width) + 0.5;
         ahead > 0.5 && ahead < reach && at.distance < half.max(0.5 * actor.actor_type.length.min(4.0))
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+    use std::sync::Arc;
+    use sumo_network::network::{LanePosition, VehicleClass};
+    use sumo_network::world::{Actor, ActorKind, ActorType, VehicleSignals};
+    use wad_vehicle::{EgoParams, EgoVehicle};
+
+    /// Causes of the collisions in ticks of 0.2 s, in each of which a walker touches an ego that stands `d` (m) beside its
+    /// lane's middle with the next impulse (N s); None: they are apart.
+    fn collisions(params: CriteriaParams, d: f64, impulses: &[Option<f64>]) -> Vec<Cause> {
+        let text = include_str!("../../../tests/data/cross.net.xml");
+        let network = Network::from_xml(Path::new("cross.net.xml"), text).unwrap();
+        let at = |lane: &str, s: f64| LanePosition { lane: network.lane_by_id(lane).unwrap(), s };
+        let route = network.route(at("WC_1", 5.0), at("EF_1", 100.0), VehicleClass::Passenger).unwrap();
+        let ego = EgoParams::default();
+        let s = 50.0;
+        let state = EgoVehicle::new(ego.clone(), route.at(s).pose, 0.0).state();
+        let place = EgoOnRoute { state, s, d, front_s: s + 0.5 * ego.length };
+        let actor_type = ActorType {
+            id: "walker".to_string(),
+            kind: ActorKind::Pedestrian,
+            length: 0.4,
+            width: 0.5,
+            height: 1.7,
+            min_gap: 0.25,
+        };
+        let walker = Actor {
+            id: Arc::from("0"),
+            key: 1,
+            actor_type: Arc::new(actor_type),
+            pose: state.pose,
+            speed: 1.0,
+            signals: VehicleSignals(0),
+            lane: None,
+            lane_position: 0.0,
+        };
+        let world = WorldState { pedestrians: vec![walker], ..WorldState::default() };
+        let mut criteria = Criteria::new(params);
+        let mut causes = Vec::new();
+        for impulse in impulses {
+            let (kind, point) = (PartnerKind::Pedestrian, Vector::new(0.0, -0.9));
+            let contact = impulse.map(|impulse| Contact { kind, key: 1, impulse, point });
+            let events = criteria.check(&Situation {
+                network: &network,
+                route: &route,
+                world: &world,
+                before: place,
+                after: place,
+                contacts: contact.as_slice(),
+                static_label: &|key| key.to_string(),
+                length: ego.length,
+                width: ego.width,
+                wheelbase: ego.wheelbase,
+                track: ego.track,
+                tick: 0.2,
+            });
+            causes.extend(events.iter().filter_map(|event| match event {
+                Event::Collision { cause, .. } => Some(*cause),
+                _ => None,
+            }));
+        }
+        causes
+    }
+
+    #[test]
+    fn a_touch_that_lasts_is_one_collision_until_they_were_apart_for_a_second() {
+        let touch = [Some(90.0)].into_iter().chain([Some(0.0); 20]);
+        let again = |apart: usize| -> usize {
+            let ticks: Vec<_> =
+                touch.clone().chain(std::iter::repeat_n(None, apart)).chain([Some(50.0)]).collect();
+            collisions(CriteriaParams::default(), 0.0, &ticks).len()
+        };
+        assert_eq!((again(1), again(8)), (1, 2));
+        assert!(collisions(CriteriaParams::default(), 0.0, &[Some(0.0)]).is_empty());
+    }
+
+    /// It was once judged by 1.75 m, whatever the event's own threshold.
+    #[test]
+    fn who_was_off_its_lane_is_judged_by_the_events_threshold() {
+        let wide = CriteriaParams { outside_lane: 3.0, ..CriteriaParams::default() };
+        assert_eq!(collisions(CriteriaParams::default(), 2.0, &[Some(90.0)]), [Cause::Ego]);
+        assert_eq!(collisions(wide, 2.0, &[Some(90.0)]), [Cause::Other]);
+    }
 }

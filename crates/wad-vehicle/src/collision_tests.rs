@@ -128,6 +128,15 @@ fn a_rear_end_pushes_the_ego_no_faster_than_the_other_drives() {
     assert!(first.point.x < -2.3);
 }
 
+/// It was once taken to keep its speed through the tick.
+#[test]
+fn an_ego_that_brakes_in_a_long_tick_is_hit_from_behind() {
+    let mut ego = ego(15.0);
+    // A metre behind the ego, as fast.
+    let contacts = ego.tick(Control { brake: 1.0, ..COAST }, 1.0, &[car(4, -5.6, 0.0, 0.0, 15.0)]);
+    assert!(contacts.iter().any(|c| c.key == 4 && c.point.x < -2.0), "{contacts:?}");
+}
+
 #[test]
 fn a_side_hit_is_reported_on_that_side() {
     let mut ego = ego(0.0);
@@ -142,8 +151,9 @@ fn a_side_hit_is_reported_on_that_side() {
 fn a_pedestrian_costs_the_ego_little_speed_and_is_hit_once() {
     let mut ego = ego(10.0);
     let contacts = run(&mut ego, COAST, &mut [pedestrian(5, 10.0, 0.4, FRAC_PI_2, 0.0)], 20);
-    assert_eq!(contacts.len(), 1, "{contacts:?}");
-    let hit = contacts[0];
+    let hits: Vec<_> = contacts.iter().filter(|contact| contact.impulse > 0.0).collect();
+    assert_eq!(hits.len(), 1, "{contacts:?}");
+    let hit = hits[0];
     println!("10 m/s into a pedestrian: {:.0} N s", hit.impulse);
     assert_eq!((hit.kind, hit.key), (PartnerKind::Pedestrian, 5));
     let reduced = 1500.0 * 75.0 / 1575.0;
@@ -156,9 +166,20 @@ fn a_pedestrian_costs_the_ego_little_speed_and_is_hit_once() {
 fn a_pedestrian_who_walks_into_a_standing_ego_is_a_light_touch() {
     let mut ego = ego(0.0);
     let contacts = run(&mut ego, COAST, &mut [pedestrian(5, 0.0, -3.0, FRAC_PI_2, 1.4)], 30);
-    assert_eq!(contacts.len(), 1);
     assert!((80.0..120.0).contains(&contacts[0].impulse), "{}", contacts[0].impulse);
     assert!(contacts[0].point.y < -0.9);
+    assert!(contacts[1..].iter().all(|contact| contact.impulse == 0.0), "{contacts:?}");
+}
+
+/// Nothing was said of them after the touch, so that the next touch of theirs counted as another collision.
+#[test]
+fn a_pedestrian_who_leans_on_the_ego_touches_it_all_along() {
+    let mut ego = ego(0.0);
+    let mut walker = [pedestrian(5, 0.0, -1.2, FRAC_PI_2, 2.0)];
+    assert!(impulse_of(&run(&mut ego, COAST, &mut walker, 1)) > 0.0);
+    walker[0].speed = 0.0;
+    let contacts = run(&mut ego, COAST, &mut walker, 30);
+    assert!(contacts.len() == 30 && impulse_of(&contacts) == 0.0, "{contacts:?}");
 }
 
 #[test]

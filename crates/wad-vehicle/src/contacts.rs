@@ -16,7 +16,7 @@ impl ContactLog {
         match self.entries.iter_mut().find(|c| c.kind == kind && c.key == key) {
             Some(contact) => {
                 let sum = contact.impulse + impulse;
-                if sum > 0.0 {
+                if impulse > 0.0 {
                     contact.point = (contact.point * contact.impulse + point * impulse) / sum;
                 }
                 contact.impulse = sum;
@@ -37,7 +37,8 @@ impl ContactLog {
 /// Pedestrians against the ego's footprint.
 ///
 /// A pedestrian is an upright capsule that does not stop the ego: a hit gives both the
-/// impulse of a perfectly plastic blow between the ego and 75 kg, once until they have been apart.
+/// impulse of a perfectly plastic blow between the ego and 75 kg, once until they have been apart. Until then
+/// they touch without impulse.
 #[derive(Default)]
 pub(super) struct PedestrianStrikes {
     /// Keys of pedestrians that were hit and still overlap the footprint.
@@ -79,6 +80,7 @@ impl PedestrianStrikes {
                 continue;
             };
             if self.struck.contains(&body.key) {
+                log.add(PartnerKind::Pedestrian, body.key, 0.0, point);
                 continue;
             }
             let turn = body.pose.heading - ego.pose.heading;

@@ -140,7 +140,7 @@ pub struct Contact {
     pub kind: PartnerKind,
     /// [`MovingBody::key`], or the static body's own number.
     pub key: u64,
-    /// Sum of the impulses over the tick (N s).
+    /// Sum of the impulses over the tick (N s); 0 while a pedestrian who was hit still touches the ego.
     pub impulse: f64,
     /// Where on the ego: x forward, y left of its centre (m).
     pub point: Vector,

@@ -15,7 +15,8 @@ const CLIMB_STEP: f64 = 1.0;
 /// A moving body is in the physics world when it can come this close (m) within the tick: as much as
 /// the ego may be thrown off its way by a collision.
 const REACH_MARGIN: f64 = 2.0;
-/// A moving body that stays further away than this (m) if both keep their motion does not touch the ego within the tick.
+/// A moving body that stays further away than this (m), and than the ego may swerve, does not touch the ego within the tick: by
+/// the way of both if they keep their motion.
 const TOUCH_MARGIN: f64 = 0.5;
 
 /// Collision groups.
@@ -85,6 +86,11 @@ pub(super) struct Reach {
 }
 
 impl Reach {
+    /// How far (m) the ego's tyres may take it off the way of its velocity.
+    fn swerve(&self) -> f64 {
+        0.5 * GRAVITY * self.duration * self.duration
+    }
+
     /// Whether a body is usable and can come within [`REACH_MARGIN`] of the ego.
     pub(super) fn covers(&self, body: &MovingBody) -> bool {
         let numbers = [body.pose.position.x, body.pose.position.y, body.pose.heading, body.speed];
@@ -101,8 +107,7 @@ impl Reach {
         let when = -apart.dot(&closing) / closing.norm_squared().max(1e-9);
         let closest = apart + closing * when.clamp(0.0, self.duration);
         let own_radius = 0.5 * body.length.hypot(body.width);
-        let swerve = 0.5 * GRAVITY * self.duration * self.duration;
-        let reach = self.radius + own_radius + REACH_MARGIN + swerve;
+        let reach = self.radius + own_radius + REACH_MARGIN + self.swerve();
         closest.norm_squared() <= reach * reach
     }
 }
@@ -247,16 +252,17 @@ impl Surroundings {
 }
 
 impl Surroundings {
-    /// Whether a moving body comes within [`TOUCH_MARGIN`] of the ego, a box of `size` (length and width, m) at `pose`, in a tick in
-    /// which both keep their motion.
+    /// Whether a moving body may touch the ego, a box of `size` (length and width, m) at `pose`, within a tick
+    /// ([`TOUCH_MARGIN`]).
     pub(super) fn press(&self, pose: &geometry::Pose, size: [f64; 2], reach: Reach) -> bool {
+        let margin = TOUCH_MARGIN.max(reach.swerve());
         self.movers.values().any(|mover| {
             let MovingBody { pose: from, length, width, .. } = mover.motion;
             let to = mover.motion.at(reach.duration).xy() - reach.velocity * reach.duration;
             let (from, to, turn) = (pose.to_local(from.xy()), pose.to_local(to), from.heading - pose.heading);
             let (sin, cos) = (turn.sin().abs(), turn.cos().abs());
             let meet = |from: f64, to: f64, own: f64, its: f64| {
-                let apart = 0.5 * (own + its) + TOUCH_MARGIN;
+                let apart = 0.5 * (own + its) + margin;
                 from.min(to) < apart && from.max(to) > -apart
             };
             meet(from.x, to.x, size[0], length * cos + width * sin)

@@ -20,14 +20,14 @@ pub enum Cause {
 /// Below this the ego counts as standing (m/s).
 const STANDING: f64 = 0.3;
 
-/// The collision event of a contact.
-pub fn collision(now: &Situation<'_>, contact: &Contact) -> Event {
+/// The collision event of a contact; `outside_lane` (m) from its lane the ego is off it.
+pub fn collision(now: &Situation<'_>, contact: &Contact, outside_lane: f64) -> Event {
     let other = match contact.kind {
         PartnerKind::Vehicle => now.world.vehicles.iter().find(|a| a.key == contact.key),
         PartnerKind::Pedestrian => now.world.pedestrians.iter().find(|a| a.key == contact.key),
         PartnerKind::Static => None,
     };
-    let (cause, reason) = judge(now, contact, other);
+    let (cause, reason) = judge(now, contact, other, outside_lane);
     Event::Collision {
         kind: contact.kind,
         partner: other.map_or_else(|| (now.static_label)(contact.key), |a| a.id.to_string()),
@@ -40,11 +40,15 @@ pub fn collision(now: &Situation<'_>, contact: &Contact) -> Event {
     }
 }
 
-fn judge(now: &Situation<'_>, contact: &Contact, other: Option<&Actor>) -> (Cause, &'static str) {
+fn judge(
+    now: &Situation<'_>,
+    contact: &Contact,
+    other: Option<&Actor>,
+    outside_lane: f64,
+) -> (Cause, &'static str) {
     let Some(other) = other else { return (Cause::Ego, "ran into a fixed object") };
     let ego = &now.before.state;
-    let outside = now.route.corridor_offset(now.before.s, now.before.d);
-    if outside > 1.75 {
+    if now.route.corridor_offset(now.before.s, now.before.d) > outside_lane {
         return (Cause::Ego, "the ego was off its lane");
     }
     if ego.speed.abs() < STANDING {
