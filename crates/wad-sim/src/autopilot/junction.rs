@@ -2,7 +2,7 @@
 //! Pure geometry, computed once per link of the route.
 
 use super::params::EgoModel;
-use sumo_network::geometry::{Point, Vector, direction};
+use sumo_network::geometry::{Point, Vector, direction, polygon_contains};
 use sumo_network::network::{CrossingId, LaneId, LinkDirection, LinkId, Network, Route, RouteLink};
 
 /// Spacing of the samples along both paths (m).
@@ -250,21 +250,9 @@ fn over(ours: &[(f64, Point)], polygon: &[Point], half_width: f64) -> Option<(f6
         let forward = direction(heading);
         let left = Vector::new(-forward.y, forward.x);
         let (s, point) = ours[i];
-        if [-half_width, 0.0, half_width].iter().any(|&d| inside(polygon, point + left * d)) {
+        if [-half_width, 0.0, half_width].iter().any(|&d| polygon_contains(polygon, point + left * d)) {
             range = Some(range.map_or((s, s), |(lo, _)| (lo, s)));
         }
     }
     range.map(|(lo, hi)| (lo - 0.5 * STEP, hi + 0.5 * STEP))
-}
-
-/// Whether `point` lies in `polygon`.
-pub fn inside(polygon: &[Point], point: Point) -> bool {
-    let mut odd = false;
-    for (i, a) in polygon.iter().enumerate() {
-        let b = &polygon[(i + 1) % polygon.len()];
-        if (a.y > point.y) != (b.y > point.y) && point.x < (b.x - a.x) * (point.y - a.y) / (b.y - a.y) + a.x {
-            odd = !odd;
-        }
-    }
-    odd
 }

@@ -233,6 +233,12 @@ impl Autopilot {
         self.pedals.overruled();
     }
 
+    /// Forgets what belongs to the old route; call when the ego gets another one.
+    pub fn route_changed(&mut self) {
+        self.changer = LaneChanger::default();
+        self.plans.clear();
+    }
+
     /// For the next [`Autopilot::control`] it goes by what `told` says too.
     pub fn tell(&mut self, told: Told) {
         self.told = told;

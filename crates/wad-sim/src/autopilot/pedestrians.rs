@@ -1,10 +1,10 @@
 //! Pedestrians on the ego's path, on crossings over it, and about to step onto either.
 
-use super::junction::{CrossingZone, LinkPlan, inside};
+use super::junction::{CrossingZone, LinkPlan};
 use super::params::AutopilotParams;
 use super::path::Path;
 use super::speed::time_to_cover;
-use sumo_network::geometry::{Point, Vector, direction};
+use sumo_network::geometry::{Point, Vector, direction, polygon_contains};
 use sumo_network::network::{EdgeKind, LaneId, Network, VehicleClass};
 use sumo_network::world::{Actor, SignalState, WorldState};
 
@@ -73,7 +73,8 @@ fn crossing_of<'a>(
         actor.lane.is_none_or(|l| matches!(network.edge(network.lane(l).edge).kind, EdgeKind::WalkingArea));
     for zone in plans.iter().flat_map(|p| &p.crossings) {
         let crossing = network.crossing(zone.crossing);
-        if actor.lane == Some(crossing.lane) || actor.lane.is_none() && inside(&crossing.outline, world_point)
+        if actor.lane == Some(crossing.lane)
+            || actor.lane.is_none() && polygon_contains(&crossing.outline, world_point)
         {
             return Some((zone, false));
         }

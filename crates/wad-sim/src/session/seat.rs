@@ -71,6 +71,7 @@ impl Seat {
     pub fn set_route(&mut self, route: Route, s: f64) {
         self.ego.set_route(route, s);
         self.criteria.route_changed();
+        self.expert.route_changed();
     }
 
     /// Whether the expert has been asked since the last tick.

@@ -1,7 +1,10 @@
 //! On the open road: speed, leaders, cut-ins, lane changes.
 
 use super::drive::*;
-use crate::autopilot::Reason;
+use crate::autopilot::{Autopilot, AutopilotParams, EgoModel, Reason};
+use sumo_network::network::Route;
+use sumo_network::world::WorldState;
+use wad_vehicle::{EgoParams, EgoVehicle};
 
 #[test]
 fn a_free_road_is_driven_at_the_limit_and_in_comfort() {
@@ -116,6 +119,23 @@ fn a_lane_change_waits_for_a_gap() {
         assert!(report.nearest > 0.4, "{shift}: {report:?}");
         assert!(report.seconds < 45.0, "{shift}: {report:?}");
     }
+}
+
+/// The old route's change once led the ego off the new route.
+#[test]
+fn a_lane_change_is_over_with_its_route() {
+    let network = net();
+    let [old, new] = ["CE_2", "CE_1"].map(|to| route(&network, ("WC_1", 5.0), (to, 100.0)));
+    let change = old.sections.iter().find(|section| section.from_lane.is_some()).unwrap();
+    let s = (change.s_start - 5.0).max(0.0);
+    let state = EgoVehicle::new(EgoParams::default(), old.at(s).pose, 8.0).state();
+    let mut pilot = Autopilot::new(AutopilotParams::default(), EgoModel::from(&EgoParams::default()));
+    let blinks = |pilot: &mut Autopilot, way: &Route| {
+        pilot.control(&network, way, s, &state, &WorldState::default(), 0.167).blinker_left
+    };
+    assert!(blinks(&mut pilot, &old));
+    pilot.route_changed();
+    assert!(!blinks(&mut pilot, &new));
 }
 
 #[test]
