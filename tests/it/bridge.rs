@@ -11,7 +11,7 @@ use wad_cosim::network::{LanePosition, Network, Route, VehicleClass};
 use wad_cosim::traci::{Batch, SumoInstall, person, vehicle};
 use wad_cosim::traffic::{Counts, TrafficSpec};
 use wad_cosim::vehicle::{Control, EgoParams};
-use wad_cosim::world::{Actor, VehicleSignals};
+use wad_cosim::world::{Actor, ActorKind, VehicleSignals};
 
 const STAND: Control = Control { throttle: 0.0, steer: 0.0, brake: 1.0, reverse: false };
 const GO: Control = Control { throttle: 0.5, steer: 0.0, brake: 0.0, reverse: false };
@@ -260,6 +260,26 @@ async fn an_ego_off_the_road_is_ignored_and_seen_again_after_its_return() {
     assert_eq!(sumo_lane(&mut bridge).await, lane(&bridge, &ego));
     let second = find(&ego, "second").expect("it waits behind the ego");
     assert!(second.speed < 0.05 && (1.5..4.0).contains(&followed), "{followed:.2} m, {second:?}");
+    bridge.close().await.expect("closed");
+}
+
+/// The first of each are called "0" by randomTrips.py. One once took the other's type.
+#[tokio::test]
+async fn a_vehicle_and_a_person_of_one_id_are_two_road_users() {
+    let scene = Scene::junction(
+        r#"<trip id="0" type="car" depart="0" departPos="200" from="WC" to="CE"/>
+           <person id="0" depart="0" departPos="170"><walk edges="WC CE" arrivalPos="60"/></person>"#,
+    );
+    let mut bridge = scene.bridge().await;
+    let mut ego = Ego::new("ego", EgoParams::default(), route(bridge.network(), "WC", "CE"), 150.0);
+    bridge.spawn(&mut ego).await.expect("the ego is in");
+    for _ in 0..6 {
+        tick(&mut bridge, &mut ego, STAND).await;
+    }
+    let car = find(&ego, "0").expect("a car");
+    let person = ego.world().pedestrians.iter().find(|p| &*p.id == "0").expect("a person");
+    assert_eq!((car.actor_type.kind, person.actor_type.kind), (ActorKind::Car, ActorKind::Pedestrian));
+    assert_ne!(car.key, person.key);
     bridge.close().await.expect("closed");
 }
 

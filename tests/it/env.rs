@@ -73,6 +73,22 @@ fn the_expert_arrives_and_reckless_driving_ends_badly() {
     assert!(matches!(env.step(control), Err(EnvError::NoEpisode)), "nothing goes on after the end");
 }
 
+/// In as-is traffic there was once no obstacle, because SUMO did not have its type; and the count of vehicles grew with
+/// each obstacle that was taken away.
+#[test]
+fn an_obstacle_stands_in_as_is_traffic_and_is_counted_once() {
+    let net = concat!(env!("CARGO_MANIFEST_DIR"), "/sumo_nets/town3/town3.net.xml");
+    let mut env = env(&Assets::load(net).unwrap(), blind(EnvOptions::training()));
+    let task = TaskSpec { traffic: Some(TrafficSpec::AsIs), ..TaskSpec::new(TaskKind::Obstacle) };
+    let mut counts = Vec::new();
+    for seed in 0..6 {
+        let (_, steps) = drive(&mut env, &task, seed, 2);
+        counts.push(steps[1].info.traffic.0);
+    }
+    // None where it is a person.
+    assert_eq!(counts.iter().max(), Some(&1), "{counts:?}");
+}
+
 #[test]
 fn a_told_expert_also_follows_whom_an_agent_is_told_of() {
     let assets = Assets::load("town5").unwrap();

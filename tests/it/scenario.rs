@@ -8,8 +8,7 @@ use wad_cosim::drive::{Drive, DriveOptions};
 use wad_cosim::env::{End, Ending};
 use wad_cosim::scenario::{self, Scenario};
 use wad_cosim::telemetry::TickRecord;
-use wad_cosim::traci::{lane, traffic_light};
-use wad_cosim::traffic::TrafficSpec;
+use wad_cosim::traci::{lane, traffic_light, vehicle};
 use wad_cosim::world::Actor;
 
 /// A shipped scenario's folder copied to where it may be changed, with the towns where it looks for them.
@@ -79,7 +78,6 @@ fn drive(config: &Path, mut look: impl FnMut(&Drive, &TickRecord)) -> Ending {
 
 async fn start(config: &Path, out: &Path) -> Drive {
     let traffic = Scenario::load(config).unwrap().traffic;
-    assert_ne!(traffic, TrafficSpec::AsIs);
     let bridge = BridgeOptions { traffic, scenario: true, ..BridgeOptions::new(config, out.join("sumo")) };
     Drive::start(DriveOptions::new(bridge, out.join("run"))).await.unwrap()
 }
@@ -141,6 +139,30 @@ fn the_vehicle_ahead_brakes_hard_and_is_not_hit() {
     assert_eq!((ending.end, ending.success), (End::Arrival, true), "{ending:?}");
 }
 
+/// It was once put at the begin of the road before the junction, on its sidewalk.
+#[test]
+fn a_vehicle_ahead_whose_gap_ends_in_a_junction_begins_behind_it() {
+    let copy = Copy::of("leader_brakes");
+    copy.change("rou.xml", "departPos=\"10.43\"", "departPos=\"285\"")
+        .change("rou.xml", "to=\"f2f1\"", "to=\"f1D3\"")
+        .change("rou.xml", "arrivalPos=\"289.64\"", "arrivalPos=\"45\"")
+        .change("add.xml", "pos=\"128.95\"", "pos=\"288.95\"")
+        .change("add.xml", "/>\n</add", "><param key=\"wad.gap\" value=\"12\"/></poi>\n</add");
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    let dir = tempfile::tempdir().unwrap();
+    runtime.block_on(async {
+        let mut drive = start(&copy.config(), dir.path()).await;
+        for _ in 0..4 {
+            drive.tick().await.unwrap();
+        }
+        let lane = others(&drive, "wad_scene_")[0].lane.unwrap();
+        assert_eq!(drive.bridge().network().lane(lane).id, "f1D3_1");
+    });
+    copy.change("add.xml", "value=\"12\"", "value=\"90\"");
+    let said = copy.problems();
+    assert!(said.contains("`wad.gap` is `90`") && said.contains("choose a smaller gap"), "{said}");
+}
+
 #[test]
 fn an_accident_blocks_the_lane_and_is_passed_on_the_next() {
     let mut seen = 0;
@@ -175,6 +197,23 @@ fn an_accident_blocks_the_lane_and_is_passed_on_the_next() {
     });
     assert_eq!((ending.end, ending.success), (End::Timeout, false), "{ending:?}");
     assert!((0.5..6.0).contains(&nearest), "{nearest}");
+}
+
+/// SUMO once refused a scenario's vehicles in as-is traffic, because their types were not defined there.
+#[test]
+fn as_is_traffic_is_the_scenarios_own_vehicles() {
+    let copy = Copy::of("accident_ahead");
+    copy.change("rou.xml", "value=\"empty\"", "value=\"as-is\"");
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    let dir = tempfile::tempdir().unwrap();
+    runtime.block_on(async {
+        let mut drive = start(&copy.config(), dir.path()).await;
+        for _ in 0..6 {
+            drive.tick().await.unwrap();
+        }
+        let there = drive.bridge_mut().client_mut().get(vehicle::ID_COUNT, "").await.unwrap();
+        assert_eq!(there, 3, "the ego and the two wrecks");
+    });
 }
 
 #[test]

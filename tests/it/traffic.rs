@@ -71,7 +71,7 @@ impl Run {
         let mut population = Population::new(Arc::clone(&network), counts, seed, options);
         let mut batch = Batch::new();
         Population::subscribe(&mut batch);
-        population.define_types(&mut batch);
+        Population::define_types(&mut batch);
         let placed = population.populate(&mut batch, ego.as_slice());
         Self {
             process,

@@ -19,6 +19,7 @@ pub struct Assets {
     files_hash: String,
     name: String,
     town_name: String,
+    seed: Option<u64>,
     /// If the config is a scenario.
     scenario: Option<Arc<Scenario>>,
     network: Arc<Network>,
@@ -105,6 +106,7 @@ impl Assets {
             files_hash,
             name: loaded.name(),
             town_name: loaded.town(),
+            seed: loaded.seed(),
             scenario,
             statics: wad_vehicle::statics_from_network(&network, &shapes.polygons),
             network: Arc::new(network),
@@ -138,6 +140,11 @@ impl Assets {
     /// The name of the net alone: a scenario's town.
     pub fn town_name(&self) -> &str {
         &self.town_name
+    }
+
+    /// The configuration's seed, if it has one.
+    pub fn seed(&self) -> Option<u64> {
+        self.seed
     }
 
     /// The scenario, where the config is one.

@@ -1,8 +1,7 @@
 //! Pins threads and processes to cores.
 //!
 //! SUMO and the bridge never run at the same time, and waking another core costs more than the work
-//! of a quiet tick, so the two share one core, as long as they have it for themselves. Linux only; elsewhere nothing
-//! happens.
+//! of a quiet tick, so the two share one core, as long as they have it for themselves. Linux only.
 
 use rayon::prelude::*;
 use std::sync::OnceLock;

@@ -5,11 +5,14 @@ use super::slot::FIRST;
 use std::sync::Arc;
 use sumo_network::geometry::Pose;
 use sumo_network::world::{Actor, ActorKind, ActorType, VehicleSignals};
-use sumo_traci::{RemoveReason, route, vehicle};
-use wad_sim::bridge::{Bridge, Ego, OBSTACLE};
+use sumo_traci::{route, vehicle};
+use wad_sim::bridge::{Bridge, Ego};
 use wad_sim::tasks::{ObstacleKind, ObstaclePlacement};
 use wad_sim::traffic::{FLEET, WALKERS};
 use wad_vehicle::PartnerKind;
+
+/// SUMO's id of the first ego's obstacle; the others have their ego's behind it.
+const OBSTACLE: &str = "obstacle";
 
 fn actor(obstacle: ObstacleKind) -> ActorKind {
     match obstacle {
@@ -68,7 +71,7 @@ pub fn put(bridge: &mut Bridge, ego: &mut Ego, wanted: &ObstaclePlacement) -> Re
 pub fn take_away(bridge: &mut Bridge, ego: &mut Ego) {
     ego.set_extras(Vec::new());
     // A person was never in SUMO: it refuses, and nothing is lost.
-    vehicle::remove(bridge.next_batch(), &id(ego), RemoveReason::Vaporized);
+    bridge.remove(&id(ego));
 }
 
 /// A person who stands at `place` and faces the traffic.

@@ -1,6 +1,6 @@
 //! Requests about background traffic: its size, and whether a place is free.
 
-use super::{Bridge, BridgeError, OBSTACLE};
+use super::{Bridge, BridgeError};
 use crate::traffic::{self, Counts, Population};
 use std::sync::Arc;
 use sumo_network::geometry::Point;
@@ -27,11 +27,18 @@ impl Bridge {
         Ok(true)
     }
 
-    /// Never removes the vehicle `id`, which is not one of the population.
+    /// Never removes the vehicle `id`, which the caller adds, until [`Bridge::remove`].
     pub fn keep(&mut self, id: &str) {
+        self.guests.insert(id.to_string(), false);
         if let Some(population) = &mut self.population {
             population.keep(id);
         }
+    }
+
+    /// Removes the vehicle `id`, which is kept, with the next step.
+    pub fn remove(&mut self, id: &str) {
+        vehicle::remove(&mut self.batch, id, RemoveReason::Vaporized);
+        self.taken_out += usize::from(self.guests.remove(id) == Some(true));
     }
 
     /// Keeps `counts` of background traffic alive from now on; see [`Population::resize`]. False if
@@ -58,9 +65,9 @@ impl Bridge {
         let replies = self.ask(&ask).await?;
         let mut population =
             population_of(&self.traffic_roads, Counts::default(), self.traffic_seed, self.traffic_alone);
-        self.egos.iter().for_each(|id| population.keep(id));
+        self.egos.iter().chain(self.guests.keys()).for_each(|id| population.keep(id));
         for id in replies.get(vehicles).map_err(sumo_traci::Error::from)? {
-            if self.traffic_alone && id != OBSTACLE && !self.egos.contains(&id) {
+            if self.traffic_alone && !self.guests.contains_key(&id) && !self.egos.contains(&id) {
                 vehicle::remove(&mut self.batch, &id, RemoveReason::Vaporized);
                 self.taken_out += 1;
             }
@@ -69,7 +76,6 @@ impl Bridge {
         for id in persons.into_iter().filter(|_| self.traffic_alone) {
             person::remove(&mut self.batch, &id, RemoveReason::Vaporized);
         }
-        population.define_types(&mut self.batch);
         // They come with the next updates, out of the ego's sight.
         population.resize(counts, &mut self.batch);
         self.population = Some(population);
@@ -119,7 +125,6 @@ impl Bridge {
 }
 
 pub(super) fn population_of(network: &Arc<Network>, counts: Counts, seed: u64, alone: bool) -> Population {
-    let keep = vec![OBSTACLE.to_string()];
-    let behaviour = traffic::Options { alone, keep, ..Default::default() };
+    let behaviour = traffic::Options { alone, ..Default::default() };
     Population::new(Arc::clone(network), counts, seed, behaviour)
 }

@@ -28,6 +28,7 @@ use background::population_of;
 use observe::ActorCatalog;
 use serde::{Deserialize, Serialize};
 use signals::SignalWatch;
+use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -98,9 +99,6 @@ pub const TICK_MS: RangeInclusive<f64> = 1.0..=1000.0;
 /// The vehicle type of a scenario's ego: the real ego replaces that vehicle.
 pub const EGO_TYPE: &str = "ego";
 
-/// Id of the vehicle that stands in the ego's way in the obstacle task.
-pub const OBSTACLE: &str = "obstacle";
-
 /// A running co-simulation.
 pub struct Bridge {
     client: TcpClient,
@@ -119,6 +117,8 @@ pub struct Bridge {
     traffic_alone: bool,
     /// Ids of the egos.
     egos: Vec<String>,
+    /// Vehicles of the caller by id, and whether they are in the network.
+    guests: BTreeMap<String, bool>,
     /// Vehicles that the next step removes: SUMO does not report their arrival.
     taken_out: usize,
     director: Option<Box<dyn Director>>,
@@ -234,6 +234,7 @@ impl Bridge {
             traffic_seed,
             traffic_alone,
             egos: Vec::new(),
+            guests: BTreeMap::new(),
             taken_out: 0,
             director: None,
             batch: Batch::new(),
@@ -334,9 +335,8 @@ impl Bridge {
         if !self.subscribed {
             self.subscribed = true;
             StepEvents::subscribe(&mut self.batch);
-            if let Some(population) = &mut self.population {
-                population.define_types(&mut self.batch);
-            }
+            // Whatever the traffic: a task's obstacle and a scenario's vehicles are of these types.
+            Population::define_types(&mut self.batch);
             let (time, tick) = (self.ticks as f64 * self.tick(), self.tick());
             if let (Some(director), Some(ego)) = (&mut self.director, egos.first()) {
                 // Before the population: what the scenario has put somewhere stands there.
@@ -413,6 +413,11 @@ impl Bridge {
         let subscriptions = replies.subscriptions();
         self.signals.read(&self.network, &subscriptions);
         let events = StepEvents::read(&replies).map_err(sumo_traci::Error::from)?;
+        for id in &events.departed {
+            if let Some(is_there) = self.guests.get_mut(*id) {
+                *is_there = true;
+            }
+        }
         let gone = events.arrived.len() + std::mem::take(&mut self.taken_out);
         self.in_network = (self.in_network + events.departed.len()).saturating_sub(gone);
         self.counts.0 = self.in_network.saturating_sub(egos.len());

@@ -55,8 +55,8 @@ const EVERYWHERE: f64 = 1e7;
 #[derive(Debug, Default)]
 pub struct ActorCatalog {
     types: BTreeMap<String, Arc<ActorType>>,
-    // Only looked up, never iterated: its order does not matter.
-    seen: HashMap<Arc<str>, Seen>,
+    /// By [`Domain`], then by id: a vehicle and a person may share one. Only looked up: the order does not matter.
+    seen: [HashMap<Arc<str>, Seen>; 2],
     next_key: u64,
     tick: u64,
     everyone: Everyone,
@@ -73,10 +73,11 @@ impl Everyone {
     fn in_sight(&self, id: &str, place: Point, sight: f64, world: &mut WorldState) {
         let first = self.users.partition_point(|(front, ..)| front.x < place.x - sight);
         let near = self.users[first..].iter().take_while(|(front, ..)| front.x <= place.x + sight);
-        for (_, domain, actor) in
-            near.filter(|(front, _, actor)| (front - place).norm() <= sight && &*actor.id != id)
-        {
-            list(world, *domain).push(actor.clone());
+        for (front, domain, actor) in near {
+            let itself = *domain == Domain::Vehicle && &*actor.id == id;
+            if (front - place).norm() <= sight && !itself {
+                list(world, *domain).push(actor.clone());
+            }
         }
     }
 }
@@ -145,7 +146,9 @@ impl ActorCatalog {
         self.tick += 1;
         if self.tick.is_multiple_of(FORGET_AFTER) {
             let oldest = self.tick - FORGET_AFTER;
-            self.seen.retain(|_, seen| seen.last_tick > oldest);
+            for seen in &mut self.seen {
+                seen.retain(|_, seen| seen.last_tick > oldest);
+            }
         }
     }
 
@@ -206,7 +209,7 @@ impl ActorCatalog {
         tick: f64,
         mut found: impl FnMut(Point, Domain, Actor),
     ) -> Result<(), sumo_traci::Error> {
-        let new: Vec<&Observed<'_>> = observed.iter().filter(|actor| !self.knows(actor.id)).collect();
+        let new: Vec<&Observed<'_>> = observed.iter().filter(|actor| !self.knows(actor)).collect();
         if !new.is_empty() {
             self.ask(client, &new).await?;
         }
@@ -219,14 +222,16 @@ impl ActorCatalog {
     }
 
     /// Whether an actor was seen a tick ago (or in this one, by another ego), so that its speed is known.
-    fn knows(&self, id: &str) -> bool {
-        self.seen.get(id).is_some_and(|seen| seen.last_tick + 1 >= self.tick)
+    fn knows(&self, actor: &Observed<'_>) -> bool {
+        let seen = self.seen[actor.domain as usize].get(actor.id);
+        seen.is_some_and(|seen| seen.last_tick + 1 >= self.tick)
     }
 
     /// None for one that left in this very step: it could not be asked about.
     fn actor(&mut self, observed: &Observed<'_>, network: &Network, tick: f64) -> Option<Actor> {
-        let id = Arc::clone(self.seen.get_key_value(observed.id)?.0);
-        let seen = self.seen.get_mut(observed.id)?;
+        let known = &mut self.seen[observed.domain as usize];
+        let id = Arc::clone(known.get_key_value(observed.id)?.0);
+        let seen = known.get_mut(observed.id)?;
         if seen.last_tick + 1 == self.tick {
             seen.speed = speed((observed.position - seen.position).norm(), seen.speed, tick);
         }
@@ -282,7 +287,8 @@ impl ActorCatalog {
         }
         for (actor, type_id, speed) in answers {
             let Some(actor_type) = self.types.get(type_id) else { continue };
-            let key = self.seen.get(actor.id).map_or(self.next_key + 1, |seen| seen.key);
+            let known = &mut self.seen[actor.domain as usize];
+            let key = known.get(actor.id).map_or(self.next_key + 1, |seen| seen.key);
             self.next_key = self.next_key.max(key);
             let seen = Seen {
                 key,
@@ -291,7 +297,7 @@ impl ActorCatalog {
                 position: actor.position,
                 speed,
             };
-            self.seen.insert(Arc::from(actor.id), seen);
+            known.insert(Arc::from(actor.id), seen);
         }
         Ok(())
     }

@@ -119,10 +119,12 @@ impl Director {
         let (ego, network) = (scene.ego, scene.network);
         let route = ego.route();
         let rear = ego.on_route().s + 0.5 * ego.params().length + gap;
-        let at = route.at(rear.min(route.length()));
+        // SUMO's vehicles depart from roads: beyond a junction in which the gap ends.
+        let rear = route.link_at(rear).map_or(rear, |link| link.end_s);
+        let at = route.at(rear);
         let lane = network.lane(at.lane);
-        let first = route.edge_index_at(rear).min(route.edges.len().saturating_sub(1));
-        let edges: Vec<&str> = route.edges[first..].iter().map(|e| network.edge(*e).id.as_str()).collect();
+        let edges = &route.edges[route.edge_index_at(rear)..];
+        let edges: Vec<&str> = edges.iter().map(|e| network.edge(*e).id.as_str()).collect();
         let route_id = self.stage.route(&edges, batch);
         let id = format!("{PREFIX}{id}");
         let s = lane.shape.project(at.pose.xy()).s + model.length;

@@ -100,10 +100,8 @@ pub fn read(
             Preset::default()
         }
     };
-    // Drawn road users are there anyway: as-is adds no others.
     let traffic = match element.param("wad.traffic").map(str::parse::<TrafficSpec>) {
         None => kind.traffic(),
-        Some(Ok(TrafficSpec::AsIs)) => TrafficSpec::Empty,
         Some(Ok(traffic)) => traffic,
         Some(Err(error)) => {
             reader.wrong(

@@ -15,6 +15,7 @@ use sumo_network::network::{
     EdgeKind, LanePosition, NearLane, Network, PointOfInterest, Polygon, Route, Shapes,
 };
 use sumo_network::world::ActorKind;
+use wad_vehicle::EgoParams;
 
 /// Types of points that a scenario may use.
 pub const POINTS: &[&str] = &[
@@ -313,6 +314,16 @@ fn kind_of(
                 Leader::Drawn(text.to_string())
             } else {
                 let name = reader.one_of("wad.vehicle", text, VEHICLES)?;
+                let rear = 0.5 * EgoParams::default().length + gap;
+                if let Some(route) = route.filter(|route| rear >= route.length()) {
+                    reader.wrong(
+                        format!(
+                            "`wad.gap` is `{gap}`, and the ego's way is only {:.0} m long",
+                            route.length()
+                        ),
+                        "choose a smaller gap, or move the ego's destination on",
+                    );
+                }
                 Leader::Ahead { model: model(name), gap }
             };
             Kind::Brake { leader, deceleration, duration }

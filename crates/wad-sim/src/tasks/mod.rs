@@ -8,7 +8,7 @@
 //! | straight | 400 m, no turn, no lane change; lights green | none | 600 | arrival, or alive with progress |
 //! | one_turn | 400 m, one turn left or right, no lane change; lights green | none | 600 | the same |
 //! | roundabout | in by the first arm, out by the third, 40 to 160 m before and after | none | 600 | the same |
-//! | obstacle | an object of the eight classes 60 to 120 m ahead in the lane | none | 300 | standing 1 to 10 m before it at the limit |
+//! | obstacle | a road user of one of six kinds 60 to 120 m ahead in the lane | none | 300 | standing 1 to 10 m before it at the limit |
 //! | cross | 500 m over at least one signalled junction of four arms | none | 1000 | arrival, or alive with progress |
 //! | composite | random, 500 m or more | 70 / 100 | 1000 | arrival or alive |
 //! | navigation | random, 500 m or more | none | the route at 10 km/h | arrival |

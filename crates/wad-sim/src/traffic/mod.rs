@@ -16,7 +16,7 @@
 //! let mut population = Population::new(network, Counts::new(70, 100), 1, Options::default());
 //! let mut batch = Batch::new();
 //! Population::subscribe(&mut batch);
-//! population.define_types(&mut batch);
+//! Population::define_types(&mut batch);
 //! population.populate(&mut batch, &[]);
 //! for _ in 0..600 {
 //!     batch.step();
@@ -128,8 +128,8 @@ impl Population {
         StepEvents::subscribe(batch)
     }
 
-    /// Defines the fleet's vehicle types in SUMO; once per run, before [`Population::populate`].
-    pub fn define_types(&self, batch: &mut Batch) {
+    /// Defines the fleet's vehicle types in SUMO; once per run, before the first vehicle of them.
+    pub fn define_types(batch: &mut Batch) {
         fleet::define(batch);
     }
 

@@ -59,7 +59,7 @@ pub enum Kind {
         leader: Leader,
         /// Deceleration (m/s2).
         deceleration: f64,
-        /// How long it brakes (s).
+        /// How long it stands (s).
         duration: f64,
     },
     /// Two vehicles that ran into each other.
