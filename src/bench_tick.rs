@@ -113,7 +113,7 @@ impl TickBench {
     /// Starts the drive and builds the town.
     ///
     /// # Errors
-    /// The camera's configuration is invalid, the input is bad, or SUMO fails.
+    /// The camera's configuration is invalid or not that of the weights, the input is bad, or SUMO fails.
     pub async fn start(options: TickBenchOptions) -> Result<Self, TickBenchError> {
         let seed = options.drive.bridge.seed;
         let drive = Drive::start(options.drive).await?;
@@ -124,7 +124,7 @@ impl TickBench {
         }
         .with_outputs(options.outputs);
         if let Some(encoder) = options.encoder {
-            eyes = eyes.with_encoder(encoder);
+            eyes = eyes.with_encoder(encoder)?;
         }
         eyes.reset(options.weather, seed);
         Ok(Self {

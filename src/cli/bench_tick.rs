@@ -10,7 +10,6 @@ use wad_cosim::bench_tick::{TickBench, TickBenchError, TickBenchOptions, TickRep
 use wad_cosim::bundled;
 use wad_cosim::camera::{CameraConfig, Instructions, Outputs, Preset};
 use wad_cosim::drive::DriveOptions;
-use wad_cosim::eyes::EyesError;
 use wad_cosim::latent::Encoder;
 use wad_cosim::perception::{self, DEFAULT_DETECTOR, DETECTORS, LeastScore};
 use wad_cosim::traffic::TrafficSpec;
@@ -35,7 +34,8 @@ pub struct Args {
     /// The camera's weather.
     #[arg(long, default_value = "ClearNoon", value_name = "NAME")]
     weather: Preset,
-    /// The camera's size in pixels.
+    /// The camera's size in pixels; weights see through the default one alone: other sizes take --detector truth or outlines,
+    /// and --encoder pooled or none.
     #[arg(long, default_value = "512x512", value_name = "WxH", value_parser = super::snapshot::size)]
     size: (usize, usize),
     /// The camera's outputs.
@@ -209,7 +209,7 @@ fn encoder(name: &str) -> anyhow::Result<Option<Box<dyn Encoder>>> {
 fn with_exit(error: TickBenchError) -> anyhow::Error {
     match error {
         TickBenchError::Drive(error) => run::with_exit(error),
-        TickBenchError::Eyes(error @ EyesError::Camera(_)) => Exit::Input.because(error),
+        TickBenchError::Eyes(error) if error.is_input() => Exit::Input.because(error),
         TickBenchError::Eyes(error) => Exit::Other.because(error),
     }
 }

@@ -23,8 +23,8 @@ use wad_cosim::view::{
 pub struct ViewArgs {
     /// Open a page that shows the run in the browser and lets viewers drive; the run goes at real time
     /// [default address: 127.0.0.1:8765].
-    #[arg(long, value_name = "ADDR", num_args = 0..=1, default_missing_value = DEFAULT_ADDRESS)]
-    pub view: Option<ViewAddress>,
+    #[arg(long, value_name = "ADDR", num_args = 0..=1)]
+    pub view: Option<Option<ViewAddress>>,
     /// A secret that viewers must know; required if other machines can reach the page.
     #[arg(long, value_name = "TOKEN", requires = "view")]
     view_token: Option<Token>,
@@ -49,11 +49,14 @@ impl ViewArgs {
     }
 }
 
-/// Listens on an address; if that is the default one and in use, on the next free port.
-pub fn listen(address: ViewAddress, token: Option<Token>) -> anyhow::Result<Listener> {
-    let is_default = DEFAULT_ADDRESS.parse() == Ok(address);
+/// Listens on the address that the user named; without one on the default, or where that is in use on the next free port.
+fn listen(named: Option<ViewAddress>, token: Option<Token>) -> anyhow::Result<Listener> {
+    let address: ViewAddress = match named {
+        Some(address) => address,
+        None => DEFAULT_ADDRESS.parse().map_err(anyhow::Error::msg)?,
+    };
     let listener = match Listener::bind(address, token.clone()) {
-        Err(ViewError::Busy { address, free: Some(free) }) if is_default => {
+        Err(ViewError::Busy { address, free: Some(free) }) if named.is_none() => {
             super::note(format_args!("{address} is in use, perhaps by another run; using {free}"));
             Listener::bind(ViewAddress(free), token)
         }
@@ -166,10 +169,9 @@ pub fn artist(
 ) -> anyhow::Result<Artist> {
     let detector =
         perception::detector(detector, perception::LeastScore::Usual).map_err(|e| Exit::Input.because(e))?;
-    let mut eyes = Eyes::new(assets.town(), CameraConfig::default(), detector)?;
-    eyes.reset(Preset::default(), seed);
+    let eyes = Eyes::new(assets.town(), CameraConfig::default(), detector)?;
     let decoder = agents::decoder(encoder.unwrap_or("default"));
-    Ok(Artist::new(assets.town(), eyes, Arc::clone(assets.network()), length, decoder)?)
+    Ok(Artist::new(assets.town(), eyes, seed, Arc::clone(assets.network()), length, decoder)?)
 }
 
 fn maker(about: &About<'_>, assets: &Arc<Assets>) -> MakeDriver {
@@ -180,4 +182,19 @@ fn maker(about: &About<'_>, assets: &Arc<Assets>) -> MakeDriver {
         agents::pilot(&assets, &spec, encoder.as_deref(), &detector, mirrors).map_err(|e| format!("{e:#}"))
     };
     Arc::new(make)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_named_port_that_is_taken_is_an_error_though_it_is_the_default() {
+        // Another program may have it already.
+        let _held = std::net::TcpListener::bind(DEFAULT_ADDRESS);
+        let error = listen(Some(DEFAULT_ADDRESS.parse().unwrap()), None).err().unwrap();
+        assert_eq!(Exit::of(&error), Exit::Input);
+        assert!(error.to_string().contains("is free: --view"), "{error}");
+        assert_ne!(listen(None, None).unwrap().address().to_string(), DEFAULT_ADDRESS);
+    }
 }

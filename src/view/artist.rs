@@ -4,6 +4,7 @@ use super::hub::{Hub, Packet, Shot};
 use super::protocol;
 use crate::camera::{Camera, CameraConfig, CameraError, Frame, Outputs, Town, Weather};
 use crate::eyes::Eyes;
+use crate::geometry::Point;
 use crate::latent::Decoder;
 use crate::network::Network;
 use crate::perception::{DrivableArea, EgoFacts, GroundPlane, Percept, TRANSFORMED_SIZE, TransformedImage};
@@ -18,6 +19,10 @@ const CHASE: (usize, usize) = (720, 540);
 const QUALITY: u8 = 80;
 const STAGE_QUALITY: u8 = 92;
 
+/// Eyes that have not looked for longer (s), or whose ego is farther away than it can have driven (m/s) meanwhile, begin anew.
+const IDLE: f64 = 1.0;
+const FASTEST: f64 = 70.0;
+
 /// JPEGs by their names.
 type Named = Vec<(&'static str, Vec<u8>)>;
 
@@ -28,6 +33,10 @@ pub struct Artist {
     chase: Camera,
     /// For ticks of drivers that do not look.
     eyes: Eyes,
+    /// Of their detector's faults.
+    seed: u64,
+    /// When (s) and where they looked last.
+    looked: Option<(f64, Point)>,
     network: Arc<Network>,
     decoder: Option<Box<dyn Decoder>>,
     ground: GroundPlane,
@@ -37,13 +46,14 @@ pub struct Artist {
 
 impl Artist {
     /// Draws `town`. A driver's own frames are shown as they are; for a blind driver `eyes`
-    /// make them. A decoder adds the reconstruction.
+    /// make them, with the detector's faults drawn from `seed`. A decoder adds the reconstruction.
     ///
     /// # Errors
     /// A camera cannot be made.
     pub fn new(
         town: Town,
         eyes: Eyes,
+        seed: u64,
         network: Arc<Network>,
         length: f64,
         decoder: Option<Box<dyn Decoder>>,
@@ -52,6 +62,8 @@ impl Artist {
             town,
             chase: Camera::new(CameraConfig::chase(CHASE.0, CHASE.1))?,
             eyes,
+            seed,
+            looked: None,
             network,
             decoder,
             ground: GroundPlane::new(&CameraConfig::default()),
@@ -120,13 +132,20 @@ impl Artist {
         let (Some((route, on_route)), true) = (&shot.way, self.eyes.perception().is_some()) else {
             return false;
         };
+        let here = (shot.state.time, on_route.state.pose.xy());
+        let tick = self.looked.and_then(|last| passed(last, here)).unwrap_or_else(|| {
+            self.eyes.reset(shot.weather, self.seed);
+            self.eyes.follow(&shot.world);
+            shot.state.dt
+        });
+        self.looked = Some(here);
         let facts = EgoFacts {
             network: &self.network,
             route,
             on_route: *on_route,
             length: self.length,
             signals: &shot.world.traffic_lights,
-            tick: shot.state.dt,
+            tick,
         };
         match self.eyes.look(&facts) {
             Ok(()) => true,
@@ -174,6 +193,12 @@ impl Artist {
     }
 }
 
+/// The time (s) from one look to another, each with its time (s) and place; None if the same eyes cannot have made both.
+fn passed(last: (f64, Point), here: (f64, Point)) -> Option<f64> {
+    let (passed, driven) = (here.0 - last.0, (here.1 - last.1).norm());
+    ((0.0..=IDLE).contains(&passed) && driven <= 1.0 + FASTEST * passed).then_some(passed)
+}
+
 fn small(image: &TransformedImage) -> Vec<u8> {
     encode(image.bytes(), TRANSFORMED_SIZE, TRANSFORMED_SIZE, STAGE_QUALITY, SamplingFactor::F_1_1)
 }
@@ -200,6 +225,99 @@ fn encode(rgb: &[u8], width: usize, height: usize, quality: u8, sampling: Sampli
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::camera::Preset;
+    use crate::camera::scene::Look;
+    use crate::criteria::EgoOnRoute;
+    use crate::geometry::direction;
+    use crate::network::testing::{net, place};
+    use crate::network::{Route, Shapes, VehicleClass};
+    use crate::perception::{Detection, Detector, PerceptionError};
+    use crate::vehicle::EgoState;
+    use crate::view::protocol::State;
+    use crate::world::{Actor, ActorKind, ActorType, VehicleSignals, WorldState};
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    /// Counts its resets.
+    struct Counting(Arc<AtomicUsize>);
+
+    impl Detector for Counting {
+        fn name(&self) -> &str {
+            "counting"
+        }
+
+        fn reset(&mut self, _: u64) {
+            self.0.fetch_add(1, Ordering::Relaxed);
+        }
+
+        fn detect(
+            &mut self,
+            _: &Frame,
+            _: &CameraConfig,
+            found: &mut Vec<Detection>,
+        ) -> Result<(), PerceptionError> {
+            found.clear();
+            Ok(())
+        }
+    }
+
+    /// An ego at `s` (m) on its route at this time (s).
+    fn shot(route: &Arc<Route>, time: f64, s: f64) -> Shot {
+        let pose = route.at(s).pose;
+        let (roll, pitch, speed) = (0.0, 0.0, 6.0);
+        let (lateral_speed, yaw_rate, acceleration, steer_angle) = (0.0, 0.0, 0.0, 0.0);
+        let velocity = direction(pose.heading) * speed;
+        let state = EgoState {
+            pose,
+            roll,
+            pitch,
+            velocity,
+            speed,
+            lateral_speed,
+            yaw_rate,
+            acceleration,
+            steer_angle,
+        };
+        let (kind, length, width) = (ActorKind::Car, 4.4, 1.8);
+        let actor_type = ActorType { id: "x".to_string(), kind, length, width, height: 1.5, min_gap: 2.5 };
+        let ego = Actor {
+            id: Arc::from("ego"),
+            key: 1,
+            actor_type: Arc::new(actor_type),
+            pose,
+            speed,
+            signals: VehicleSignals::default(),
+            lane: None,
+            lane_position: 0.0,
+        };
+        Shot {
+            state: State { time, dt: 0.167, ..State::default() },
+            world: WorldState { time, ..WorldState::default() },
+            ego,
+            weather: Preset::ClearNoon,
+            look: None,
+            way: Some((Arc::clone(route), EgoOnRoute { state, s, d: 0.0, front_s: s + 2.2 })),
+        }
+    }
+
+    #[test]
+    fn eyes_begin_anew_where_the_drive_does_not_go_on() {
+        let network = Arc::new(net());
+        let (from, to) = (place(&network, "ab_0", 20.0), place(&network, "bc_0", 200.0));
+        let route = Arc::new(network.route(from, to, VehicleClass::Passenger).unwrap());
+        let town = Town::new(&network, &Shapes::default(), Look::of(1));
+        let resets = Arc::new(AtomicUsize::new(0));
+        let detector = Box::new(Counting(Arc::clone(&resets)));
+        let eyes = Eyes::new(town.share(), CameraConfig::default(), detector).unwrap();
+        let mut artist = Artist::new(town, eyes, 3, network, 4.4, None).unwrap();
+        let mut look = |time: f64, s: f64| {
+            assert!(artist.look(&shot(&route, time, s)));
+            resets.load(Ordering::Relaxed)
+        };
+        assert_eq!([look(10.0, 50.0), look(10.5, 53.0), look(10.5, 53.0)], [1; 3]);
+        assert_eq!(look(9.0, 44.0), 2, "played again");
+        assert_eq!(look(12.0, 62.0), 3, "nobody looked for 3 s");
+        assert_eq!(look(12.2, 150.0), 4, "put elsewhere");
+    }
 
     #[test]
     fn a_picture_becomes_a_jpeg() {

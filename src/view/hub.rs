@@ -66,6 +66,8 @@ pub struct Hub {
     artist: AtomicU64,
     /// Number of the shown run or episode.
     pub greeting: watch::Sender<u64>,
+    /// Why what a viewer asked for was not done; for all viewers.
+    pub refusal: watch::Sender<String>,
     pub closing: watch::Sender<bool>,
 }
 
@@ -114,6 +116,7 @@ impl Hub {
             over: AtomicBool::new(false),
             artist: AtomicU64::new(0),
             greeting: watch::Sender::new(0),
+            refusal: watch::Sender::new(String::new()),
             closing: watch::Sender::new(false),
         };
         (Arc::new(hub), receiver)

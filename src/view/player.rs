@@ -280,12 +280,9 @@ impl Player {
         self.show();
     }
 
-    /// Sends a note to the viewers.
-    pub fn say(&mut self, said: String) {
-        let n = self.notes.last().map_or(0, |(_, note)| note.n) + 1;
-        let time = self.state.time;
-        self.notes.push((0, Noted { n, time, what: Note::Said { said } }));
-        self.show();
+    /// Tells the viewers why an episode cannot be shown.
+    pub fn say(&self, why: String) {
+        self.hub.refusal.send_replace(why);
     }
 
     fn show(&mut self) {

@@ -69,7 +69,7 @@ fn free_port(free: Option<SocketAddr>) -> String {
     })
 }
 
-/// `--view`'s value: where to listen, and whether the user said so.
+/// `--view`'s value: where to listen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ViewAddress(pub SocketAddr);
 
@@ -97,11 +97,11 @@ pub struct Listener {
 }
 
 impl Listener {
-    /// Listens on `address`. If that is the default one and in use, it takes a free port near by and
-    /// tells the user.
+    /// Listens on `address`.
     ///
     /// # Errors
-    /// The port is in use, or the address is open to other machines and there is no token.
+    /// The port is in use ([`ViewError::Busy`] names a free one near by), or the address is open to other machines and
+    /// there is no token.
     pub fn bind(address: ViewAddress, token: Option<Token>) -> Result<Self, ViewError> {
         let address = address.0;
         let loopback = address.ip().is_loopback();
@@ -331,7 +331,7 @@ const QUIET: &str = "it says nothing any more";
 
 /// Why it ended; empty if the viewer disconnected.
 async fn serve_viewer(socket: &mut WebSocket, hub: &Arc<Hub>, viewer: &mut Viewer) -> &'static str {
-    let mut greeting = hub.greeting.subscribe();
+    let (mut greeting, mut refusal) = (hub.greeting.subscribe(), hub.refusal.subscribe());
     if !greet(socket, hub, viewer.id).await {
         return "";
     }
@@ -420,6 +420,12 @@ async fn serve_viewer(socket: &mut WebSocket, hub: &Arc<Hub>, viewer: &mut Viewe
                     return GONE;
                 }
                 viewer.ask(Request::Refresh);
+            }
+            Ok(()) = refusal.changed() => {
+                let why = refusal.borrow_and_update().clone();
+                if !refuse(socket, &why).await {
+                    return GONE;
+                }
             }
             () = closed(&mut closing) => return OVER,
         }

@@ -431,11 +431,6 @@ impl RunView {
         self.cores
     }
 
-    /// Viewers now.
-    pub fn viewers(&self) -> usize {
-        self.hub.viewers()
-    }
-
     /// Tells the viewers that the run is over, and ends the threads.
     pub fn close(self) {
         self.hub.close();

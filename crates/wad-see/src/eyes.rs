@@ -32,6 +32,38 @@ pub enum EyesError {
     /// The encoder cannot be made or used.
     #[error(transparent)]
     Latent(#[from] LatentError),
+    /// A detector's or an encoder's weights belong to another camera.
+    #[error(
+        "{name}: expected the camera that its weights belong to, {expected}, found {found}: use that camera, or the \
+         detectors truth or outlines and the encoder pooled, which see through any"
+    )]
+    OtherCamera {
+        /// The detector, or `encoder`.
+        name: String,
+        /// The weights' camera.
+        expected: String,
+        /// The camera in use.
+        found: String,
+    },
+}
+
+impl EyesError {
+    /// Whether the user's input is wrong: the camera.
+    pub fn is_input(&self) -> bool {
+        matches!(self, Self::Camera(_) | Self::OtherCamera { .. })
+    }
+}
+
+/// Whether weights that belong to `theirs` see through `camera`.
+fn check_camera(name: &str, theirs: Option<CameraConfig>, camera: &CameraConfig) -> Result<(), EyesError> {
+    match theirs.filter(|theirs| theirs.hash() != camera.hash()) {
+        None => Ok(()),
+        Some(theirs) => Err(EyesError::OtherCamera {
+            name: name.to_string(),
+            expected: theirs.to_string(),
+            found: camera.to_string(),
+        }),
+    }
 }
 
 /// Wall time of the parts of a look (s).
@@ -136,8 +168,9 @@ impl Eyes {
     /// A camera of `config` with perception by `detector` behind it.
     ///
     /// # Errors
-    /// As [`Eyes::camera`].
+    /// As [`Eyes::camera`], or the detector's weights belong to another camera.
     pub fn new(town: Town, config: CameraConfig, detector: Box<dyn Detector>) -> Result<Self, EyesError> {
+        check_camera(&format!("detector {}", detector.name()), detector.camera(), &config)?;
         let mut eyes = Self::camera(town, config)?;
         if let Some(sight) = &mut eyes.sight {
             sight.perception = Some(Perception::new(detector, config));
@@ -148,7 +181,7 @@ impl Eyes {
     /// The eyes of an agent in the town of `assets`: the parts that `mode` needs, with the detector of that name.
     ///
     /// # Errors
-    /// No such detector, one that does not see what `mode` needs, or as [`Eyes::new`].
+    /// No such detector, one that does not see what `mode` needs, or as [`Eyes::new`] and [`Eyes::with_encoder`].
     pub fn of_agent(
         assets: &Assets,
         mode: ObservationMode,
@@ -169,7 +202,7 @@ impl Eyes {
         };
         let surroundings = (mode == ObservationMode::Vector).then(Surroundings::default);
         let latent = vec![0.0; mode.latent_size()];
-        Ok(Self { mode, surroundings, latent, ..eyes }.with_encoder(encoder))
+        Self { mode, surroundings, latent, ..eyes }.with_encoder(encoder)
     }
 
     /// Also looks into [mirrors], if `wanted`.
@@ -187,10 +220,15 @@ impl Eyes {
     }
 
     /// Also makes the latent.
-    #[must_use]
-    pub fn with_encoder(self, encoder: Box<dyn Encoder>) -> Self {
+    ///
+    /// # Errors
+    /// The encoder's weights belong to another camera.
+    pub fn with_encoder(self, encoder: Box<dyn Encoder>) -> Result<Self, EyesError> {
+        if let Some(sight) = self.sight.as_ref().filter(|_| self.mode.encodes()) {
+            check_camera("encoder", encoder.camera(), sight.camera.config())?;
+        }
         let eyes = self.with_image(encoder.image_kind());
-        Self { encoder: Some(encoder), ..eyes }
+        Ok(Self { encoder: Some(encoder), ..eyes })
     }
 
     /// Makes this image in place of the transformed image.
@@ -314,7 +352,11 @@ impl Eyes {
             self.times.encode = lap();
         }
         if let Some(decoder) = self.decoder.as_mut().filter(|_| encodes) {
-            self.reconstruction = Some(decoder.reconstruct(&percept.transformed)?);
+            let image = self.reconstruction.get_or_insert_default();
+            match &self.encoder {
+                Some(encoder) if encoder.hash() == decoder.hash() => decoder.decode(&self.latent, image)?,
+                _ => *image = decoder.reconstruct(&percept.transformed)?,
+            }
         }
         Ok(())
     }
@@ -395,9 +437,9 @@ impl Eyes {
         self.perception().map(Perception::percept)
     }
 
-    /// The last transformed image; None where there is none.
+    /// The last transformed image; None where none is made.
     pub fn image(&self) -> Option<&TransformedImage> {
-        self.percept().map(|percept| &percept.transformed)
+        self.percept().filter(|_| self.mode.encodes()).map(|percept| &percept.transformed)
     }
 
     /// The last transformed image as the latent holds it; None without a decoder.
@@ -448,5 +490,100 @@ impl Sight {
         let pose = mirrors::pose(facts)?;
         mirror.render(self.town.scene(), self.town.actors(), &pose, &self.weather, needs);
         Some(pose)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::latent::PooledEncoder;
+    use crate::perception::testing::Road;
+    use crate::perception::{Detection, TruthDetector};
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicU32, Ordering};
+    use sumo_network::network::Shapes;
+    use wad_camera::scene::Look;
+
+    /// Has weights of the default camera, and counts the images that it encodes.
+    #[derive(Default)]
+    struct Weighty(Arc<AtomicU32>);
+
+    impl Detector for Weighty {
+        fn name(&self) -> &str {
+            "weighty"
+        }
+
+        fn camera(&self) -> Option<CameraConfig> {
+            Some(CameraConfig::default())
+        }
+
+        fn detect(
+            &mut self,
+            _: &Frame,
+            _: &CameraConfig,
+            found: &mut Vec<Detection>,
+        ) -> Result<(), PerceptionError> {
+            found.clear();
+            Ok(())
+        }
+    }
+
+    impl Encoder for Weighty {
+        fn hash(&self) -> &str {
+            "weighty"
+        }
+
+        fn camera(&self) -> Option<CameraConfig> {
+            Some(CameraConfig::default())
+        }
+
+        fn encode(&mut self, _: &TransformedImage, latent: &mut Vec<f32>) -> Result<(), LatentError> {
+            self.0.fetch_add(1, Ordering::Relaxed);
+            latent.resize(LATENT_SIZE, 0.0);
+            Ok(())
+        }
+    }
+
+    impl Decoder for Weighty {
+        fn decode(&mut self, _: &[f32], _: &mut TransformedImage) -> Result<(), LatentError> {
+            Ok(())
+        }
+    }
+
+    fn town(road: &Road) -> Town {
+        Town::new(&road.network, &Shapes::default(), Look::of(1))
+    }
+
+    #[test]
+    fn weights_see_through_their_own_camera_alone() {
+        let town = town(&Road::new("GGG"));
+        let make = |camera: CameraConfig| {
+            let eyes = Eyes::camera(town.share(), camera).unwrap();
+            [
+                Eyes::new(town.share(), camera, Box::new(Weighty::default())).map(drop),
+                eyes.with_encoder(Box::new(Weighty::default())).map(drop),
+            ]
+        };
+        assert!(make(CameraConfig::default()).iter().all(Result::is_ok));
+        let narrow = CameraConfig { fov_deg: 60.0, ..CameraConfig::default() };
+        for made in make(narrow) {
+            let error = made.unwrap_err();
+            let text = error.to_string();
+            assert!(error.is_input() && text.contains("fov 90") && text.contains("fov 60"), "{text}");
+        }
+        let eyes = Eyes::new(town.share(), narrow, Box::new(TruthDetector::new())).unwrap();
+        assert!(eyes.with_encoder(Box::new(PooledEncoder)).is_ok());
+    }
+
+    #[test]
+    fn a_look_encodes_its_image_once() {
+        let road = Road::new("GGG");
+        let images = Arc::new(AtomicU32::new(0));
+        let weighty = || Box::new(Weighty(Arc::clone(&images)));
+        let eyes = Eyes::new(town(&road), CameraConfig::default(), weighty()).unwrap();
+        let mut eyes = eyes.with_encoder(weighty()).unwrap().with_decoder(weighty());
+        eyes.look(&road.facts(60.0, 0.0, 0.0, 5.0)).unwrap();
+        assert_eq!(images.load(Ordering::Relaxed), 1);
+        assert!(eyes.reconstruction().is_some());
     }
 }

@@ -118,7 +118,7 @@ impl Surroundings {
     /// | 20, 21 | speed limit here, and 30 m ahead | / 15 m/s |
     /// | 22-24 | the next signal within 50 m: red, yellow, green | 0, 1 |
     /// | 25 | [`nearness`] of its stop line | |
-    /// | 26, 27 | the next junction within 50 m where the ego gives way and no signal is red: 1; [`nearness`] of its stop line | |
+    /// | 26, 27 | the next junction within 50 m where the ego gives way, unless its signal is red: 1; [`nearness`] of its stop line | |
     /// | 28 + 12 k | road user k of the twelve nearest within 50 m, nearest first: 1 | |
     /// | + 1, 2 | its centre ahead and left of the ego's | / 50 m |
     /// | + 3, 4 | cosine and sine of its heading less the ego's | |
@@ -160,15 +160,18 @@ impl Surroundings {
                 put(rest + 5, nearness(light.distance));
             }
         }
-        let yields = |link: &&RouteLink| {
-            !facts.network.link(link.link).must_yield_to.is_empty() && link.stop_s - front <= SIGHT
+        // A red light whose line is farther away is another junction's.
+        let red = self.light.filter(|light| light.state.is_red());
+        let yields = |(link, distance): &(&RouteLink, f64)| {
+            !facts.network.link(link.link).must_yield_to.is_empty()
+                && *distance <= SIGHT
+                && red.is_none_or(|light| light.distance > *distance)
         };
         let next = route.links.partition_point(|link| link.stop_s < front);
-        if let Some(link) = route.links[next..].first().filter(yields)
-            && !self.light.is_some_and(|light| light.state.is_red())
-        {
+        let next = route.links.get(next).map(|link| (link, link.stop_s - front));
+        if let Some((_, distance)) = next.filter(yields) {
             put(rest + 6, 1.0);
-            put(rest + 7, nearness(link.stop_s - front));
+            put(rest + 7, nearness(distance));
         }
         self.order.clear();
         let far = |user: &User| (user.pose.xy() - here.xy()).norm();
@@ -216,6 +219,7 @@ impl Surroundings {
 mod tests {
     use super::*;
     use crate::perception::testing::{self, LENGTH as EGO_LENGTH, Road};
+    use sumo_network::network::testing::net;
 
     fn user(road: &Road, s: f64, d: f64, speed: f64, kind: ActorKind) -> Actor {
         testing::user(road.facts(s, d, 0.0, 0.0).on_route.state.pose, speed, kind)
@@ -261,6 +265,24 @@ mod tests {
         assert!((lead.gap - (15.0 - 2.5 - 0.5 * EGO_LENGTH)).abs() < 1e-6, "{lead:?}");
         assert!((lead.closing_speed - 3.0).abs() < 1e-6, "{lead:?}");
         assert!((raw.stop_light.unwrap() - 20.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn the_ego_gives_way_unless_this_junctions_signal_is_red() {
+        let told = |road: &Road| {
+            let (numbers, _) = look(road, vec![], road.route.links[0].stop_s - 20.0, 0.0, 8.0);
+            let is_near = (f64::from(numbers[27]) - nearness(20.0 - 0.5 * EGO_LENGTH)).abs() < 1e-6;
+            (numbers[26], is_near)
+        };
+        let left = |state: &str| Road::of(net(), "ab_1", "bl_0", state);
+        assert_eq!([told(&left("GGG")), told(&left("GGr"))], [(1.0, true), (0.0, false)]);
+        // A junction without a signal, and behind it one with a red light.
+        let mut road = left("rGG");
+        let first = road.route.links[0];
+        road.network.links[first.link.index()].signal = None;
+        let (link, line) = (Road::new("rGG").route.links[0].link, first.end_s + 20.0);
+        road.route.links.push(RouteLink { link, stop_s: line, end_s: line + 10.0 });
+        assert_eq!(told(&road), (1.0, true));
     }
 
     #[test]

@@ -92,7 +92,6 @@ function tell(message) {
   else if (message.type === "route") { wad.route = message.id; map.setRoute(message.line); }
   else if (message.type === "refused") note({ time: state?.time || 0, said: "refused: " + message.why }, "warn");
   else if (message.type === "beat") { if (state && hello?.mode === "run" && state.holder !== message.holder) { state.holder = message.holder; paint(); } }
-  else if (message.type === "history") points = message.points;
 }
 
 async function greet(message) {

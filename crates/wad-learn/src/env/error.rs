@@ -84,6 +84,7 @@ impl EnvError {
             Self::Assets(assets) => assets.is_input(),
             Self::Bridge(bridge) => bridge.is_input(),
             Self::Start { source, .. } => source.is_input(),
+            Self::Eyes(eyes) => eyes.is_input(),
             _ => false,
         }
     }

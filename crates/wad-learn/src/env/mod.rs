@@ -250,7 +250,7 @@ impl Env {
         self.eyes().frame()
     }
 
-    /// The last transformed image.
+    /// The last transformed image; None where none is made.
     pub fn image(&self) -> Option<&wad_see::perception::TransformedImage> {
         self.eyes().image()
     }

@@ -197,6 +197,10 @@ impl Encoder for TchEncoder {
         self.network.architecture.image
     }
 
+    fn camera(&self) -> Option<CameraConfig> {
+        Some(CameraConfig::default())
+    }
+
     fn encode(&mut self, image: &TransformedImage, latent: &mut Vec<f32>) -> Result<(), LatentError> {
         let mut scratch = std::mem::take(&mut self.scratch);
         let encoded = self.encode_one(image, &mut scratch, latent);

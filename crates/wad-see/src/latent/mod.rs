@@ -19,6 +19,7 @@ pub use plain::PlainEncoder;
 pub use pooled::PooledEncoder;
 
 use crate::perception::{ImageKind, TransformedImage};
+use wad_camera::CameraConfig;
 
 /// Why there is no latent.
 #[derive(Debug, thiserror::Error)]
@@ -55,6 +56,11 @@ pub trait Encoder: Send {
     /// The image that it was trained on.
     fn image_kind(&self) -> ImageKind {
         ImageKind::Transformed
+    }
+
+    /// The camera that its weights belong to; None where it has none.
+    fn camera(&self) -> Option<CameraConfig> {
+        None
     }
 
     /// The latent of one image, [`crate::observation::LATENT_SIZE`] numbers, into `latent`.

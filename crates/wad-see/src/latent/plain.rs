@@ -6,6 +6,7 @@ use crate::perception::{ImageKind, TransformedImage};
 use crate::weights::{Weights, WeightsError};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
+use wad_camera::CameraConfig;
 
 /// A trained encoder without libtorch. All those of the same weights share them: another one costs its buffers.
 #[derive(Debug)]
@@ -58,6 +59,10 @@ impl Encoder for PlainEncoder {
 
     fn image_kind(&self) -> ImageKind {
         self.image
+    }
+
+    fn camera(&self) -> Option<CameraConfig> {
+        Some(CameraConfig::default())
     }
 
     fn encode(&mut self, image: &TransformedImage, latent: &mut Vec<f32>) -> Result<(), LatentError> {

@@ -12,7 +12,7 @@ use super::road_users::{Kind, RoadUser, RoadUsers};
 use crate::observation::LeadState;
 use crate::perception::lead::{HALF_WAY, SIGHT};
 use sumo_network::geometry::{Point, Vector, direction};
-use sumo_network::network::Link;
+use sumo_network::network::{Link, RouteLink};
 use sumo_network::world::{Actor, ActorKind};
 
 /// Time (s) that vehicles are predicted ahead, and its steps.
@@ -202,9 +202,9 @@ fn meets(kind: Kind, place: Vector, velocity: Vector, facts: &EgoFacts<'_>) -> O
     // To the ego it stands where it will cross, unless it goes the ego's way.
     let closing_speed = on_route.state.speed - velocity.dot(&course).max(0.0);
     // Only where the ego has to give way: elsewhere oncoming vehicles would seem to cross in each bend.
-    let link = facts.route.links.iter().find(|link| begin > link.stop_s - 3.0 && begin < link.end_s + 3.0)?;
-    let link = facts.network.link(link.link);
-    let has_to_yield = match kind {
+    let near = |link: &&RouteLink| begin > link.stop_s - 3.0 && begin < link.end_s + 3.0;
+    let mut links = facts.route.links.iter().filter(near).map(|link| facts.network.link(link.link));
+    let has_to_yield = links.any(|link| match kind {
         Kind::Vehicle | Kind::TwoWheeler => !link.must_yield_to.is_empty(),
         Kind::Person => {
             let place = facts.route.at(begin).pose.xy();
@@ -213,7 +213,7 @@ fn meets(kind: Kind, place: Vector, velocity: Vector, facts: &EgoFacts<'_>) -> O
                 middle.project(place).distance < CROSSING
             })
         }
-    };
+    });
     if !has_to_yield {
         return None;
     }
@@ -351,6 +351,25 @@ mod tests {
         assert!(nobody(&left, 20.0, 6.0, [318.0, 1.6], [0.0, 0.0]), "it stands");
         assert!(nobody(&left, 35.0, 3.0, [305.0, 1.6], [-14.0, 0.0]), "it has passed before the ego comes");
         assert!(nobody(&Road::new("GGG"), 25.0, 6.0, [302.0, 14.0], [0.0, -3.0]), "the ego goes first");
+    }
+
+    #[test]
+    fn who_crosses_between_two_junctions_counts_by_either_of_them() {
+        let mut road = Road::new("GGG");
+        let (own, line) = (road.route.links[0].link, road.route.links[0].stop_s);
+        let other = road.network.lane(road.network.lane_by_id("ab_1").unwrap()).outgoing[0];
+        road.network.links[own.index()].must_yield_to.push(other);
+        let comes = |road: &Road| {
+            let at = road.route.at(line - 1.0).pose.position;
+            let pose = Pose::new(at.x, at.y + 13.6, 0.0, -std::f64::consts::FRAC_PI_2);
+            truth(&user(pose, 8.0, ActorKind::Car), &road.facts(line - 20.0, 0.0, 0.0, 6.0)).is_some()
+        };
+        assert!(comes(&road));
+        // Where the ego goes first, up to 4 m before the one where it gives way.
+        road.route.links.insert(0, RouteLink { link: other, stop_s: line - 16.0, end_s: line - 4.0 });
+        assert!(comes(&road));
+        road.route.links[1].stop_s += 10.0;
+        assert!(!comes(&road), "it is no junction's where the ego gives way");
     }
 
     #[test]

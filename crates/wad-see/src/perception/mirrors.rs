@@ -10,6 +10,7 @@ use super::{Detection, Detector, EgoFacts, GroundPlane, PerceptionError};
 use crate::observation::LeadState;
 use sumo_network::geometry::{Point, Pose, Vector, direction};
 use sumo_network::network::{Lane, RoadOption, RouteSection};
+use sumo_network::seeds;
 use wad_camera::{CameraConfig, Frame, Mount};
 use wad_sim::autopilot::lane_change::{BEGUN, room};
 
@@ -98,6 +99,8 @@ pub fn camera(front: &CameraConfig) -> CameraConfig {
 pub struct Mirrors {
     camera: CameraConfig,
     ground: GroundPlane,
+    /// None: the front camera's serves.
+    detector: Option<Box<dyn Detector>>,
     detections: Vec<Detection>,
     users: RoadUsers,
     /// How long the ego has stood for others (s).
@@ -105,30 +108,41 @@ pub struct Mirrors {
 }
 
 impl Mirrors {
-    /// Beside the front camera `front`.
-    pub fn new(front: &CameraConfig) -> Self {
+    /// Beside the front camera `front`, with a detector of their own where that one's remembers what it saw.
+    pub fn new(front: &CameraConfig, detector: Option<Box<dyn Detector>>) -> Self {
         let camera = camera(front);
         let ground = GroundPlane::new(&camera);
-        Self { camera, ground, detections: Vec::new(), users: RoadUsers::default(), stood: 0.0 }
+        Self { camera, ground, detector, detections: Vec::new(), users: RoadUsers::default(), stood: 0.0 }
     }
 
-    /// Forgets.
-    pub fn reset(&mut self) {
+    /// Begins an episode: forgets everything, draws the detector's faults from `seed`.
+    pub fn reset(&mut self, seed: u64) {
+        if let Some(detector) = &mut self.detector {
+            detector.reset(seeds::derive(seed, "mirrors"));
+        }
+        self.forget();
+    }
+
+    fn forget(&mut self) {
         self.users.reset();
         self.stood = 0.0;
     }
 
-    /// Who is in the mirror's `frame`, taken from `pose`.
+    /// Who is in the mirror's `frame`, taken from `pose`; `front` is the front camera's detector.
     ///
     /// # Errors
     /// The detector fails.
     pub fn look(
         &mut self,
-        detector: &mut dyn Detector,
+        front: &mut dyn Detector,
         frame: &Frame,
         pose: &Pose,
         tick: f64,
     ) -> Result<(), PerceptionError> {
+        let detector: &mut dyn Detector = match &mut self.detector {
+            Some(own) => own.as_mut(),
+            None => front,
+        };
         detector.detect(frame, &self.camera, &mut self.detections)?;
         self.users.update(&self.detections, &self.ground, pose, tick);
         Ok(())
@@ -138,7 +152,7 @@ impl Mirrors {
     /// stands where the ego has to wait.
     pub fn keeps_back(&mut self, others: &RoadUsers, facts: &EgoFacts<'_>) -> Option<LeadState> {
         let Some(change) = Change::due(facts) else {
-            self.reset();
+            self.forget();
             return None;
         };
         let ego = &facts.on_route.state;
@@ -193,7 +207,7 @@ mod tests {
     fn told(way: f64, [x, y]: [f64; 2], closing: f64) -> Option<LeadState> {
         let (road, wait) = changing();
         let front = CameraConfig::default();
-        let mut mirrors = Mirrors::new(&front);
+        let mut mirrors = Mirrors::new(&front, None);
         let mut last = None;
         for look in (0..12).rev() {
             let before = f64::from(look) * 0.167;
@@ -220,7 +234,7 @@ mod tests {
     #[test]
     fn who_has_waited_long_goes() {
         let (road, wait) = changing();
-        let mut mirrors = Mirrors::new(&CameraConfig::default());
+        let mut mirrors = Mirrors::new(&CameraConfig::default(), None);
         let facts = road.facts(wait - 2.0, 0.0, 0.0, 0.0);
         let mirror = pose(&facts).unwrap();
         let there = mirror.to_local(facts.on_route.state.pose.to_world(Vector::new(-4.0, 3.2)));

@@ -141,6 +141,17 @@ pub trait Detector: Send {
         Outputs::RGB
     }
 
+    /// The camera that its weights belong to; None where it sees through any.
+    fn camera(&self) -> Option<CameraConfig> {
+        None
+    }
+
+    /// The same for another camera of the ego's, with a memory of its own. None where it remembers nothing from frame to
+    /// frame: then one serves both.
+    fn for_another_camera(&self) -> Option<Box<dyn Detector>> {
+        None
+    }
+
     /// Begins an episode: clears its memory and draws its faults from `seed`.
     fn reset(&mut self, seed: u64) {
         let _ = seed;

@@ -101,7 +101,7 @@ impl Perception {
 
     /// Also looks back where the route changes lanes.
     pub fn look_back(&mut self) {
-        self.mirrors = Some(Mirrors::new(&self.camera));
+        self.mirrors = Some(Mirrors::new(&self.camera, self.detector.for_another_camera()));
     }
 
     /// Makes this image for the encoder.
@@ -137,7 +137,7 @@ impl Perception {
         self.lead.reset();
         self.road_users.reset();
         if let Some(mirrors) = &mut self.mirrors {
-            mirrors.reset();
+            mirrors.reset(seed);
         }
         self.seen_lights.reset();
         self.light_counts = LightCounts::default();
@@ -146,19 +146,7 @@ impl Perception {
         self.stop_light.reset();
     }
 
-    /// Runs all stages. `frame` is [`Perception::camera`]'s frame after the tick of `facts`.
-    ///
-    /// # Errors
-    /// The frame is not the camera's, or a stage fails.
-    pub fn perceive(&mut self, frame: &Frame, facts: &EgoFacts<'_>) -> Result<&Percept, PerceptionError> {
-        self.detect(frame)?;
-        self.find_lanes(frame, facts);
-        self.judge(facts);
-        self.transform(frame)?;
-        Ok(&self.percept)
-    }
-
-    /// First stage: the detections.
+    /// First stage: the detections in `frame`, which is [`Perception::camera`]'s.
     ///
     /// # Errors
     /// The frame is not the camera's, or the detector fails.
@@ -267,12 +255,18 @@ impl Perception {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::perception::testing::{LENGTH, Road, picture};
-    use crate::perception::{LaneBoundary, Seen, SeenLight, TruthDetector};
+    use crate::perception::testing::{LENGTH, Road, picture, seen};
+    use crate::perception::{LaneBoundary, Seen, SeenLight, TruthDetector, mirrors};
+    use sumo_network::network::testing::net;
     use sumo_network::world::SignalState;
+    use wad_camera::model::{ObjectClass, Sign};
 
-    fn perception() -> Perception {
-        Perception::new(Box::new(TruthDetector::new()), CameraConfig::default())
+    /// All stages of a look.
+    fn look(one: &mut Perception, frame: &Frame, facts: &EgoFacts<'_>) {
+        one.detect(frame).unwrap();
+        one.find_lanes(frame, facts);
+        one.judge(facts);
+        one.transform(frame).unwrap();
     }
 
     /// Sees a lane and a light, whatever the picture.
@@ -305,17 +299,19 @@ mod tests {
         let lanes = LaneEstimate { left: Some(line), right: None };
         let seen = Seen { lanes, light: Some(light), ..Seen::default() };
         let camera = CameraConfig::default();
-        let look = |state: &str| {
+        let told = |state: &str| {
             let mut perception = Perception::new(Box::new(Sees(seen)), camera);
             let road = Road::new(state);
             let facts = road.facts(road.route.links[0].stop_s - 12.0 - 0.5 * LENGTH, 0.1, 0.0, 0.0);
             // One look is not believed.
-            perception.perceive(&picture(&camera, &[]), &facts).unwrap();
-            let percept = perception.perceive(&picture(&camera, &[]), &facts).unwrap();
+            for _ in 0..2 {
+                look(&mut perception, &picture(&camera, &[]), &facts);
+            }
+            let percept = perception.percept();
             (percept.transformed.clone(), percept.lanes, percept.light, percept.raw)
         };
-        let green = look("GGG");
-        assert_eq!(green, look("rGG"), "the simulator's light is in the percept");
+        let green = told("GGG");
+        assert_eq!(green, told("rGG"), "the simulator's light is in the percept");
         assert_eq!(green.1, seen.lanes);
         // Less the room before the line.
         assert_eq!(green.2.map(|light| light.distance), Some(6.0));
@@ -324,32 +320,128 @@ mod tests {
 
     #[test]
     fn a_frame_of_another_camera_is_refused() {
-        let road = Road::new("GGG");
+        let mut perception = Perception::new(Box::new(TruthDetector::new()), CameraConfig::default());
         let frame = picture(&CameraConfig::sized(256, 256), &[]);
-        let error = perception().perceive(&frame, &road.facts(60.0, 0.0, 0.0, 5.0)).unwrap_err().to_string();
+        let error = perception.detect(&frame).unwrap_err().to_string();
         assert!(error.contains("(512, 512)") && error.contains("(256, 256)"), "{error}");
     }
 
+    /// Sees nothing at its first look, then a vehicle in front, one in the mirror, a red light, and a sign that the ego passes.
+    #[derive(Default)]
+    struct Script {
+        looks: u8,
+        seen: Seen,
+    }
+
+    impl Detector for Script {
+        fn name(&self) -> &str {
+            "script"
+        }
+
+        fn reset(&mut self, _: u64) {
+            self.looks = 0;
+        }
+
+        fn detect(
+            &mut self,
+            _: &Frame,
+            camera: &CameraConfig,
+            found: &mut Vec<Detection>,
+        ) -> Result<(), PerceptionError> {
+            found.clear();
+            if camera.mount != CameraConfig::default().mount {
+                let ground = GroundPlane::new(camera);
+                let [[left, bottom], [right, _]] = [1.9, 0.1].map(|y| ground.pixel([5.3, y]).unwrap());
+                let bounds = [left, bottom - 100.0, right, bottom];
+                found.push(Detection { class: ObjectClass::Car, bounds, score: 1.0 });
+                return Ok(());
+            }
+            self.seen = Seen::default();
+            if self.looks > 0 {
+                let driven = STEP * f64::from(self.looks);
+                found.push(seen(ObjectClass::Car, 15.0, 0.0, 1.8, 1.5));
+                let light = SeenLight { state: SignalState::Red, distance: 260.0 - driven, certainty: 0.9 };
+                self.seen.light = Some(light);
+                let at = [4.5 - driven as f32, -3.0];
+                let sign =
+                    SeenSign { sign: Sign::Limit(30), at, pixel: [0.0; 2], radius: 0.0, certainty: 0.9 };
+                self.seen.signs[0] = Some(sign).filter(|_| self.looks < 4);
+            }
+            self.looks += 1;
+            Ok(())
+        }
+
+        fn seen(&self) -> Option<&Seen> {
+            Some(&self.seen)
+        }
+    }
+
+    /// The ego's way from look to look (m).
+    const STEP: f64 = 0.6;
+
     #[test]
     fn an_episode_leaves_nothing_to_the_next() {
-        let road = Road::new("rGG");
-        let line = |offset| LaneBoundary { offset, slope: 0.02, bend: 0.0, reach: [3.0, 25.0] };
-        let frames: Vec<Frame> = [[1.4, -1.6], [1.3, -1.7], [1.2, -1.8]]
-            .map(|sides| picture(&CameraConfig::default(), &sides.map(line)))
-            .into();
-        let mut one = perception();
-        let episode = |one: &mut Perception| -> Vec<_> {
+        // A change of lane is due, on a road of 50 km/h.
+        let mut road = Road::of(net(), "ab_0", "bl_0", "GGG");
+        road.network.lanes.iter_mut().for_each(|lane| lane.speed_limit = 50.0 / 3.6);
+        let change = road.route.sections.iter().find(|at| at.from_lane.is_some()).unwrap();
+        let begin = change.s_start - 4.0;
+        let camera = CameraConfig::default();
+        let frame = picture(&camera, &[]);
+        let mut one = Perception::new(Box::new(Script::default()), camera);
+        one.look_back();
+        let mut episode = || {
             one.reset(3);
-            let facts = |i: usize| road.facts(road.route.links[0].stop_s - 18.0 + i as f64, 0.1, 0.0, 6.0);
-            let look = |(i, frame): (usize, &Frame)| {
-                let percept = one.perceive(frame, &facts(i)).unwrap();
-                (percept.transformed.clone(), percept.lanes, percept.raw, percept.light_red)
-            };
-            frames.iter().enumerate().map(look).collect()
+            let mut told = Vec::new();
+            for n in 0..6 {
+                let facts = road.facts(begin + STEP * f64::from(n), 0.0, 0.0, 3.6);
+                if n > 0 {
+                    let pose = mirrors::pose(&facts).unwrap();
+                    one.detect_behind(&frame, &pose, facts.tick).unwrap();
+                }
+                look(&mut one, &frame, &facts);
+                let counts = (one.light_counts(), one.limit_counts());
+                let Percept { detections, light, limit, lead, beside, raw, .. } = one.percept().clone();
+                told.push((detections, light, limit, lead, beside, raw, counts));
+            }
+            told
         };
-        let first = episode(&mut one);
-        assert_eq!(first, episode(&mut one));
-        assert_eq!(first, episode(&mut perception()));
-        assert!(first[0].3 && first[0].2.stop_light.is_some_and(|d| d < 20.0));
+        let first = episode();
+        assert_eq!(first, episode());
+        let (detections, light, limit, lead, beside, ..) = &first[0];
+        assert!(detections.is_empty() && *limit == Some(IN_TOWNS), "{:?}", first[0]);
+        assert_eq!((*light, *lead, *beside), (None, None, None));
+        let (_, light, limit, lead, beside, _, (lights, limits)) = &first[5];
+        assert!(
+            light.is_some() && *limit == Some(30) && lead.is_some() && beside.is_some(),
+            "{:?}",
+            first[5]
+        );
+        assert_eq!((lights.map(|all| all.without), limits.map(|all| all.ticks)), (Some(6), Some(6)));
+    }
+
+    #[test]
+    fn an_episode_leaves_no_lane_and_no_light_to_the_next() {
+        let road = Road::new("yGG");
+        let stop = road.route.links[0].stop_s;
+        let camera = CameraConfig::default();
+        let line = |offset| LaneBoundary { offset, slope: 0.02, bend: 0.0, reach: [3.0, 25.0] };
+        let frames = [picture(&camera, &[]), picture(&camera, &[1.4, -1.6].map(line))];
+        let mut one = Perception::new(Box::new(TruthDetector::new()), camera);
+        let mut episode = || {
+            one.reset(3);
+            let mut told = Vec::new();
+            // Too fast to stop, on a road without lines; then slow, and farther away.
+            for (n, speed) in [14.0, 2.0, 2.0].into_iter().enumerate() {
+                let facts = road.facts(stop - 20.0 - n as f64, 0.1, 0.0, speed);
+                look(&mut one, &frames[n.min(1)], &facts);
+                told.push((one.percept().lanes, one.percept().raw.stop_light));
+            }
+            told
+        };
+        let first = episode();
+        assert_eq!(first, episode());
+        let [(none, None), .., (lanes, Some(_))] = first[..] else { panic!("{first:?}") };
+        assert!(none == LaneEstimate::default() && lanes.left.is_some(), "{first:?}");
     }
 }

@@ -173,9 +173,9 @@ impl TruthDetector {
     }
 }
 
-/// Whether enough of an object is visible.
-fn is_visible(object: &ObjectTruth, camera: &CameraConfig) -> bool {
-    let scale = (camera.width * camera.height) as f32 / (512.0 * 512.0);
+/// Whether `frame` shows enough of an object.
+pub(super) fn is_visible(object: &ObjectTruth, frame: &Frame) -> bool {
+    let scale = (frame.width * frame.height) as f32 / (512.0 * 512.0);
     object.visible_pixels as f32 >= (LEAST_PIXELS * scale).max(2.0)
 }
 
@@ -215,6 +215,10 @@ impl Detector for TruthDetector {
         self.ghosts.clear();
     }
 
+    fn for_another_camera(&self) -> Option<Box<dyn Detector>> {
+        Some(Box::new(Self { outlines: self.outlines, ..Self::with_faults(self.faults) }))
+    }
+
     fn detect(
         &mut self,
         frame: &Frame,
@@ -222,7 +226,7 @@ impl Detector for TruthDetector {
         found: &mut Vec<Detection>,
     ) -> Result<(), PerceptionError> {
         found.clear();
-        let visible = frame.objects.iter().filter(|object| is_visible(object, camera));
+        let visible = frame.objects.iter().filter(|object| is_visible(object, frame));
         if self.faults == Faults::NONE {
             found.extend(visible.map(|object| Detection {
                 class: object.class,
@@ -254,6 +258,7 @@ impl Detector for TruthDetector {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::perception::Perception;
     use sumo_network::geometry::Pose;
     use wad_camera::model::Box3;
 
@@ -346,6 +351,29 @@ mod tests {
             seen.windows(2).filter(|pair| pair[0] != pair[1]).count()
         };
         assert!(2 * flips(0.95) < flips(0.0), "{} {}", flips(0.95), flips(0.0));
+    }
+
+    #[test]
+    fn a_mirror_leaves_the_faults_of_the_front_camera_alone() {
+        let objects = vec![car(3, 10, 1.0), car(9, 40, 0.4)];
+        let frame = Frame { width: 512, height: 512, objects, ..Frame::default() };
+        let (camera, pose) = (CameraConfig::default(), Pose::new(0.0, 0.0, 0.0, 0.0));
+        let see = |mirror: bool| {
+            let faults = Faults { false_alarms: 0.3, ..Faults::HONEST };
+            let mut perception = Perception::new(Box::new(TruthDetector::with_faults(faults)), camera);
+            perception.look_back();
+            perception.reset(5);
+            let mut all = Vec::new();
+            for _ in 0..60 {
+                if mirror {
+                    perception.detect_behind(&frame, &pose, 0.167).unwrap();
+                }
+                perception.detect(&frame).unwrap();
+                all.push(perception.percept().detections.clone());
+            }
+            all
+        };
+        assert_eq!(see(true), see(false));
     }
 
     #[test]

@@ -5,6 +5,7 @@
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
+use wad_camera::CameraConfig;
 use wad_see::latent::{Encoder, LatentError};
 use wad_see::perception::{ImageKind, TRANSFORMED_SIZE, TransformedImage};
 
@@ -36,6 +37,10 @@ impl Encoder for OtherDays {
 
     fn image_kind(&self) -> ImageKind {
         self.inner.image_kind()
+    }
+
+    fn camera(&self) -> Option<CameraConfig> {
+        self.inner.camera()
     }
 
     fn encode(&mut self, image: &TransformedImage, latent: &mut Vec<f32>) -> Result<(), LatentError> {

@@ -34,7 +34,7 @@ pub struct CenterNetDetector {
 /// What computes the network.
 #[derive(Debug)]
 enum Engine {
-    /// Any size of picture, in single precision.
+    /// In single precision; where it sees objects alone, any size of picture.
     #[cfg(feature = "learn")]
     Torch { network: Box<CenterNet>, device: Device },
     /// Pictures of the camera.
@@ -175,23 +175,23 @@ impl CenterNetDetector {
     /// Detects in RGB bytes of a picture.
     ///
     /// # Errors
-    /// The sides are not multiples of 32 (for 8 bits: not the camera's), or the network fails.
+    /// The sides are not multiples of 32 (by OpenVINO, and where it sees the road: not the camera's), or the network fails.
     pub fn detect_rgb(
         &mut self,
         rgb: &[u8],
         width: usize,
         height: usize,
     ) -> Result<Vec<Detection>, PerceptionError> {
+        let whole = ([width, height] == [512, 512], "this network sees whole pictures of the front camera");
         let (fits, hint) = match &self.engine {
             #[cfg(feature = "learn")]
-            Engine::Torch { .. } => (
+            Engine::Torch { network, .. } if network.sees() == Sees::Objects => (
                 width > 0 && width.is_multiple_of(32) && height.is_multiple_of(32),
                 "CenterNet wants colour pictures whose sides are multiples of 32; it was trained on 512x512",
             ),
-            Engine::OpenVino { .. } => (
-                [width, height] == [512, 512],
-                "with OpenVINO this network sees pictures of the front camera",
-            ),
+            #[cfg(feature = "learn")]
+            Engine::Torch { .. } => whole,
+            Engine::OpenVino { .. } => whole,
         };
         if !fits || rgb.len() != width * height * 3 {
             let hint = hint.to_string();
@@ -307,6 +307,10 @@ fn run_torch(
 impl Detector for CenterNetDetector {
     fn name(&self) -> &str {
         &self.name
+    }
+
+    fn camera(&self) -> Option<CameraConfig> {
+        Some(CameraConfig::default())
     }
 
     fn detect(

@@ -53,6 +53,15 @@ fn a_picture_of_a_wrong_size_is_an_error_that_names_it() {
 }
 
 #[test]
+fn a_network_that_sees_the_road_wants_whole_pictures() {
+    let network = CenterNet::new(Backbone::Light, Sees::Road, Device::Cpu).unwrap();
+    let mut detector =
+        CenterNetDetector::new("test".to_string(), network, Device::Cpu, LeastScore::Usual).unwrap();
+    let error = detector.detect_rgb(&[0; 256 * 256 * 3], 256, 256).unwrap_err().to_string();
+    assert!(error.contains("(256, 256)") && error.contains("(512, 512)"), "{error}");
+}
+
+#[test]
 fn the_weights_that_travel_with_the_program_are_of_its_camera() {
     crate::torch::one_thread();
     let bytes = wad_sim::bundled::detector("light").unwrap();

@@ -70,7 +70,7 @@ struct Pieces {
 /// Range in which lines are searched (m ahead of the ego's centre).
 const NEAR: f32 = 4.0;
 const FAR: f32 = 28.0;
-/// With less road than this before the stop line (m), no detection runs.
+/// With less road than this between [`NEAR`] and the stop line (m), no detection runs.
 const LEAST_ROAD: f32 = 5.0;
 /// Ticks that a boundary is kept without being detected.
 const COAST: u32 = 3;

@@ -4,6 +4,7 @@ use super::{Spread, share};
 use crate::observation::LeadState;
 use crate::perception::facts::REACH;
 use crate::perception::lead::{HALF_WAY, SIGHT};
+use crate::perception::truth::is_visible;
 use crate::perception::{EgoFacts, crossing};
 use serde::Serialize;
 use sumo_network::geometry::{Vector, wrap_angle};
@@ -69,7 +70,7 @@ fn in_path(facts: &EgoFacts<'_>, actor: &Actor) -> Option<LeadState> {
 /// Whether `frame` shows enough of the road user that has this place in the world.
 fn shows(frame: &Frame, index: usize) -> bool {
     let id = index as u32 + 1;
-    frame.objects.iter().any(|object| object.id == id && object.visible_pixels >= 12)
+    frame.objects.iter().any(|object| object.id == id && is_visible(object, frame))
 }
 
 /// Borders of the distances that are reported apart (m).
@@ -154,6 +155,23 @@ impl LeadScore {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use sumo_network::geometry::Pose;
+    use wad_camera::ObjectTruth;
+    use wad_camera::model::{Box3, ObjectClass};
+
+    #[test]
+    fn who_shows_enough_to_be_detected_counts_whatever_the_pictures_size() {
+        let shows_in = |side: usize, visible_pixels: u32| {
+            let bounds = Box3 { pose: Pose::new(0.0, 0.0, 0.0, 0.0), size: [4.5, 1.8, 1.5] };
+            let (visible_box, full_box) = ([0, 0, 4, 4], [0.0, 0.0, 4.0, 4.0]);
+            let class = ObjectClass::Car;
+            let one =
+                ObjectTruth { class, id: 1, visible_pixels, visible_box, full_box, bounds, depth: 20.0 };
+            shows(&Frame { width: side, height: side, objects: vec![one], ..Frame::default() }, 0)
+        };
+        assert_eq!([shows_in(512, 11), shows_in(512, 12)], [false, true]);
+        assert_eq!([shows_in(256, 2), shows_in(256, 3)], [false, true]);
+    }
 
     #[test]
     fn misses_lower_recall_and_leave_errors_alone() {
