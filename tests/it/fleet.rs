@@ -1,5 +1,6 @@
 //! Many egos in one SUMO, on a real one.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use wad_cosim::assets::Assets;
 use wad_cosim::bridge::Fetch;
@@ -7,7 +8,7 @@ use wad_cosim::env::{End, Env, EnvError, EnvOptions, Fleet, ObservationMode, Wor
 use wad_cosim::latent::{Encoder, PooledEncoder};
 use wad_cosim::observation::{LIGHT_NEARNESS, RAW_SIZE};
 use wad_cosim::session::Act;
-use wad_cosim::tasks::{TaskKind, TaskSpec};
+use wad_cosim::tasks::{Placement, Spot, TaskKind, TaskSpec};
 use wad_cosim::traffic::{Counts, TrafficSpec};
 use wad_cosim::vehicle::Control;
 
@@ -149,6 +150,53 @@ fn an_ego_whose_episode_ends_returns_elsewhere_without_a_pause_for_the_others() 
     }
     assert!(ended[..3].iter().all(|count| *count > 0) && ended.iter().sum::<u32>() > 6, "{ended:?}");
     assert!(ended.iter().zip(&began).all(|(ended, began)| ended - began <= 1), "{ended:?} {began:?}");
+    fleet.close();
+}
+
+/// It was once the first task's in a new SUMO, and the last one's in one that ran on.
+#[test]
+fn a_fleet_begins_in_the_largest_traffic_of_its_tasks() {
+    let mut fleet = fleet("town3", vector(), 3);
+    for seed in [1, 2] {
+        fleet.reset(&[composite(0, 0), composite(12, 0), composite(3, 0)], seed).unwrap();
+        let step = fleet.step(&[Act::Control(Control::default()); 3]).unwrap();
+        let (vehicles, _) = step.infos[0].traffic;
+        assert!((10..=12).contains(&vehicles), "seed {seed}: {vehicles} vehicles");
+    }
+    fleet.close();
+}
+
+/// A light's own program was asked for while SUMO still called it `online`, and that was restored.
+#[test]
+fn a_light_that_is_held_again_and_by_another_ego_gets_its_own_program_back() {
+    let mut fleet = fleet("town3", vector(), 2);
+    let network = Arc::clone(fleet.assets().network());
+    let light = network.traffic_light_by_id("gate").unwrap();
+    let task = |kind: TaskKind, s: f64| {
+        let [from, to] =
+            [("nw1-gate_1", s), ("fast-ne1_1", 250.0)].map(|(lane, s)| Spot { lane: lane.into(), s });
+        let placement = Placement { from, to, via: Vec::new(), obstacle: None };
+        TaskSpec { placement: Some(placement), tick_limit: Some(2), ..TaskSpec::new(kind) }
+    };
+    fleet.reset(&[task(TaskKind::Straight, 10.0), task(TaskKind::Straight, 45.0)], 1).unwrap();
+    let mut signals =
+        fleet.ego(0).unwrap().route().links.iter().filter_map(|link| network.link(link.link).signal);
+    let head = signals.find(|signal| signal.traffic_light == light).unwrap().index;
+    // Two ticks of each episode, and one in which both egos begin again; what the light shows in the last one.
+    let episodes = |fleet: &mut Fleet| {
+        let brake = Act::Control(Control { brake: 1.0, ..Control::default() });
+        for began in [false, false, true] {
+            assert_eq!(fleet.step(&[brake; 2]).unwrap().began, [began; 2]);
+        }
+        fleet.ego(0).unwrap().world().traffic_lights[light.index()].clone().unwrap()
+    };
+    let held = episodes(&mut fleet);
+    assert_eq!(held.as_bytes()[head], b'G', "held for the first ego again: {held}");
+    fleet.set_next(0, task(TaskKind::Navigation, 10.0), 2);
+    assert_eq!(episodes(&mut fleet), held, "held for the second");
+    fleet.set_next(1, task(TaskKind::Navigation, 45.0), 3);
+    let shown: BTreeSet<_> = (0..240).map(|_| episodes(&mut fleet)).collect();
+    assert!(shown.len() > 2, "its program goes on: {shown:?}");
     fleet.close();
 }
 

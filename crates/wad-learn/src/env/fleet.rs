@@ -139,7 +139,7 @@ impl Fleet {
         seeds::derive(seed, &format!("ego {ego} episode {episode}"))
     }
 
-    /// Begins an episode of every ego; ego `i` drives `tasks[i % tasks.len()]`, the traffic is the first task's.
+    /// Begins an episode of every ego; ego `i` drives `tasks[i % tasks.len()]`, in the largest traffic of the tasks.
     /// Returns the first observations, as [`Fleet::observations`].
     ///
     /// # Errors
@@ -156,7 +156,7 @@ impl Fleet {
         self.reset_each(&starts)
     }
 
-    /// Begins the episode of each ego with its own task and seed; the traffic is the first one's.
+    /// Begins the episode of each ego with its own task and seed, in the largest traffic of the tasks.
     ///
     /// # Errors
     /// As [`Fleet::reset`].
@@ -182,8 +182,12 @@ impl Fleet {
         Ok(())
     }
 
-    fn next_seed(&self, ego: usize) -> u64 {
-        self.chosen[ego].unwrap_or_else(|| Self::episode_seed(self.seed, ego, self.episodes[ego]))
+    /// The seed of ego `index`'s next episode.
+    ///
+    /// # Panics
+    /// `index` is out of range.
+    pub fn next_seed(&self, index: usize) -> u64 {
+        self.chosen[index].unwrap_or_else(|| Self::episode_seed(self.seed, index, self.episodes[index]))
     }
 
     /// Chooses task and seed of ego `index`'s next episode; without it the task stays, and the seed follows from

@@ -5,6 +5,9 @@ use sumo_network::network::{EdgeId, Link, Network, Route, TrafficLightId};
 use sumo_traci::{Batch, traffic_light};
 use wad_sim::bridge::{Bridge, BridgeError};
 
+/// The own programs of the lights that were held in a SUMO, which calls what a held one shows the program `online`.
+pub type Programs = BTreeMap<TrafficLightId, String>;
+
 /// Held lights, with their own programs.
 #[derive(Debug, Default)]
 pub struct Held(Vec<(TrafficLightId, String)>);
@@ -19,8 +22,8 @@ impl Held {
 /// The states that hold every light on `route` at green for all ways out of the route's roads and at red for all others:
 /// a head shows one lamp for all ways out of its lane, and the heads beside it show the same. Lights that are `taken`, held
 /// for another ego, stay as they are.
-fn states(network: &Network, route: &Route, taken: &[TrafficLightId]) -> BTreeMap<u32, Vec<u8>> {
-    let mut states: BTreeMap<u32, Vec<u8>> = BTreeMap::new();
+fn states(network: &Network, route: &Route, taken: &[TrafficLightId]) -> BTreeMap<TrafficLightId, Vec<u8>> {
+    let mut states: BTreeMap<TrafficLightId, Vec<u8>> = BTreeMap::new();
     let road = |link: &Link| network.lane(link.from).edge;
     let driven = route.links.iter().map(|link| network.link(link.link));
     let roads: Vec<EdgeId> = driven.filter(|link| link.signal.is_some()).map(road).collect();
@@ -28,7 +31,7 @@ fn states(network: &Network, route: &Route, taken: &[TrafficLightId]) -> BTreeMa
     let signals = out.filter_map(|link| link.signal);
     for signal in signals.filter(|signal| !taken.contains(&signal.traffic_light)) {
         let light = network.traffic_light(signal.traffic_light);
-        let state = states.entry(signal.traffic_light.0).or_insert_with(|| vec![b'r'; light.signals]);
+        let state = states.entry(signal.traffic_light).or_insert_with(|| vec![b'r'; light.signals]);
         if let Some(head) = state.get_mut(signal.index) {
             *head = b'G';
         }
@@ -37,26 +40,29 @@ fn states(network: &Network, route: &Route, taken: &[TrafficLightId]) -> BTreeMa
 }
 
 /// Holds the lights on `route` at green ([`states`]), from the next step on.
-pub async fn hold(bridge: &mut Bridge, route: &Route, taken: &[TrafficLightId]) -> Result<Held, BridgeError> {
+pub async fn hold(
+    bridge: &mut Bridge,
+    route: &Route,
+    taken: &[TrafficLightId],
+    programs: &mut Programs,
+) -> Result<Held, BridgeError> {
     let network = bridge.network().clone();
     let states = states(&network, route, taken);
-    if states.is_empty() {
-        return Ok(Held::default());
-    }
-    let id = |light: u32| network.traffic_light(TrafficLightId(light)).id.as_str();
+    let id = |light: TrafficLightId| network.traffic_light(light).id.as_str();
     let mut batch = Batch::new();
-    let asked: Vec<_> =
-        states.keys().map(|&light| (light, batch.get(traffic_light::PROGRAM, id(light)))).collect();
-    let replies = bridge.client_mut().send(&batch).await?;
-    let mut held = Held::default();
-    for (light, program) in asked {
-        held.0.push((TrafficLightId(light), replies.get(program).map_err(sumo_traci::Error::from)?));
+    let unknown = states.keys().filter(|light| !programs.contains_key(*light));
+    let asked: Vec<_> = unknown.map(|&light| (light, batch.get(traffic_light::PROGRAM, id(light)))).collect();
+    if !asked.is_empty() {
+        let replies = bridge.client_mut().send(&batch).await?;
+        for (light, program) in asked {
+            programs.insert(light, replies.get(program).map_err(sumo_traci::Error::from)?);
+        }
     }
     for (&light, state) in &states {
         let state = String::from_utf8_lossy(state);
         bridge.next_batch().set(traffic_light::SET_STATE, id(light), &*state);
     }
-    Ok(held)
+    Ok(Held(states.into_keys().map(|light| (light, programs[&light].clone())).collect()))
 }
 
 /// Restores the lights' programs, from the next step on.
@@ -85,7 +91,7 @@ mod tests {
         let route = network.route(from, to, VehicleClass::Passenger).unwrap();
         let signal = link.signal.unwrap();
         let states = states(&network, &route, &[]);
-        let held = &states[&signal.traffic_light.0];
+        let held = &states[&signal.traffic_light];
         let shown = |link: &Link| held[link.signal.unwrap().index];
         let lights = |link: &&Link| link.signal.is_some_and(|s| s.traffic_light == signal.traffic_light);
         let road = network.lane(link.from).edge;

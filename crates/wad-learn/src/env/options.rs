@@ -87,8 +87,8 @@ pub struct EnvOptions {
     pub termination: Termination,
     /// The reward's constants.
     pub reward: RewardParams,
-    /// In [`WorldMode::Running`]: episodes after which SUMO is started again, so that jams
-    /// dissolve and the traffic's seed changes. Default 200.
+    /// In [`WorldMode::Running`]: episodes after which a reset starts SUMO again, so that jams dissolve and the
+    /// traffic's seed changes. Default 200. A fleet's egos begin anew without a reset: its SUMO runs on.
     pub episodes_per_sumo: u64,
     /// Longest time a tick may take before SUMO counts as hung (s). Default 60.
     pub tick_timeout: f64,

@@ -1,7 +1,7 @@
 //! One SUMO with its egos, from episode to episode.
 
 use super::episode::Episode;
-use super::green;
+use super::green::{self, Programs};
 use super::obstacle;
 use super::scratch::Scratch;
 use super::slot::{Judge, Outcome, Slot, ego_id};
@@ -42,6 +42,8 @@ struct Sumo {
     session: Session,
     /// The settings of its population.
     traffic: TrafficSpec,
+    /// Of the lights that were held in it.
+    programs: Programs,
     episodes: u64,
 }
 
@@ -173,7 +175,7 @@ impl World {
 
     /// Moves the egos to their starts, and prepares traffic, lights and obstacles for the tasks.
     async fn begin(&mut self, starts: &[Start<'_>]) -> Result<Vec<Placement>, EnvError> {
-        let traffic = starts.first().map_or(TrafficSpec::Empty, |(task, _)| task.traffic());
+        let traffic = self.largest_traffic(starts.iter().map(|(task, _)| *task));
         let runs_on = self.options.world == WorldMode::Running
             && self.assets.scenario().is_none()
             && self.sumo.as_ref().is_some_and(|sumo| {
@@ -182,8 +184,8 @@ impl World {
             });
         let placements = if runs_on {
             let mut placements = Vec::with_capacity(starts.len());
-            for (index, (task, _)) in starts.iter().enumerate() {
-                self.leave(index, task);
+            for index in 0..starts.len() {
+                self.leave(index, traffic);
             }
             for (index, (task, seed)) in starts.iter().enumerate() {
                 placements.push(self.go_on(index, task, *seed).await?);
@@ -217,7 +219,7 @@ impl World {
         slot.obstacle = placement.obstacle.is_some();
         let (bridge, seat) = sumo.session.bridge_and_seat(index);
         if task.kind.lights_are_green() {
-            slot.held = green::hold(bridge, seat.ego().route(), &others).await?;
+            slot.held = green::hold(bridge, seat.ego().route(), &others, &mut sumo.programs).await?;
         }
         // A scenario's director puts its own.
         if let (Some(wanted), None) = (&placement.obstacle, self.assets.scenario()) {
@@ -226,17 +228,25 @@ impl World {
         Ok(())
     }
 
-    /// Takes away what an ego's last episode left, and brings the traffic to the size of the next task, with the
-    /// next step.
-    fn leave(&mut self, index: usize, task: &TaskSpec) {
-        let Some(sumo) = &mut self.sumo else { return };
-        let (bridge, seat) = sumo.session.bridge_and_seat(index);
-        // Several egos with different tasks share the largest traffic of these.
+    /// The largest traffic of `tasks`; the config's own counts as the smallest.
+    fn largest_traffic<'a>(&self, tasks: impl Iterator<Item = &'a TaskSpec>) -> TrafficSpec {
+        let town = self.assets.town_name();
+        let size = |traffic: &TrafficSpec| traffic.counts(town).map(|c| c.vehicles + c.pedestrians);
+        tasks.map(TaskSpec::traffic).max_by_key(size).unwrap_or(TrafficSpec::Empty)
+    }
+
+    /// The largest traffic of ego `index`'s `task` and those that the others drive.
+    fn shared_traffic(&self, index: usize, task: &TaskSpec) -> TrafficSpec {
         let others =
             self.slots.iter().enumerate().filter(|(other, slot)| *other != index && slot.is_running());
-        let tasks = others.filter_map(|(_, slot)| slot.task()).chain([task]);
-        let counts = tasks.filter_map(|task| task.traffic().counts(self.assets.town_name()));
-        if let Some(counts) = counts.max_by_key(|counts| counts.vehicles + counts.pedestrians) {
+        self.largest_traffic(others.filter_map(|(_, slot)| slot.task()).chain([task]))
+    }
+
+    /// Takes away what an ego's last episode left, and brings the traffic to its next size, with the next step.
+    fn leave(&mut self, index: usize, traffic: TrafficSpec) {
+        let Some(sumo) = &mut self.sumo else { return };
+        let (bridge, seat) = sumo.session.bridge_and_seat(index);
+        if let Some(counts) = traffic.counts(self.assets.town_name()) {
             bridge.resize_traffic(counts);
         }
         let slot = &mut self.slots[index];
@@ -326,7 +336,7 @@ impl World {
             seats.push(seat);
         }
         let session = Session::start(&self.assets, &options, seats).await?;
-        self.sumo = Some(Sumo { session, traffic, episodes: 0 });
+        self.sumo = Some(Sumo { session, traffic, programs: Programs::new(), episodes: 0 });
         Ok(places.into_iter().map(|(placement, _)| placement).collect())
     }
 
@@ -450,7 +460,7 @@ impl World {
     /// start. False where no place is free now.
     pub async fn begin_again(&mut self, index: usize, start: Start<'_>) -> Result<bool, EnvError> {
         let (task, seed) = start;
-        self.leave(index, task);
+        self.leave(index, self.shared_traffic(index, task));
         let placement = match self.go_on(index, task, seed).await {
             Err(EnvError::Crowded { .. }) => return Ok(false),
             placed => placed?,
@@ -468,8 +478,9 @@ impl World {
 
     /// Takes ego `index`, whose episode has ended, off the road with the next step, in which it stays.
     pub fn take_away(&mut self, index: usize) {
-        let Some(task) = self.slots[index].task().cloned() else { return };
-        self.leave(index, &task);
+        let Some(task) = self.slots[index].task() else { return };
+        let traffic = self.shared_traffic(index, task);
+        self.leave(index, traffic);
         let (corner, _) = self.assets.network().bounds;
         let Some(sumo) = &mut self.sumo else { return };
         // Each at a place of its own, out of sight of the net and of each other.
