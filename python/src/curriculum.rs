@@ -16,18 +16,18 @@ pub fn check_curriculum(text: &str, name: PathBuf) -> PyResult<()> {
 /// How a stage was left: its number, whether by its threshold, steps spent in it, share of its last episodes that were successful.
 type Left = (usize, bool, u64, f64);
 
-/// Notes an episode in a progress: the progress after it, and how a stage was left where the episode ends it. Curriculum and
-/// progress are JSON.
+/// Notes an episode of the stage `drawn` in a progress: the progress after it, and how a stage was left where the episode ends it.
+/// Curriculum and progress are JSON.
 #[pyfunction]
 pub fn note_episode(
     curriculum: &str,
     progress: &str,
-    task: &str,
+    drawn: usize,
     steps: u64,
     success: bool,
 ) -> PyResult<(String, Option<Left>)> {
     let (curriculum, mut progress): (Curriculum, Progress) = (parse(curriculum)?, parse(progress)?);
-    let passed = progress.note(&curriculum, parse(&json(&task)?)?, steps, success);
+    let passed = progress.note(&curriculum, drawn, steps, success);
     let left = passed.map(|passed| (passed.stage, passed.threshold, passed.steps, passed.rate));
     Ok((json(&progress)?, left))
 }

@@ -202,15 +202,15 @@ CURRICULUM = pathlib.Path(__file__).parents[2] / "scenarios" / "curriculum.json"
 def test_stages_follow_on_success_and_at_the_latest_when_their_steps_are_spent():
     curriculum, progress = Curriculum.load(CURRICULUM), Progress()
     for _ in range(19):
-        assert progress.note(curriculum, "straight", 100, True) is None
-    assert progress.note(curriculum, "straight", 100, True) == Passed(0, True, 2000, 1.0)
+        assert progress.note(curriculum, 0, 100, True) is None
+    assert progress.note(curriculum, 0, 100, True) == Passed(0, True, 2000, 1.0)
     assert (progress.stage, progress.steps) == (1, 0)
-    # An earlier task's success says nothing about this stage.
-    assert not any(progress.note(curriculum, "straight", 100, True) for _ in range(40))
-    spent = progress.note(curriculum, "one_turn", curriculum.stages[1].most_steps, False)
+    # An earlier stage's success says nothing about this one.
+    assert not any(progress.note(curriculum, 0, 100, True) for _ in range(40))
+    spent = progress.note(curriculum, 1, curriculum.stages[1].most_steps, False)
     assert (spent.stage, spent.threshold, progress.stage) == (1, False, 2)
     last = Progress(stage=5)
-    passed = [last.note(curriculum, "composite", 1000, True) for _ in range(60)]
+    passed = [last.note(curriculum, 5, 1000, True) for _ in range(60)]
     assert sum(one is not None for one in passed) == 1 and (last.stage, last.done) == (5, True)
 
 
@@ -340,7 +340,7 @@ def test_a_training_goes_through_its_curriculum_and_resumes_in_it():
     settings = Settings(curriculum=Curriculum.of(STEPWISE), egos=2, segment=30, **SMALL)
     settings.check()
     assert Settings.of(json.loads(json.dumps(dataclasses.asdict(settings)))) == settings
-    episode = {"task": "straight", "charts/episodic_length": 150, "success": False}
+    episode = {"stage": 0, "task": "straight", "charts/episodic_length": 150, "success": False}
     learner, rng = Learner(settings), np.random.default_rng(6)
     assert learner.take([drawn(rng, 150, 15)], [episode]).passed == []
     (passed,) = learner.take([drawn(rng, 150, 15)], [episode]).passed
@@ -350,11 +350,11 @@ def test_a_training_goes_through_its_curriculum_and_resumes_in_it():
     assert again.published().hours >= passed["hours"]
     collector, tasks = training.Collector(0, settings), set()
     for turn in range(40):
-        tasks |= {episode["task"] for episode in collector.drive(turn, again.published().weights, False, 1)[0]}
-        if tasks == {"straight", "one_turn"}:
+        tasks |= {(episode["stage"], episode["task"]) for episode in collector.drive(turn, again.published().weights, False, 1)[0]}
+        if len(tasks) == 2:
             break
     collector.close()
-    assert tasks == {"straight", "one_turn"}
+    assert tasks == {(0, "straight"), (1, "one_turn")}
     for wrong in ({"town": "town5"}, {"environments": ("wad_cosim/OneTurn-v0",)}, {"near_ends": 2}):
         with pytest.raises(wad_cosim.InputError, match="curriculum|near_ends"):
             dataclasses.replace(settings, **wrong).check()
@@ -377,6 +377,12 @@ def test_a_collector_drives_what_a_learner_learns_from():
     assert steps == state.steps > 128 and state.updates == steps - 128
     collector.drive(3, state.weights, True)
     collector.close()
+    again, later = (training.Collector(0, settings, before) for before in (0, steps))
+    first = driven[0][1][0].actions
+    for other, is_same in ((again, True), (later, False)):
+        _, found = other.drive(0, state.weights, False)
+        assert np.array_equal(found[0].actions, first) == is_same, "a training that goes on drives other episodes"
+        other.close()
 
 
 def test_a_collector_outlives_its_sumo_but_not_five_in_a_row():

@@ -94,6 +94,7 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
     config.learning_starts = WARM_UP.max(args.batch as u64);
     config.validation.every = 0;
     config.checkpoint_every = u64::MAX;
+    config.steps = u64::MAX;
     args.inputs.choose(&mut config);
     let collectors = args.collectors.unwrap_or_else(default_collectors).max(1);
     let with = |update_ratio: f64| TrainConfig { update_ratio, ..config.clone() };
@@ -114,7 +115,7 @@ fn measure(
 ) -> anyhow::Result<Option<Trained>> {
     let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
     let out = scratch.path().join("run");
-    let limits = Limits { steps: u64::MAX, time: None, collectors, device, out, record: None };
+    let limits = Limits { time: None, collectors, device, out, record: None };
     let maker = maker(&args.encoder, &args.config)?;
     let over = AtomicBool::new(false);
     let interrupt = crate::cli::interrupt()?.flag();

@@ -2,7 +2,11 @@
 
 use std::fmt;
 use std::process::ExitCode;
+use wad_cosim::assets::AssetsError;
+use wad_cosim::bridge::BridgeError;
+use wad_cosim::drive::DriveError;
 use wad_cosim::env::EnvError;
+use wad_cosim::telemetry::FolderError;
 
 /// The process's exit codes. The numbers are part of the interface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,14 +30,43 @@ impl Exit {
         error.chain().find_map(|cause| cause.downcast_ref::<Failure>()).map_or(Self::Other, |f| f.exit)
     }
 
-    /// An environment's error with its code.
-    pub fn of_env(error: EnvError) -> anyhow::Error {
-        let exit = match &error {
+    /// The code of a town that cannot be read.
+    pub fn of_assets(error: &AssetsError) -> Self {
+        if error.is_input() { Self::Input } else { Self::Sumo }
+    }
+
+    /// The code of a bridge's error.
+    pub fn of_bridge(error: &BridgeError) -> Self {
+        match error {
+            BridgeError::Folder { .. } => Self::Other,
+            error if error.is_input() => Self::Input,
+            _ => Self::Sumo,
+        }
+    }
+
+    /// The code of an environment's error.
+    pub fn of_env(error: &EnvError) -> Self {
+        match error {
             error if error.is_input() => Self::Input,
             error if error.is_sumo() => Self::Sumo,
             _ => Self::Other,
-        };
-        exit.because(error)
+        }
+    }
+
+    /// The code of a drive's error.
+    pub fn of_drive(error: &DriveError) -> Self {
+        match error {
+            DriveError::Bridge(bridge) => Self::of_bridge(bridge),
+            DriveError::Assets(assets) => Self::of_assets(assets),
+            DriveError::Destination(_)
+            | DriveError::Crowded { .. }
+            | DriveError::Scenario { .. }
+            | DriveError::Folder(FolderError::Taken { .. }) => Self::Input,
+            DriveError::Folder(FolderError::Write(_))
+            | DriveError::Write(_)
+            | DriveError::Agent(_)
+            | DriveError::Eyes(_) => Self::Other,
+        }
     }
 
     /// Make `error` end the process with this code. Its message does not change.

@@ -64,7 +64,8 @@ fn the_latent_is_small_beside_the_raw_states_unless_a_size_is_given() {
     ];
     for (name, args, gain) in cases {
         let out = dir.path().join(name);
-        let output = train(&out, &["--algo", "td3", "--steps", "0"]).args(args).args(SMALL).output().unwrap();
+        let mut command = train(&out, &["--algo", "td3", "--steps", "1", "--validate-every", "0"]);
+        let output = command.args(args).args(SMALL).output().unwrap();
         assert!(output.status.success(), "{name}: {}", stderr(&output));
         let config: Value = serde_json::from_slice(&std::fs::read(out.join("config.json")).unwrap()).unwrap();
         assert_eq!(config["latent_gain"], gain, "{name}");
@@ -98,6 +99,10 @@ fn wad_t_trains_stops_on_ctrl_c_goes_on_and_drives() {
     let again = train(&out, &["--algo", "td3"]).args(SMALL).output().unwrap();
     assert_eq!(again.status.code(), Some(2));
     assert!(stderr(&again).contains("--resume"), "{}", stderr(&again));
+    // So is what the training would not take.
+    let rate = train(&out, &["--resume", "--learning-rate", "1e-4"]).output().unwrap();
+    assert_eq!(rate.status.code(), Some(2));
+    assert!(stderr(&rate).contains("--learning-rate"), "{}", stderr(&rate));
 
     let more = (steps + 300).to_string();
     let output = train(&out, &["--resume", "--collectors", "2", "--steps", &more]).output().unwrap();
@@ -109,6 +114,12 @@ fn wad_t_trains_stops_on_ctrl_c_goes_on_and_drives() {
     assert!(log.iter().any(|line| line.get("losses/qf1_loss").is_some_and(Value::is_number)));
     assert!(log.iter().any(|line| line.get("charts/episodic_return").is_some_and(Value::is_number)));
     assert!(log.windows(2).all(|w| w[0]["global_step"].as_u64() <= w[1]["global_step"].as_u64()));
+
+    // Its steps are kept, and they are done.
+    let output = train(&out, &["--resume", "--collectors", "1", "--max-minutes", "0.2"]).output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert_eq!(json(&output)["steps"].as_u64(), Some(all));
+    assert!(stderr(&output).contains(&format!("the {more} steps are done")), "{}", stderr(&output));
 
     // What it wrote drives, the same way each time.
     let agent = out.join("last.safetensors");
@@ -155,7 +166,7 @@ fn a_sumo_that_dies_costs_an_episode_and_a_killed_training_goes_on() {
     let (out, record) = (dir.path().join("run"), dir.path().join("record"));
     let errors = dir.path().join("stderr");
     let mut command = train(&out, &["--algo", "td3", "--steps", "1000000", "--validate-every", "0"]);
-    command.args(SMALL).args(["--bc-weight", "1"]).arg("--record").arg(&record);
+    command.args(SMALL).args(["--bc-weight", "1", "--inputs", "latent"]).arg("--record").arg(&record);
     let mut child =
         command.stdout(Stdio::null()).stderr(std::fs::File::create(&errors).unwrap()).spawn().unwrap();
     let pid = child.id();
@@ -177,6 +188,14 @@ fn a_sumo_that_dies_costs_an_episode_and_a_killed_training_goes_on() {
     assert!(output.status.success(), "{}", stderr(&output));
     let resumed = json(&output);
     assert!(resumed["steps"].as_u64().unwrap() >= 300, "{resumed}");
+
+    // Raw states are recorded too where the agent gets the latent alone: one option of the route is 1.
+    let mut episodes = std::fs::read_dir(&record).unwrap().map(|entry| entry.unwrap().path());
+    let episode = episodes.find(|path| path.extension().is_some_and(|end| end == "episode")).unwrap();
+    let bytes = std::fs::read(episode).unwrap();
+    let first = &bytes[bytes.iter().position(|byte| *byte == b'\n').unwrap() + 1..];
+    let image = u32::from_le_bytes(first[..4].try_into().unwrap()) as usize;
+    assert!(image > 0 && first[4 + image..][..60].iter().any(|byte| *byte != 0));
 
     // What was recorded begins another agent behind another encoder or the same.
     let other = dir.path().join("other");
@@ -216,9 +235,10 @@ fn raw_agents_train_without_a_picture_and_their_course_is_drawn() {
         ]);
         command
     };
+    let record = dir.path().join("record");
     let runs = ["1", "2"].map(|seed| dir.path().join(seed));
     for (seed, out) in ["1", "2"].iter().zip(&runs) {
-        let output = raw(seed, out).output().unwrap();
+        let output = raw(seed, out).arg("--record").arg(&record).output().unwrap();
         assert!(output.status.success(), "{}", stderr(&output));
         assert!(stderr(&output).contains("stage 1 (straight) is passed"), "{}", stderr(&output));
         let stages = &json(&output)["stages"];
@@ -229,6 +249,19 @@ fn raw_agents_train_without_a_picture_and_their_course_is_drawn() {
         (&config["env"]["detector"], &config["env"]["reward"]["lane"]),
         (&"outlines".into(), &0.1.into())
     );
+
+    // Without images it was recorded for raw inputs alone. A training that is refused leaves its folder free.
+    let again = |inputs: &str| {
+        let args = ["--algo", "td3", "--inputs", inputs, "--steps", "1", "--validate-every", "0"];
+        let mut command = train(&dir.path().join("again"), &args);
+        command.args(["--collectors", "1", "--batch", "32", "--buffer", "5000", "--recorded"]).arg(&record);
+        command.output().unwrap()
+    };
+    let output = again("both");
+    assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
+    assert!(stderr(&output).contains("it holds no images"), "{}", stderr(&output));
+    let output = again("raw");
+    assert!(output.status.success(), "{}", stderr(&output));
 
     let report = dir.path().join("report");
     let output = wad(&["report", "learning"]).args(&runs).arg("--out").arg(&report).output().unwrap();
@@ -306,14 +339,16 @@ fn a_fleet_trains_on_the_surroundings_is_validated_and_goes_on() {
     let output = wad(&args).args(["--task", "straight"]).output().unwrap();
     assert!(output.status.success(), "{}", stderr(&output));
 
-    let both = train(&dir.path().join("no"), &["--algo", "td3", "--egos", "2", "--record", "records"]);
-    let output = { both }.output().unwrap();
-    assert!(
-        output.status.code() == Some(2) && stderr(&output).contains("--egos is 2"),
-        "{}",
-        stderr(&output)
-    );
-    assert!(!dir.path().join("no").exists());
+    for (args, expected) in [
+        (["--egos", "2", "--record", "records"], "--egos is 2"),
+        (["--inputs", "vector", "--record", "records"], "--inputs vector"),
+        (["--inputs", "vector", "--recorded", "records"], "--inputs vector"),
+    ] {
+        let output = train(&dir.path().join("no"), &["--algo", "td3"]).args(args).output().unwrap();
+        assert_eq!(output.status.code(), Some(2), "{args:?}: {}", stderr(&output));
+        assert!(stderr(&output).contains(expected), "{args:?}: {}", stderr(&output));
+        assert!(!dir.path().join("no").exists());
+    }
 }
 
 #[test]

@@ -38,6 +38,13 @@ fn what_is_collected_is_trained_on_and_scored() {
     let road = &trained["best"]["road"];
     assert!(road["frames"].as_u64() > Some(0), "{trained}");
 
+    // A head that learns alone goes on alone.
+    let alone = path("alone");
+    let short = ["--epochs", "1", "--batch", "2", "--epoch-steps", "1", "--init", "eyes", "--only", "area"];
+    good(&[&["train", "eyes", "--data", &data, "--out", &alone, "--json"], &short[..]].concat());
+    let resumed = good(&["train", "eyes", "--out", &alone, "--resume", "--epochs", "2", "--json"]);
+    assert_eq!(resumed["steps"].as_u64(), Some(2), "{resumed}");
+
     // What it sees is scored beside the objects.
     let weights = trained["detector"].as_str().unwrap().to_string();
     let (eyes, as_centernet) = (format!("eyes:{weights}"), format!("centernet:{weights}"));

@@ -6,6 +6,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 #[cfg(feature = "learn")]
 use tch::{Kind, TchError, Tensor};
+use wad_sim::telemetry;
 
 /// Why weights cannot be read or written.
 #[derive(Debug, thiserror::Error)]
@@ -200,7 +201,7 @@ impl Weights {
         Ok(weights)
     }
 
-    /// Writes the file beside its place and moves it there.
+    /// Writes the file, whole or not at all.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -217,9 +218,11 @@ impl Weights {
         let mut metadata = self.metadata.clone();
         metadata.insert(HASH.to_string(), self.hash());
         let file = safetensors::serialize(views, &Some(metadata)).map_err(|e| format(&e))?;
-        let staging = path.with_extension("safetensors.tmp");
-        let io = |source| WeightsError::Io { what: "write", path: path.to_path_buf(), source };
-        std::fs::write(&staging, file).and_then(|()| std::fs::rename(&staging, path)).map_err(io)
+        telemetry::write_whole(path, &file).map_err(|e| WeightsError::Io {
+            what: "write",
+            path: e.path,
+            source: e.source,
+        })
     }
 
     /// The tensor of a name and shape, as it lies in the file.

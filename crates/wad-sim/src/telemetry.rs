@@ -242,13 +242,19 @@ pub fn pretty_json(value: &impl Serialize) -> std::io::Result<Vec<u8>> {
     Ok(text)
 }
 
-/// Writes a file whole or not at all: beside its place, and moves it there.
+/// Writes a file whole or not at all: beside its place, and moves it there when the disk has it.
+///
+/// # Errors
+/// It cannot be written; an earlier file stays.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), WriteError> {
     let mut staging = path.as_os_str().to_owned();
     staging.push(".tmp");
     let staging = PathBuf::from(staging);
-    let written = std::fs::write(&staging, bytes).and_then(|()| std::fs::rename(&staging, path));
-    written.map_err(|source| {
+    let written = File::create(&staging).and_then(|mut file| {
+        file.write_all(bytes)?;
+        file.sync_all()
+    });
+    written.and_then(|()| std::fs::rename(&staging, path)).map_err(|source| {
         // On a full disk half a file would only take room.
         let _ = std::fs::remove_file(&staging);
         WriteError { path: path.to_path_buf(), source }

@@ -21,7 +21,7 @@ class Stage:
 
     #: The task of its episodes.
     task: str
-    #: The next stage comes when this share (0 to 1) of the last ``window`` episodes of this task was successful.
+    #: The next stage comes when this share (0 to 1) of the last ``window`` episodes of this stage was successful.
     threshold: float
     window: int
     #: Environment steps after which the next stage comes in any case; None: never.
@@ -92,13 +92,13 @@ class Progress:
     stage: int = 0
     #: Environment steps spent in it.
     steps: int = 0
-    #: Success of the last episodes of its task, oldest first.
+    #: Success of the last episodes of the stage, oldest first.
     recent: list[bool] = field(default_factory=list)
     #: The last stage's threshold has been passed too.
     done: bool = False
 
-    def note(self, curriculum: Curriculum, task: str, steps: int, success: bool) -> Passed | None:
-        """Notes an episode of ``steps`` steps; says how the stage was passed, where this episode passes it."""
-        after, left = _native.note_episode(json.dumps(asdict(curriculum)), json.dumps(asdict(self)), task, steps, success)
+    def note(self, curriculum: Curriculum, drawn: int, steps: int, success: bool) -> Passed | None:
+        """Notes an episode of the stage ``drawn``, of ``steps`` steps; says how the stage was passed, where this episode passes it."""
+        after, left = _native.note_episode(json.dumps(asdict(curriculum)), json.dumps(asdict(self)), drawn, steps, success)
         vars(self).update(json.loads(after))
         return None if left is None else Passed(*left)

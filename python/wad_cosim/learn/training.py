@@ -199,7 +199,7 @@ class _Fleet:
 
     def __init__(self, settings: Settings, index: int, rng: np.random.Generator) -> None:
         self.envs, self.task = settings.make(index), settings.task(index)
-        self.name = None if settings.curriculum else settings.environments[index]
+        self.drawn: dict[str, Any] = {"stage": index} if settings.curriculum else {"environment": settings.environments[index]}
         self.now, self.info = self.envs.reset(seed=int(rng.integers(2**32)))
         self.noise = Noise(settings.egos, rng)
         #: Of the running episodes, by ego.
@@ -228,7 +228,7 @@ class _Fleet:
         line = {
             "by": "agent" if learns else "start",
             "task": self.task,
-            **({"environment": self.name} if self.name else {}),
+            **self.drawn,
             "charts/episodic_return": float(self.returns[i]),
             "charts/episodic_length": int(self.lengths[i]),
             "discounted_return": float(self.discounted[i]),
@@ -254,11 +254,11 @@ class _Fleet:
 
 
 class Collector:
-    """Drives egos that share a SUMO by the newest actor that it is given."""
+    """Drives egos that share a SUMO by the newest actor that it is given; ``steps`` are those that the training had taken before."""
 
-    def __init__(self, number: int, settings: Settings) -> None:
+    def __init__(self, number: int, settings: Settings, steps: int = 0) -> None:
         prepare()
-        self._number, self._settings = number, settings
+        self._number, self._settings, self._steps = number, settings, steps
         agent = new(settings.algo, settings.observation)
         self._actor, self._gamma = agent.actor, agent.params.gamma
         self._rng: np.random.Generator | None = None
@@ -279,8 +279,8 @@ class Collector:
         """
         settings = self._settings
         if self._rng is None:
-            # After the loss of a process its successor drives other episodes.
-            self._rng = np.random.default_rng([settings.seed, self._number, turn])
+            # After the loss of a process its successor drives other episodes, and so does a training that goes on.
+            self._rng = np.random.default_rng([settings.seed, self._number, turn, self._steps])
         index = settings.choose(self._number, stage, self._rng)
         self._actor.load_state_dict({name: torch.tensor(values) for name, values in weights.items()})
         while True:
@@ -431,7 +431,7 @@ class Learner:
         lines = []
         for episode in episodes:
             passed = self._progress.note(
-                self._settings.curriculum, episode["task"], episode["charts/episodic_length"], episode["success"]
+                self._settings.curriculum, episode["stage"], episode["charts/episodic_length"], episode["success"]
             )
             if passed is not None:
                 hours = (time.monotonic() - self._began) / 3600

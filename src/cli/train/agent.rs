@@ -18,6 +18,7 @@ use wad_cosim::eyes::EyesError;
 use wad_cosim::folder_lock::LockError;
 use wad_cosim::tasks::Curriculum;
 use wad_cosim::train::agent::{Limits, Maker, Progress, TrainConfig, TrainError, Trained, train};
+use wad_cosim::train::run::saved;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -30,6 +31,47 @@ Examples:
 The best actor by validation is DIR/best.safetensors, the newest DIR/last.safetensors; figures are in
 DIR/train.jsonl, DIR/validation.jsonl and for TensorBoard; checkpoints hold the replay buffer.";
 
+/// Options that a training keeps in its config.json.
+const SETTINGS: [&str; 37] = [
+    "curriculum",
+    "seed",
+    "encoder",
+    "detector",
+    "update_ratio",
+    "batch",
+    "buffer",
+    "learning_starts",
+    "demonstrations",
+    "clone",
+    "init",
+    "critics_first",
+    "actor_average",
+    "clone_rate",
+    "pretrain",
+    "recorded",
+    "bc_weight",
+    "bc_updates",
+    "bc_floor",
+    "bc_filter",
+    "critic",
+    "critic_range",
+    "critic_learning_rate",
+    "learning_rate",
+    "gamma",
+    "n_step",
+    "alpha",
+    "noise",
+    "inputs",
+    "egos",
+    "latent_gain",
+    "other_days",
+    "latent_mixing",
+    "validate_every",
+    "validation_episodes",
+    "checkpoint_every",
+    "set",
+];
+
 /// Train a driving agent: WAD-T (TD3) or WAD-S (SAC).
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
@@ -41,15 +83,15 @@ pub struct Args {
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     out: PathBuf,
     /// Continue the training in --out with its configuration; only --steps, --max-minutes, --collectors,
-    /// --record and --device are taken from the command line.
-    #[arg(long)]
+    /// --record and --device may be given too.
+    #[arg(long, conflicts_with_all = SETTINGS)]
     resume: bool,
     /// The tasks in order [default: the bundled curriculum].
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     curriculum: Option<PathBuf>,
-    /// Environment steps of the agent, in total.
-    #[arg(long, value_name = "N", default_value_t = 400_000)]
-    steps: u64,
+    /// Environment steps of the agent, in total [default: 400000; with --resume: as many as before].
+    #[arg(long, value_name = "N")]
+    steps: Option<u64>,
     /// Stop after this wall time, with a checkpoint.
     #[arg(long, value_name = "MINUTES")]
     max_minutes: Option<f64>,
@@ -76,7 +118,7 @@ pub struct Args {
     /// Transitions per update.
     #[arg(long, value_name = "N", default_value_t = 128)]
     batch: usize,
-    /// Transitions in the replay buffer (497 MB per million).
+    /// Transitions in the replay buffer (505 MB per million).
     #[arg(long, value_name = "N", default_value_t = 1_000_000)]
     buffer: usize,
     /// Environment steps before the first update.
@@ -90,7 +132,7 @@ pub struct Args {
     clone: u64,
     /// Start with this trained agent's actor (wad-t, wad-s or a file) instead of a new one; the scale of its
     /// inputs is kept.
-    #[arg(long, value_name = "NAME|FILE", conflicts_with = "resume")]
+    #[arg(long, value_name = "NAME|FILE")]
     init: Option<String>,
     /// Updates in which the critics learn and the actor waits [default: 5000 with --init and no demonstrations, else
     /// 0].
@@ -105,7 +147,7 @@ pub struct Args {
     /// Updates on the demonstrations before the agent drives.
     #[arg(long, value_name = "N", default_value_t = 0)]
     pretrain: u64,
-    /// Keep every episode with its images in DIR, for --recorded.
+    /// Keep every episode in DIR, with its images unless --inputs is raw, for --recorded.
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     record: Option<PathBuf>,
     /// Fill the replay buffer with the episodes in DIR first, encoded with this encoder; may be given
@@ -177,7 +219,7 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 25_000)]
     checkpoint_every: u64,
     /// Set anything in config.json, e.g. env.reward.lane=0 or curriculum.replay=0.5; may be given several times.
-    #[arg(long, value_name = "PATH=VALUE", conflicts_with = "resume")]
+    #[arg(long, value_name = "PATH=VALUE")]
     set: Vec<String>,
     /// Print the result as one JSON line on stdout.
     #[arg(long)]
@@ -241,14 +283,7 @@ fn bounds(text: &str) -> Result<(f64, f64), String> {
 pub fn run(args: Args) -> anyhow::Result<Exit> {
     let device = args.device.open(true)?;
     let config = if args.resume { saved_config(&args)? } else { config(&args)? };
-    if config.egos > 1 && args.record.is_some() {
-        return Err(Exit::Input.because(anyhow!(
-            "--record needs one ego to a SUMO, and --egos is {}: leave out one of the two",
-            config.egos
-        )));
-    }
     let limits = Limits {
-        steps: args.steps,
         time: dataset::minutes(args.max_minutes)?,
         collectors: args.collectors.unwrap_or_else(default_collectors).max(1),
         device,
@@ -257,7 +292,7 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
     };
     let maker = maker(&config.encoder, &config.curriculum.town)?;
     let interrupt = crate::cli::interrupt()?.flag();
-    let bar = Bar::new(limits.steps, "steps");
+    let bar = Bar::new(config.steps, "steps");
     let result = train(&config, &limits, args.resume, &interrupt, &maker, |progress| show(&bar, &progress));
     bar.clear();
     let trained = result.map_err(with_exit)?;
@@ -352,6 +387,7 @@ fn config(args: &Args) -> anyhow::Result<TrainConfig> {
     config.validation.every = args.validate_every;
     config.validation.episodes = args.validation_episodes;
     config.checkpoint_every = args.checkpoint_every.max(1);
+    config.steps = args.steps.unwrap_or(config.steps);
     for noise in &mut config.exploration.exploration_noise {
         *noise *= args.noise;
     }
@@ -396,13 +432,8 @@ fn with_settings(config: TrainConfig, settings: &[String]) -> anyhow::Result<Tra
 
 /// The configuration of the training that --resume continues.
 fn saved_config(args: &Args) -> anyhow::Result<TrainConfig> {
-    let path = args.out.join("config.json");
-    let text = std::fs::read_to_string(&path).map_err(|source| {
-        Exit::Input.because(anyhow!("nothing to resume: cannot read `{}`: {source}", path.display()))
-    })?;
-    let mut config: TrainConfig = serde_json::from_str(&text).map_err(|e| {
-        Exit::Input.because(TrainError::ConfigFile { path: path.clone(), why: e.to_string() })
-    })?;
+    let mut config: TrainConfig = saved(&args.out).map_err(super::with_exit)?;
+    config.steps = args.steps.unwrap_or(config.steps);
     let name = |algo: Algo| if algo == Algo::Td3 { "wad-t" } else { "wad-s" };
     if let Some(algo) = args.algo
         && name(algo) != config.algorithm.agent_name()
@@ -455,14 +486,14 @@ fn show(bar: &Bar, p: &Progress<'_>) {
 /// The exit code of a training's error.
 pub fn with_exit(error: TrainError) -> anyhow::Error {
     let exit = match &error {
-        TrainError::Env(env) if env.is_input() => Exit::Input,
-        TrainError::Env(env) if env.is_sumo() => Exit::Sumo,
+        TrainError::Env(env) => Exit::of_env(env),
         TrainError::Policy(PolicyError::File { what: "write", .. }) => Exit::Other,
         TrainError::Buffer(_)
         | TrainError::Policy(_)
         | TrainError::Config(_)
         | TrainError::Lock(LockError::Busy { .. })
         | TrainError::ConfigFile { .. }
+        | TrainError::Read { .. }
         | TrainError::Taken { .. }
         | TrainError::NoCheckpoint { .. } => Exit::Input,
         _ => Exit::Other,
@@ -494,7 +525,11 @@ fn report(t: &Trained, json: bool) -> anyhow::Result<()> {
         t.stage_task,
         if t.curriculum_done { ", the curriculum is complete" } else { "" },
         t.out.display(),
-        if t.interrupted { "interrupted; --resume continues from here\n" } else { "" },
+        match (t.interrupted, t.steps + t.demonstrated > 0) {
+            (false, _) => "",
+            (true, true) => "interrupted; --resume continues from here\n",
+            (true, false) => "interrupted before the first checkpoint; the same command begins again\n",
+        },
     );
     answer(&text, json, t)
 }

@@ -10,6 +10,7 @@ use std::sync::atomic::AtomicBool;
 use wad_cosim::dataset::{self as frames, CollectOptions, collect};
 use wad_cosim::perception::centernet::{self, Sees};
 use wad_cosim::train::detector::{Progress, TrainOptions, Trained, train};
+use wad_cosim::train::run::saved;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -17,7 +18,7 @@ Examples:
   wad-cosim dataset collect --frames 8000 --every 1.5 --camera --out data/detector
   wad-cosim dataset collect --frames 3000 --showing bus,truck,bicycle,motorcycle,bench --camera --out data/rare
   wad-cosim train detector --data data/detector --data data/rare --out runs/detector --epochs 12
-  wad-cosim train detector --data data/detector --out runs/detector --epochs 20 --resume
+  wad-cosim train detector --out runs/detector --epochs 20 --resume
   wad-cosim train detector --data data/detector --init centernet --out runs/better --learning-rate 5e-4
   wad-cosim train detector --data data/detector --init centernet --epochs 0 --out runs/ranges
   wad-cosim train detector --data data/detector --out runs/paper --backbone resnet50_v2 --device cuda
@@ -31,11 +32,11 @@ The best network by validation is DIR/detector.safetensors; losses are in DIR/me
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
-    /// The feature extractor.
-    #[arg(long, value_enum, default_value_t = Backbone::Light)]
-    backbone: Backbone,
+    /// The feature extractor [default: light].
+    #[arg(long, value_enum)]
+    backbone: Option<Backbone>,
     /// The dataset's folder (`wad-cosim dataset collect --camera`); if given several times, all are mixed.
-    #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath, required_unless_present = "collect")]
+    #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath, required_unless_present_any = ["collect", "resume"])]
     data: Vec<PathBuf>,
     /// Collect this many frames of town3 first, into --data, or into data in --out.
     #[arg(long, value_name = "N")]
@@ -45,20 +46,21 @@ pub struct Args {
     out: PathBuf,
     /// Start with these weights instead of new ones: centernet or eyes (the bundled ones), or
     /// centernet:FILE or eyes:FILE.
-    #[arg(long, value_name = "NAME", conflicts_with = "resume")]
+    #[arg(long, value_name = "NAME")]
     init: Option<String>,
     /// Only this head learns, and all else stays as it is in --init; for `train eyes`.
     #[arg(long, value_enum, requires = "init")]
     only: Option<Part>,
-    /// Epochs over the training frames; 0: nothing is learned, but the weights of --init get new ranges for 8 bits.
-    #[arg(long, value_name = "N", default_value_t = 12)]
-    epochs: u64,
-    /// Pictures per step.
-    #[arg(long, value_name = "N", default_value_t = 16)]
-    batch: usize,
-    /// Most steps per epoch; validation follows each epoch.
-    #[arg(long, value_name = "N", default_value_t = 400)]
-    epoch_steps: usize,
+    /// Epochs over the training frames; 0: nothing is learned, but the weights of --init get new ranges for 8 bits
+    /// [default: 12].
+    #[arg(long, value_name = "N")]
+    epochs: Option<u64>,
+    /// Pictures per step [default: 16].
+    #[arg(long, value_name = "N")]
+    batch: Option<usize>,
+    /// Most steps per epoch; validation follows each epoch [default: 400].
+    #[arg(long, value_name = "N")]
+    epoch_steps: Option<usize>,
     /// Width and height of the crops that most steps use; 0: whole pictures only [default: 320x320; `train eyes`: 0,
     /// because crops do not say where the ego's lane is].
     #[arg(long, value_name = "WxH", value_parser = window)]
@@ -69,34 +71,35 @@ pub struct Args {
     /// Device to train on.
     #[arg(long, value_enum, default_value_t = Device::Cpu)]
     device: Device,
-    /// AdamW's highest learning rate.
-    #[arg(long, value_name = "X", default_value_t = 1.5e-3)]
-    learning_rate: f64,
-    /// AdamW's weight decay.
-    #[arg(long, value_name = "X", default_value_t = 1e-3)]
-    weight_decay: f64,
+    /// AdamW's highest learning rate [default: 0.0015].
+    #[arg(long, value_name = "X")]
+    learning_rate: Option<f64>,
+    /// AdamW's weight decay [default: 0.001].
+    #[arg(long, value_name = "X")]
+    weight_decay: Option<f64>,
     /// Do not augment weather, light and colours of the training pictures.
     #[arg(long)]
     no_augment: bool,
-    /// Seed of everything random.
-    #[arg(long, default_value_t = 0, value_name = "N")]
-    seed: u64,
+    /// Seed of everything random [default: 0].
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
     /// Threads of libtorch on the CPU.
     #[arg(long, value_name = "N", default_value_t = 1)]
     threads: i32,
-    /// Threads that load pictures.
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    workers: usize,
-    /// Most frames used for validation.
-    #[arg(long, value_name = "N", default_value_t = 300)]
-    validation_frames: usize,
-    /// Continue the training in --out.
+    /// Threads that load pictures [default: 1].
+    #[arg(long, value_name = "N")]
+    workers: Option<usize>,
+    /// Most frames used for validation [default: 300].
+    #[arg(long, value_name = "N")]
+    validation_frames: Option<usize>,
+    /// Continue the training in --out with its options; only --epochs, --max-minutes, --device, --threads and
+    /// --workers may be others.
     #[arg(long)]
     resume: bool,
     /// Accept an unfinished dataset.
     #[arg(long)]
     partial: bool,
-    /// Stop after this wall time.
+    /// Stop after this wall time, that before a --resume included.
     #[arg(long, value_name = "MINUTES")]
     max_minutes: Option<f64>,
     /// Print the result as one JSON line on stdout.
@@ -139,11 +142,10 @@ pub fn run(args: Args, sees: Sees) -> anyhow::Result<Exit> {
     wad_cosim::torch::threads(args.threads);
     // Each batch has more or fewer plates of signs.
     let device = args.device.open(false)?;
-    let data = args.data.first().cloned().unwrap_or_else(|| args.out.join("data"));
-    let options = options(&args, sees, &data)?;
+    let options = options(&args, sees)?;
     let interrupt = crate::cli::interrupt()?.flag();
     if let Some(count) = args.collect
-        && !collected(count, &data, args.seed, &interrupt)?
+        && !collected(count, &options.data, options.seed, &interrupt)?
     {
         return Ok(Exit::Interrupted);
     }
@@ -155,51 +157,63 @@ pub fn run(args: Args, sees: Sees) -> anyhow::Result<Exit> {
     Ok(if trained.interrupted { Exit::Interrupted } else { Exit::Done })
 }
 
-fn options(args: &Args, sees: Sees, data: &std::path::Path) -> anyhow::Result<TrainOptions> {
-    let sane = (args.epochs > 0 || args.init.is_some())
-        && args.batch > 0
-        && args.learning_rate > 0.0
-        && args.learning_rate.is_finite()
-        && args.weight_decay >= 0.0
+fn options(args: &Args, sees: Sees) -> anyhow::Result<TrainOptions> {
+    let base = if args.resume {
+        saved(&args.out).map_err(with_exit)?
+    } else {
+        let new = TrainOptions::new(centernet::Backbone::Light, &args.out.join("data"), &args.out);
+        TrainOptions { window: new.window.filter(|_| sees == Sees::Objects), ..new }
+    };
+    let (data, more) = match args.data.split_first() {
+        Some((data, more)) => (data.clone(), more.to_vec()),
+        None => (base.data, base.more),
+    };
+    let options = TrainOptions {
+        backbone: args.backbone.map_or(base.backbone, |backbone| match backbone {
+            Backbone::Light => centernet::Backbone::Light,
+            Backbone::Resnet50V2 => centernet::Backbone::Resnet50V2,
+        }),
+        sees,
+        data,
+        more,
+        out: args.out.clone(),
+        init: args.init.clone().or(base.init),
+        only: args.only.map_or(base.only, |part| match part {
+            Part::Signs => Some(centernet::Part::Signs),
+            Part::Area => Some(centernet::Part::Area),
+        }),
+        epochs: args.epochs.unwrap_or(base.epochs),
+        batch: args.batch.unwrap_or(base.batch),
+        epoch_steps: args.epoch_steps.unwrap_or(base.epoch_steps).max(1),
+        learning_rate: args.learning_rate.unwrap_or(base.learning_rate),
+        weight_decay: args.weight_decay.unwrap_or(base.weight_decay),
+        window: args.window.map_or(base.window, |window| Some(window).filter(|window| *window != (0, 0))),
+        bfloat16: args.bfloat16 || base.bfloat16,
+        vary: base.vary && !args.no_augment,
+        seed: args.seed.unwrap_or(base.seed),
+        partial: args.partial || base.partial,
+        workers: args.workers.unwrap_or(base.workers).max(1),
+        validation_frames: args.validation_frames.unwrap_or(base.validation_frames).max(1),
+        time_limit: dataset::minutes(args.max_minutes)?
+            .map_or(base.time_limit, |limit| Some(limit.as_secs_f64())),
+    };
+    let sane = (options.epochs > 0 || options.init.is_some())
+        && options.batch > 0
+        && options.learning_rate > 0.0
+        && options.learning_rate.is_finite()
+        && options.weight_decay >= 0.0
         && args.collect != Some(0);
     if !sane {
         return Err(Exit::Input.because(anyhow::anyhow!(
             "--epochs (without --init), --batch, --learning-rate and --collect must be more than 0, --weight-decay 0 or more"
         )));
     }
-    if args.only.is_some() && (sees != Sees::Road || args.window.is_some_and(|window| window != (0, 0))) {
+    if options.only.is_some() && (sees != Sees::Road || options.window.is_some()) {
         return Err(Exit::Input.because(anyhow::anyhow!(
             "--only is for `train eyes` on whole pictures (--window 0): no other network has these heads"
         )));
     }
-    let backbone = match args.backbone {
-        Backbone::Light => centernet::Backbone::Light,
-        Backbone::Resnet50V2 => centernet::Backbone::Resnet50V2,
-    };
-    let window = args.window.unwrap_or(if sees == Sees::Road { (0, 0) } else { (320, 320) });
-    Ok(TrainOptions {
-        sees,
-        init: args.init.clone(),
-        only: args.only.map(|part| match part {
-            Part::Signs => centernet::Part::Signs,
-            Part::Area => centernet::Part::Area,
-        }),
-        epochs: args.epochs,
-        batch: args.batch,
-        epoch_steps: args.epoch_steps.max(1),
-        learning_rate: args.learning_rate,
-        weight_decay: args.weight_decay,
-        window: Some(window).filter(|window| *window != (0, 0)),
-        bfloat16: args.bfloat16,
-        vary: !args.no_augment,
-        seed: args.seed,
-        partial: args.partial,
-        workers: args.workers.max(1),
-        validation_frames: args.validation_frames.max(1),
-        more: args.data.iter().skip(1).cloned().collect(),
-        time_limit: dataset::minutes(args.max_minutes)?.map(|limit| limit.as_secs_f64()),
-        ..TrainOptions::new(backbone, data, &args.out)
-    })
+    Ok(options)
 }
 
 /// Whether the frames are there.
@@ -253,4 +267,37 @@ fn report(t: &Trained) -> String {
         t.validation_frames,
         if t.interrupted { "interrupted; --resume continues from the last epoch\n" } else { "" },
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: Args,
+    }
+
+    fn asked(out: &str, words: &[&str]) -> TrainOptions {
+        let line = Line::parse_from([&["eyes", "--out", out][..], words].concat());
+        options(&line.args, Sees::Road).unwrap()
+    }
+
+    #[test]
+    fn a_resumed_training_keeps_what_is_not_given() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().to_str().unwrap();
+        let first = [
+            &["--data", "data/detector", "--data", "data/rare", "--init", "eyes", "--only", "signs"][..],
+            &["--batch", "8", "--learning-rate", "5e-4", "--seed", "3", "--bfloat16", "--no-augment"],
+            &["--workers", "2", "--max-minutes", "5"],
+        ];
+        let first = asked(out, &first.concat());
+        std::fs::write(folder.path().join("config.json"), serde_json::to_vec(&first).unwrap()).unwrap();
+        assert_eq!(asked(out, &["--resume"]), first);
+        let longer = asked(out, &["--resume", "--epochs", "20", "--max-minutes", "9"]);
+        assert_eq!(longer, TrainOptions { epochs: 20, time_limit: Some(540.0), ..first });
+    }
 }

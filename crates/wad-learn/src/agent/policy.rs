@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 use wad_camera::CameraConfig;
 use wad_see::latent::{self, Encoder, LatentError, PlainEncoder, PooledEncoder};
 use wad_see::observation::{self, Observation, ObservationMode};
-use wad_sim::bundled;
+use wad_sim::{bundled, telemetry};
 use wad_vehicle::Control;
 
 /// The header of an actor's file.
@@ -128,7 +128,7 @@ impl Policy {
         Self { card, scale, values }
     }
 
-    /// Writes the file atomically.
+    /// Writes the file, whole or not at all.
     ///
     /// # Errors
     /// It cannot be written.
@@ -155,8 +155,7 @@ impl Policy {
         let sum = checksum([card.as_bytes(), &half, &offset, &factor]);
         let header = Some(HashMap::from([(CARD.to_string(), card), (CHECKSUM.to_string(), sum)]));
         let bytes = safetensors::serialize(tensors, &header).map_err(invalid)?;
-        let part = path.with_extension("part");
-        std::fs::write(&part, bytes).and_then(|()| std::fs::rename(&part, path)).map_err(failed)
+        telemetry::write_whole(path, &bytes).map_err(|e| failed(e.source))
     }
 
     /// Reads a file.
@@ -442,6 +441,19 @@ mod tests {
         let [one, two] = agents.each_mut().map(|agent| agent.act(&observation).unwrap());
         assert_eq!(one, two);
         assert!(one.throttle > 0.2 && one.brake == 0.0, "a new agent creeps forward: {one:?}");
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_full_disk_keeps_the_earlier_file_and_no_half_one() {
+        let (policy, folder) = (policy(), tempfile::tempdir().unwrap());
+        let path = folder.path().join("best.safetensors");
+        std::fs::write(&path, "before").unwrap();
+        std::os::unix::fs::symlink("/dev/full", folder.path().join("best.safetensors.tmp")).unwrap();
+        let error = policy.save(&path).unwrap_err().to_string();
+        assert!(error.contains("best.safetensors") && error.contains("No space left"), "{error}");
+        assert_eq!(std::fs::read(&path).unwrap(), b"before");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 
     #[test]

@@ -234,6 +234,7 @@ impl ReplayBuffer {
             let at = (self.written % self.capacity as u64) as usize;
             let (latent, raw) = (self.dims.latent as usize, self.dims.raw as usize);
             let observation = &segment.observations[i];
+            assert_eq!(observation.len(), latent + raw, "an observation's numbers");
             self.latents[at * latent..][..latent].convert_from_f32_slice(&observation[..latent]);
             self.raw[at * raw..][..raw].copy_from_slice(&observation[latent..latent + raw]);
             if self.terminations.front().is_some_and(|(end, _)| *end == at) {
@@ -463,6 +464,14 @@ mod tests {
             seen.insert(now as usize);
         }
         assert_eq!(seen.into_iter().collect::<Vec<_>>(), (0..10).chain(100..105).collect::<Vec<_>>());
+    }
+
+    #[test]
+    #[should_panic(expected = "an observation's numbers")]
+    fn observations_of_other_inputs_are_not_cut_to_size() {
+        let mut other = segment(0, 10, true);
+        other.observations[3].push(7.0);
+        ReplayBuffer::new(DIMS, 1024).unwrap().push(&other);
     }
 
     #[test]

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::io::{Error, ErrorKind, Result};
 use std::path::Path;
+use wad_sim::telemetry::write_whole;
 
 /// Entries per chunk.
 const CHUNK: usize = 8192;
@@ -60,7 +61,7 @@ impl ReplayBuffer {
                 continue;
             }
             let data = self.chunk_bytes(chunk);
-            write_whole(&folder.join(&file), &data)?;
+            write_whole(&folder.join(&file), &data).map_err(|e| e.source)?;
             manifest.chunks.push(ChunkFile { file, bytes: data.len() as u64, crc: crc32fast::hash(&data) });
         }
         Ok(manifest)
@@ -191,19 +192,6 @@ pub fn remove_unused(folder: &Path, used: &[&ReplayManifest]) -> Result<()> {
         }
     }
     Ok(())
-}
-
-/// Writes a file beside its place, has the disk take it, and moves it there.
-///
-/// # Errors
-/// It cannot be written.
-pub fn write_whole(path: &Path, data: &[u8]) -> Result<()> {
-    use std::io::Write;
-    let part = path.with_extension("part");
-    let mut file = std::fs::File::create(&part)?;
-    file.write_all(data)?;
-    file.sync_all()?;
-    std::fs::rename(&part, path)
 }
 
 fn invalid(why: String) -> Error {

@@ -6,7 +6,7 @@
 //!
 //! **Scale.** At six ticks a second and gamma 0.98 an agent looks 50 ticks (8 s) ahead. Driving well is worth
 //! about +1.2 a tick, so about +60; necessary waiting +0.6; standing without a reason about -1, and in training
-//! it ends the episode after 4 s. An ending costs 10 to 50 once, besides all later rewards. So: better to drive
+//! it ends the episode after 4 s. An ending costs 20 to 50 once, besides all later rewards. So: better to drive
 //! than to wait, better to wait than to run the light, and standing is never a way out.
 
 mod params;

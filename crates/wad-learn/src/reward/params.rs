@@ -23,7 +23,7 @@ pub struct RewardParams {
     pub lane_outside: f64,
     /// Largest cost of being off the lane's middle. Default 10.
     pub lane_most: f64,
-    /// Cost of an episode's end outside lane or road, once. Default 10.
+    /// Cost of an episode's end outside lane or road, once. Default 25.
     pub lane_exit: f64,
     /// Reward at the wanted speed. Default 1.
     pub speed: f64,

@@ -11,7 +11,6 @@ use super::run::{self, Pass, Training};
 use crate::dataset::{Dataset, DatasetError};
 use crate::optim::AdamW;
 use serde::{Deserialize, Serialize};
-use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
@@ -188,6 +187,8 @@ const LONGEST: f64 = 10.0;
 const REPORT_EVERY: u64 = 10;
 /// The best network in the training's folder.
 const FILE: &str = "detector.safetensors";
+/// The data that weights were trained on, in their metadata.
+const MADE_OF: &str = "made_of";
 /// Pictures by which ranges are found.
 const WATCHED: usize = 200;
 /// Lowest score that counts in validation.
@@ -221,11 +222,12 @@ struct Trainer<'a> {
     began: Instant,
 }
 
-/// Trains, or continues with `resume`. Ends early when `interrupt` becomes true: the running epoch
-/// is then lost. `report` is called every few steps.
+/// Trains, or continues with `resume`: with the options that the training began with, but for folder, epochs, workers and
+/// time limit. Ends early when `interrupt` becomes true: the running epoch is then lost. `report` is called every few
+/// steps.
 ///
 /// # Errors
-/// Bad data, no memory, a full disk, or a loss that is not a number. The last checkpoint is kept.
+/// Bad data, other options, no memory, a full disk, or a loss that is not a number. The last checkpoint is kept.
 pub fn train(
     options: &TrainOptions,
     device: Device,
@@ -234,8 +236,19 @@ pub fn train(
     mut report: impl FnMut(Progress),
 ) -> Result<Trained, TrainError> {
     let _lock = run::claim(&options.out, resume)?;
+    if resume {
+        let before = TrainOptions {
+            out: options.out.clone(),
+            epochs: options.epochs,
+            workers: options.workers,
+            time_limit: options.time_limit,
+            ..run::saved(&options.out)?
+        };
+        run::check_same(&options.out, options, &before)?;
+    }
     let mut trainer = Trainer::start(options, device, resume)?;
-    let kept = options.init.as_ref().filter(|_| options.epochs == 0);
+    run::write_json(&options.out.join(run::CONFIG), options)?;
+    let kept = options.init.as_ref().filter(|_| options.epochs == 0 && !resume);
     if let Some(name) = kept {
         let (weights, known) = centernet_weights(name)?;
         if known != options.sees {
@@ -282,7 +295,6 @@ impl<'a> Trainer<'a> {
         let checkpoint = run::checkpoint(&options.out);
         let datasets = options.datasets()?;
         datasets.iter().try_for_each(Dataset::require_training)?;
-        run::write_json(&options.out.join("config.json"), options)?;
         let (mut training, mut validation) = (Vec::new(), Vec::new());
         for dataset in &datasets {
             dataset.warn_of_one_shard();
@@ -334,11 +346,13 @@ impl<'a> Trainer<'a> {
                 m.seed
             )
         };
-        let mut made_of = datasets.iter().map(said).collect::<Vec<_>>().join("; and ");
-        let kept = |(weights, _): &(Weights, Sees)| weights.metadata.get("made_of").cloned();
-        if let Some((part, before)) = options.only.zip(begin.as_ref().and_then(kept)) {
-            made_of = format!("{before}; the head for {} alone: {made_of}", part.name());
-        }
+        let made_of = datasets.iter().map(said).collect::<Vec<_>>().join("; and ");
+        let before = begin.as_ref().and_then(|(weights, _)| weights.metadata.get(MADE_OF));
+        let made_of = match (before, options.only) {
+            (Some(before), _) if resume => before.clone(),
+            (Some(before), Some(part)) => format!("{before}; the head for {} alone: {made_of}", part.name()),
+            _ => made_of,
+        };
         let epoch_steps = steps(&training, options.only, options.batch, options.epoch_steps) as u64;
         let plates = if options.only == Some(Part::Signs) { plates(&training)? } else { Vec::new() };
         let began = Instant::now();
@@ -490,7 +504,7 @@ impl Training for Trainer<'_> {
     fn export(&self, validation: &Validation) -> Result<(), TrainError> {
         let score = serde_json::to_string(validation).unwrap_or_default();
         let weights = self.network.weights(&[
-            ("made_of", self.made_of.clone()),
+            (MADE_OF, self.made_of.clone()),
             ("epochs", self.reached.walk.epoch.to_string()),
             ("validation", score),
             ("program", wad_sim::program::version().to_string()),
@@ -501,7 +515,7 @@ impl Training for Trainer<'_> {
     fn save(&mut self, _: &Pass) -> Result<(), TrainError> {
         let mut reached = Reached { optimiser_steps: self.adam.steps(), ..self.reached.clone() };
         reached.walk.seconds = self.seconds();
-        let mut metadata: HashMap<String, String> = self.network.weights(&[])?.metadata;
+        let mut metadata = self.network.weights(&[(MADE_OF, self.made_of.clone())])?.metadata;
         metadata.insert(run::REACHED.to_string(), serde_json::to_string(&reached).unwrap_or_default());
         let mut tensors: Vec<(String, Tensor)> = Vec::new();
         for (name, tensor) in self.network.store.variables() {

@@ -3,7 +3,7 @@
 //! An epoch is one pass over the training images, or `epoch_steps` batches if that is less. Then validation
 //! runs, the best network so far is exported, and a checkpoint is written. An interrupted run goes on from
 //! its last checkpoint; on the CPU with one thread it gives the same bits as an uninterrupted run (cuDNN's
-//! sums differ from run to run).
+//! sums differ from run to run), unless a time limit decides about the learning rate.
 
 pub mod heads;
 mod terms;
@@ -21,7 +21,6 @@ use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
-use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 use sumo_network::seeds;
@@ -62,14 +61,17 @@ struct Trainer<'a> {
     /// The resident shards, and their images.
     resident: (Vec<usize>, Images),
     validation: Images,
+    /// Wall time of earlier calls (s).
+    before: f64,
     began: Instant,
 }
 
-/// Trains, or continues with `resume`. Ends early when `interrupt` becomes true: the running epoch
-/// is then lost. `report` is called every few steps.
+/// Trains, or continues with `resume`: with the options that the training began with, but for folder, epochs, memory for
+/// images and time limit. Ends early when `interrupt` becomes true: the running epoch is then lost. `report` is called
+/// every few steps.
 ///
 /// # Errors
-/// Bad data, no memory, a full disk, or a loss that is not a number. The last checkpoint is kept.
+/// Bad data, other options, no memory, a full disk, or a loss that is not a number. The last checkpoint is kept.
 pub fn train(
     options: &TrainOptions,
     device: Device,
@@ -78,7 +80,18 @@ pub fn train(
     mut report: impl FnMut(Progress),
 ) -> Result<Trained, TrainError> {
     let _lock = run::claim(&options.out, resume)?;
+    if resume {
+        let before = TrainOptions {
+            out: options.out.clone(),
+            epochs: options.epochs,
+            resident_gb: options.resident_gb,
+            time_limit: options.time_limit,
+            ..run::saved(&options.out)?
+        };
+        run::check_same(&options.out, options, &before)?;
+    }
     let trainer = Trainer::start(options, device, resume)?;
+    run::write_json(&options.out.join(run::CONFIG), options)?;
     run::walk(trainer, &options.out, interrupt, &mut report)
 }
 
@@ -88,10 +101,6 @@ impl<'a> Trainer<'a> {
         let checkpoint = run::checkpoint(&options.out);
         let dataset = Dataset::open(&options.data, options.partial)?;
         dataset.require_training()?;
-        let config = options.out.join("config.json");
-        if !resume {
-            run::write_json(&config, options)?;
-        }
         let architecture = Architecture {
             variational: options.beta > 0.0,
             dropout: options.dropout,
@@ -101,9 +110,7 @@ impl<'a> Trainer<'a> {
         let saved = if resume { Some(Weights::load(&checkpoint)?) } else { None };
         let (mut network, reached) = if let Some(weights) = &saved {
             let find = |slot: &Slot| weights.get(&slot.name, &slot.shape);
-            let network = Autoencoder::from_named(architecture, device, find)?;
-            check_same(options, &config)?;
-            (network, run::reached(weights)?)
+            (Autoencoder::from_named(architecture, device, find)?, run::reached(weights)?)
         } else {
             let mut rng = seeds::rng(options.seed, "weights");
             (Autoencoder::new(architecture, &mut rng, device)?, Reached::default())
@@ -139,6 +146,7 @@ impl<'a> Trainer<'a> {
             network,
             adam,
             heads,
+            before: reached.walk.seconds,
             reached,
             resident: (Vec::new(), Images::none(device)?),
             validation,
@@ -146,8 +154,12 @@ impl<'a> Trainer<'a> {
         })
     }
 
+    fn seconds(&self) -> f64 {
+        self.before + self.began.elapsed().as_secs_f64()
+    }
+
     fn is_late(&self) -> bool {
-        self.options.time_limit.is_some_and(|limit| self.began.elapsed().as_secs_f64() >= limit)
+        self.options.time_limit.is_some_and(|limit| self.seconds() >= limit)
     }
 
     /// Loads the images of this epoch's shards: all, or a new random choice if not all fit.
@@ -186,8 +198,7 @@ impl<'a> Trainer<'a> {
     fn done(&self, step_in_epoch: u64, steps: u64) -> f64 {
         let epochs = self.reached.walk.epoch as f64 + step_in_epoch as f64 / steps as f64;
         let by_steps = epochs / self.options.epochs.max(1) as f64;
-        let seconds = self.began.elapsed().as_secs_f64();
-        let by_time = self.options.time_limit.map_or(0.0, |limit| seconds / limit.max(1e-9));
+        let by_time = self.options.time_limit.map_or(0.0, |limit| self.seconds() / limit.max(1e-9));
         by_steps.max(by_time).min(1.0)
     }
 
@@ -502,33 +513,6 @@ fn restore(adam: &mut Adam, weights: &Weights, name: &str, reached: &Reached) ->
         moment.f_copy_(&saved)?;
     }
     adam.t = reached.walk.step as i64;
-    Ok(())
-}
-
-/// Refuses to continue with another seed, batch or loss than the training began with.
-fn check_same(options: &TrainOptions, config: &Path) -> Result<(), TrainError> {
-    let text = std::fs::read(config).map_err(|source| WeightsError::Io {
-        what: "read",
-        path: config.to_path_buf(),
-        source,
-    })?;
-    let before: TrainOptions = serde_json::from_slice(&text)
-        .map_err(|e| WeightsError::Format { path: config.to_path_buf(), why: e.to_string() })?;
-    let fields = |o: &TrainOptions| {
-        [
-            ("--seed", o.seed.to_string()),
-            ("--batch", o.batch.to_string()),
-            ("--beta", o.beta.to_string()),
-            ("--paint-weight", o.paint_weight.to_string()),
-            ("--small-weight", o.small_weight.to_string()),
-            ("--label-weight", o.label_weight.to_string()),
-        ]
-    };
-    for ((what, found), (_, asked)) in fields(&before).into_iter().zip(fields(options)) {
-        if found != asked {
-            return Err(TrainError::Differs { path: options.out.clone(), what, found, asked });
-        }
-    }
     Ok(())
 }
 

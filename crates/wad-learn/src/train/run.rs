@@ -62,13 +62,25 @@ pub enum TrainError {
         /// The file or folder.
         path: PathBuf,
     },
-    /// The training to resume has another setting.
-    #[error("the training in `{}` differs in {what}: expected {asked}, found {found}", path.display())]
+    /// The options of the training to resume cannot be read.
+    #[error("nothing to resume: cannot read the options in `{}`: {why}", path.display())]
+    ConfigFile {
+        /// The file.
+        path: PathBuf,
+        /// The cause.
+        why: String,
+    },
+    /// The training to resume has another option.
+    #[error(
+        "expected `{what}` = {found}, as in the config.json of the training in `{}`, found {asked}; leave the \
+         option out, or name another folder with --out",
+        path.display()
+    )]
     Differs {
         /// The file or folder.
         path: PathBuf,
-        /// The setting.
-        what: &'static str,
+        /// The option.
+        what: String,
         /// Its value in the folder.
         found: String,
         /// Its value in the call.
@@ -106,6 +118,7 @@ impl TrainError {
             | Self::Images(ImagesError::Dataset(_))
             | Self::Taken { .. }
             | Self::NothingToResume { .. }
+            | Self::ConfigFile { .. }
             | Self::Differs { .. } => true,
             Self::Weights(error) => !matches!(error, WeightsError::Io { .. } | WeightsError::Torch(_)),
             _ => false,
@@ -128,6 +141,9 @@ pub struct Progress<V> {
     pub validation: Option<V>,
 }
 
+/// The options in a training's folder.
+pub(super) const CONFIG: &str = "config.json";
+
 /// The checkpoint in a training's folder.
 pub(super) fn checkpoint(out: &Path) -> PathBuf {
     out.join("checkpoint.safetensors")
@@ -148,6 +164,39 @@ fn check(out: &Path, resume: bool) -> Result<(), TrainError> {
         (true, false) => Err(TrainError::NothingToResume { path: out.to_path_buf() }),
         (false, true) => Err(TrainError::Taken { path: out.to_path_buf() }),
         _ => Ok(()),
+    }
+}
+
+/// The options of the training in `out`, from its config.json.
+///
+/// # Errors
+/// It cannot be read.
+pub fn saved<T: DeserializeOwned>(out: &Path) -> Result<T, TrainError> {
+    let path = out.join(CONFIG);
+    let text = std::fs::read(&path).map_err(|e| e.to_string());
+    let options = text.and_then(|text| serde_json::from_slice(&text).map_err(|e| e.to_string()));
+    options.map_err(|why| TrainError::ConfigFile { path, why })
+}
+
+/// Checks that the training in `out`, which began with the options `before`, goes on with the same.
+pub(super) fn check_same<T: Serialize + PartialEq>(
+    out: &Path,
+    options: &T,
+    before: &T,
+) -> Result<(), TrainError> {
+    if options == before {
+        return Ok(());
+    }
+    let [asked, found] = [options, before].map(|one| serde_json::to_value(one).unwrap_or_default());
+    let mut names = asked.as_object().into_iter().flat_map(serde_json::Map::keys);
+    match names.find(|name| asked[*name] != found[*name]) {
+        None => Ok(()),
+        Some(name) => Err(TrainError::Differs {
+            path: out.to_path_buf(),
+            what: name.clone(),
+            found: found[name].to_string(),
+            asked: asked[name].to_string(),
+        }),
     }
 }
 

@@ -45,7 +45,7 @@ pub enum CurriculumError {
 pub struct Stage {
     /// The task of its episodes.
     pub task: TaskKind,
-    /// The next stage comes when this share (0..1) of the last `window` episodes of this task was
+    /// The next stage comes when this share (0..1) of the last `window` episodes of this stage was
     /// successful.
     pub threshold: f64,
     /// Number of episodes over which the success rate is taken.
@@ -56,6 +56,13 @@ pub struct Stage {
     /// Background traffic; None: the task's own.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub traffic: Option<TrafficSpec>,
+}
+
+impl Stage {
+    /// Its task in its traffic.
+    pub fn spec(&self) -> TaskSpec {
+        TaskSpec { traffic: self.traffic, ..TaskSpec::new(self.task) }
+    }
 }
 
 impl fmt::Display for Stage {
@@ -105,7 +112,8 @@ impl Curriculum {
         }
     }
 
-    fn problem(&self) -> Option<String> {
+    /// The first value out of range, if there is one, and what was expected.
+    pub fn problem(&self) -> Option<String> {
         if self.stages.is_empty() {
             return Some("expected one stage or more in `stages`, found none".to_string());
         }
@@ -148,35 +156,34 @@ pub struct Progress {
     pub stage: usize,
     /// Environment steps spent in it.
     pub steps: u64,
-    /// Success of the last episodes of its task, oldest first.
+    /// Success of the last episodes of the stage, oldest first.
     pub recent: VecDeque<bool>,
     /// The last stage's threshold has been passed too.
     pub done: bool,
 }
 
 impl Progress {
-    /// The next episode's task: the stage's, or an earlier one's, in one of the weathers.
-    pub fn draw(&self, curriculum: &Curriculum, rng: &mut ChaCha8Rng) -> TaskSpec {
+    /// The next episode's stage, this one or an earlier one, and its task in one of the weathers.
+    pub fn draw(&self, curriculum: &Curriculum, rng: &mut ChaCha8Rng) -> (usize, TaskSpec) {
         let current = self.stage.min(curriculum.stages.len().saturating_sub(1));
         let back = current > 0 && rng.random_range(0.0..1.0) < curriculum.replay;
         let index = if back { rng.random_range(0..current) } else { current };
-        let stage = &curriculum.stages[index];
         let weather = curriculum.weathers[rng.random_range(0..curriculum.weathers.len())];
-        TaskSpec { traffic: stage.traffic, ..TaskSpec::new(stage.task) }.in_weather(weather)
+        (index, curriculum.stages[index].spec().in_weather(weather))
     }
 
-    /// Notes an episode of `steps` environment steps. Says how the stage was passed where this episode brings
-    /// the next one (or, in the last one, passes the last threshold).
+    /// Notes an episode of the stage `drawn`, of `steps` environment steps. Says how the stage was passed where this
+    /// episode brings the next one (or, in the last one, passes the last threshold).
     pub fn note(
         &mut self,
         curriculum: &Curriculum,
-        task: TaskKind,
+        drawn: usize,
         steps: u64,
         success: bool,
     ) -> Option<Passed> {
         let stage = curriculum.stages.get(self.stage)?;
         self.steps += steps;
-        if task == stage.task {
+        if drawn == self.stage {
             self.recent.push_back(success);
             while self.recent.len() > stage.window {
                 self.recent.pop_front();
@@ -198,7 +205,7 @@ impl Progress {
         None
     }
 
-    /// Share of the last episodes of the stage's task that were successful; 0 before the first.
+    /// Share of the last episodes of the stage that were successful; 0 before the first.
     pub fn success_rate(&self) -> f64 {
         let successes = self.recent.iter().filter(|success| **success).count();
         successes as f64 / self.recent.len().max(1) as f64
@@ -245,23 +252,36 @@ mod tests {
         let curriculum = parse(SHIPPED).unwrap();
         let mut progress = Progress::default();
         for _ in 0..19 {
-            assert!(progress.note(&curriculum, TaskKind::Straight, 100, true).is_none());
+            assert!(progress.note(&curriculum, 0, 100, true).is_none());
         }
-        let passed = progress.note(&curriculum, TaskKind::Straight, 100, true);
+        let passed = progress.note(&curriculum, 0, 100, true);
         assert_eq!(passed, Some(Passed { stage: 0, threshold: true, steps: 2000, rate: 1.0 }));
         assert_eq!((progress.stage, progress.steps), (1, 0));
         // A replay's success says nothing about this stage.
         for _ in 0..40 {
-            assert!(progress.note(&curriculum, TaskKind::Straight, 100, true).is_none());
+            assert!(progress.note(&curriculum, 0, 100, true).is_none());
         }
         let most = curriculum.stages[1].most_steps.unwrap();
-        let spent = progress.note(&curriculum, TaskKind::OneTurn, most, false).unwrap();
+        let spent = progress.note(&curriculum, 1, most, false).unwrap();
         assert_eq!((spent.stage, spent.threshold), (1, false));
         assert_eq!(progress.stage, 2);
         let mut last = Progress { stage: 5, ..Progress::default() };
-        let passed =
-            (0..60).filter(|_| last.note(&curriculum, TaskKind::Composite, 1000, true).is_some()).count();
+        let passed = (0..60).filter(|_| last.note(&curriculum, 5, 1000, true).is_some()).count();
         assert_eq!((passed, last.stage, last.done), (1, 5, true));
+    }
+
+    #[test]
+    fn a_replay_of_the_same_task_in_other_traffic_says_nothing_about_a_stage() {
+        let curriculum = parse(include_str!("../../../../scenarios/curriculum_dense.json")).unwrap();
+        let mut progress = Progress { stage: 6, ..Progress::default() };
+        let mut rng = seeds::rng(3, "curriculum");
+        for _ in 0..200 {
+            let (stage, task) = progress.draw(&curriculum, &mut rng);
+            assert_eq!(task.traffic, curriculum.stages[stage].traffic);
+            let passed = progress.note(&curriculum, stage, 1000, stage < 6);
+            assert!(passed.is_none(), "passed by replays: {passed:?}");
+        }
+        assert_eq!((progress.recent.len(), progress.success_rate()), (50, 0.0));
     }
 
     #[test]
@@ -277,11 +297,11 @@ mod tests {
         let curriculum = parse(SHIPPED).unwrap();
         let mut rng = seeds::rng(3, "curriculum");
         let progress = Progress { stage: 2, ..Progress::default() };
-        let tasks: Vec<TaskKind> = (0..400).map(|_| progress.draw(&curriculum, &mut rng).kind).collect();
+        let tasks: Vec<TaskKind> = (0..400).map(|_| progress.draw(&curriculum, &mut rng).1.kind).collect();
         let count = |kind: TaskKind| tasks.iter().filter(|task| **task == kind).count();
         assert!((80..160).contains(&(count(TaskKind::Straight) + count(TaskKind::OneTurn))));
         assert_eq!(count(TaskKind::Obstacle) + count(TaskKind::Cross) + count(TaskKind::Composite), 0);
         let first = Progress::default();
-        assert!((0..50).all(|_| first.draw(&curriculum, &mut rng).kind == TaskKind::Straight));
+        assert!((0..50).all(|_| first.draw(&curriculum, &mut rng).1.kind == TaskKind::Straight));
     }
 }

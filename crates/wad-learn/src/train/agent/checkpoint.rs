@@ -4,16 +4,19 @@
 //! OUT/checkpoints/000025000/state.json           counters, random generator, schedule; written last
 //!                           learner.safetensors  networks, targets, Adam's moments
 //! OUT/checkpoints/replay/chunk-*.bin             shared by checkpoints
+//! OUT/config.json                                comes with the first: a folder with it holds a training
 //! ```
 //!
 //! The last two are kept. If the newest is damaged, the one before it is used.
 
 use super::TrainError;
+use super::config::TrainConfig;
 use super::schedule::ScheduleState;
 use crate::agent::batch::InputScale;
 use crate::agent::learner::Learner;
 use crate::agent::replay_buffer::ReplayBuffer;
-use crate::agent::replay_files::{ReplayManifest, remove_unused, write_whole};
+use crate::agent::replay_files::{ReplayManifest, remove_unused};
+use crate::train::run::CONFIG;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
@@ -21,6 +24,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use tch::{Device, Tensor};
 use wad_see::observation::{RAW_MEANING, first_meaning};
+use wad_sim::telemetry::{write_json, write_whole};
 
 /// A checkpoint's state beside its tensors.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -39,6 +43,18 @@ pub struct State {
     pub scale: Option<InputScale>,
     pub best: Option<Best>,
     pub validated_at: u64,
+    /// Steps of the recorded episodes; older versions count them among those that the autopilot drove.
+    #[serde(default)]
+    pub recorded: u64,
+    /// Steps of behaviour cloning so far.
+    #[serde(default)]
+    pub cloned: u64,
+    /// The actor that the training begins with is still to be validated.
+    #[serde(default)]
+    pub begins_trained: bool,
+    /// Lengths of `train.jsonl` and `validation.jsonl` (bytes); None in checkpoints of older versions.
+    #[serde(default)]
+    pub logged: Option<[u64; 2]>,
     /// Seconds of training so far.
     pub wall_seconds: f64,
     pub replay: ReplayManifest,
@@ -102,7 +118,7 @@ impl Checkpoints {
         self.folder.join("replay")
     }
 
-    /// Writes a checkpoint, and completes `state`. The oldest checkpoint is removed afterwards.
+    /// Writes a checkpoint of the training with `config`, and completes `state`. The oldest checkpoint is removed afterwards.
     ///
     /// # Errors
     /// A file cannot be written; the checkpoints before stay.
@@ -111,6 +127,7 @@ impl Checkpoints {
         mut state: State,
         learner: &mut Learner,
         buffer: &ReplayBuffer,
+        config: &TrainConfig,
     ) -> Result<PathBuf, TrainError> {
         let path = self.folder.join(format!("{:09}", state.steps));
         let failed = |source| TrainError::Write { path: path.clone(), source };
@@ -125,12 +142,12 @@ impl Checkpoints {
         (state.updates, state.adam_steps) = (updates, adam_steps);
         state.raw_meaning = RAW_MEANING;
         let bytes = learner_bytes(learner).map_err(|why| failed(std::io::Error::other(why)))?;
-        write_whole(&path.join("learner.safetensors"), &bytes).map_err(failed)?;
+        write_whole(&path.join("learner.safetensors"), &bytes)?;
         (state.learner_bytes, state.learner_crc) = (bytes.len() as u64, crc32fast::hash(&bytes));
         let before = self.kept.first().map_or_else(ReplayManifest::default, |(_, manifest)| manifest.clone());
         state.replay = buffer.save(&self.replay(), &before).map_err(failed)?;
-        let text = serde_json::to_vec_pretty(&state).map_err(|e| failed(e.into()))?;
-        write_whole(&state_file, &text).map_err(failed)?;
+        write_json(&self.folder.with_file_name(CONFIG), config)?;
+        write_json(&state_file, &state)?;
         self.kept.insert(0, (path.clone(), state.replay));
         for (old, _) in self.kept.split_off(self.kept.len().min(KEEP)) {
             if let Err(error) = std::fs::remove_dir_all(&old) {

@@ -22,7 +22,7 @@ use std::sync::mpsc::SyncSender;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 use wad_see::latent::Encoder;
-use wad_see::observation::{Observation, RAW_SIZE};
+use wad_see::observation::RAW_SIZE;
 
 /// State shared by collectors and learner. Locks are held only for an episode's begin or a pointer's copy.
 #[derive(Debug)]
@@ -218,8 +218,9 @@ impl Collector<'_> {
     fn episode(&mut self, env: &mut Env, job: &Job) -> Result<Report, Stop> {
         let first = env.reset(&job.task, job.seed)?;
         let record = self.record.filter(|_| !job.purpose.validates());
-        let mut recording = record.map(|folder| (folder, Recording::of(env.eyes().image_kind())));
-        observe(&mut recording, env, &first)?;
+        let image = env.image().map(|_| env.eyes().image_kind());
+        let mut recording = record.map(|folder| (folder, Recording::of(image)));
+        observe(&mut recording, env)?;
         let dims = self.config.dims();
         let mut ongoing = Ongoing::new(job.clone(), self.config, finite(dims.of(&first))?);
         loop {
@@ -233,7 +234,7 @@ impl Collector<'_> {
             let step = env.step(action::to_control(action))?;
             let lost = step.info.ending.as_ref().is_some_and(|ending| ending.end == End::Error);
             if !lost {
-                observe(&mut recording, env, &step.observation)?;
+                observe(&mut recording, env)?;
                 if let Some((_, recording)) = &mut recording {
                     recording.act(action, shown, step.reward as f32);
                 }
@@ -432,16 +433,10 @@ fn difference(now: &Stages, before: &Stages) -> Stages {
     }
 }
 
-/// Adds the observation to the recording, if there is one.
-fn observe(
-    recording: &mut Option<(&Path, Recording)>,
-    env: &Env,
-    observation: &Observation,
-) -> Result<(), Stop> {
-    if let (Some((_, recording)), Some(image)) = (recording, env.image()) {
-        recording.observe(image, &observation.raw).map_err(|e| Stop::Broken(e.to_string()))?;
-    }
-    Ok(())
+/// Adds the last look to the recording, if there is one; its raw states too where the agent gets the latent alone.
+fn observe(recording: &mut Option<(&Path, Recording)>, env: &Env) -> Result<(), Stop> {
+    let Some((_, recording)) = recording else { return Ok(()) };
+    recording.observe(env.image(), env.raw().vector()).map_err(|e| Stop::Broken(e.to_string()))
 }
 
 /// An observation that is not finite would spoil the networks for good.

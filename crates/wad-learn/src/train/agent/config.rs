@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use wad_sim::tasks::Curriculum;
 
-/// Every setting that changes what is learned. Length, number of collectors, folder and device are in
+/// Every setting that changes what is learned. Wall time, number of collectors, folder and device are in
 /// [`super::Limits`], so that a run can go on elsewhere.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -83,10 +83,17 @@ pub struct TrainConfig {
     pub validation: ValidationParams,
     /// Environment steps between checkpoints.
     pub checkpoint_every: u64,
+    /// Environment steps of the agent, including those before a resume, which may set others.
+    #[serde(default = "steps")]
+    pub steps: u64,
 }
 
 fn cloning_rate() -> f64 {
     1e-3
+}
+
+fn steps() -> u64 {
+    400_000
 }
 
 /// The choice of the best actor by validation.
@@ -139,6 +146,7 @@ impl TrainConfig {
             pretrain: 0,
             validation: ValidationParams::default(),
             checkpoint_every: 25_000,
+            steps: steps(),
         }
     }
 
@@ -182,8 +190,21 @@ impl TrainConfig {
     /// The first invalid setting, if there is one.
     pub fn problem(&self) -> Option<String> {
         let gamma = self.algorithm.gamma();
+        let alpha = match &self.algorithm {
+            Algorithm::Td3(_) => None,
+            Algorithm::Sac(params) => Some(params.alpha),
+        };
         if !(0.0..1.0).contains(&gamma) {
             Some(format!("expected gamma from 0 to below 1, found {gamma}"))
+        } else if let Some(alpha) = alpha.filter(|alpha| !(alpha.is_finite() && *alpha > 0.0)) {
+            Some(format!("expected a temperature (alpha) above 0, found {alpha}"))
+        } else if self.validation.every > 0 && self.validation.episodes == 0 {
+            Some(
+                "expected one validation episode or more of each task, found 0; to validate never, --validate-every 0"
+                    .to_string(),
+            )
+        } else if self.inputs == Inputs::Vector && !self.recorded.is_empty() {
+            Some("recorded episodes do not serve --inputs vector; leave out one of the two".to_string())
         } else if self.batch_size == 0 || self.n_step == 0 {
             Some("expected a batch size and a number of steps of 1 or more, found 0".to_string())
         } else if !(0.0..=64.0).contains(&self.update_ratio) {
@@ -207,7 +228,7 @@ impl TrainConfig {
         } else if self.pretrain + self.cloning > 0 && !self.is_warm() {
             Some("updates before the agent drives need demonstrations, found none".to_string())
         } else {
-            None
+            self.curriculum.problem()
         }
     }
 }

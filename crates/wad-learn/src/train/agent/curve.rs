@@ -27,7 +27,7 @@ pub struct Curve {
     pub name: String,
     /// Its seed.
     pub seed: u64,
-    /// The configuration without the seed: equal for trainings that differ in nothing else.
+    /// The configuration without seed and length: equal for trainings that differ in nothing else.
     pub made: serde_json::Value,
     /// The curriculum's tasks, in order, with the traffic where it is not the task's own.
     pub tasks: Vec<String>,
@@ -71,6 +71,7 @@ impl Curve {
         let mut made = serde_json::to_value(&config).unwrap_or_default();
         if let Some(made) = made.as_object_mut() {
             made.remove("seed");
+            made.remove("steps");
         }
         let inputs = serde_json::to_value(config.inputs).unwrap_or_default();
         let how = if config.is_warm() || config.init.is_some() || config.asks() {

@@ -3,6 +3,8 @@
 mod messages;
 mod recorded;
 mod report;
+#[cfg(test)]
+mod tests;
 mod validation;
 
 use super::checkpoint::{Best, Checkpoints, RngState, State};
@@ -15,9 +17,9 @@ use crate::agent::batch::{Batches, InputScale, Inputs, Metrics, Scale};
 use crate::agent::learner::Learner;
 use crate::agent::policy::{Policy, PolicyCard};
 use crate::agent::replay_buffer::{ReplayBuffer, Sampled};
-use crate::agent::replay_files::write_whole;
 use crate::env::Stages;
 use crate::folder_lock::FolderLock;
+use crate::train::run::CONFIG;
 use rand_chacha::ChaCha8Rng;
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -39,7 +41,7 @@ const FIGURES: Duration = Duration::from_secs(5);
 const MEASURED: usize = 20_000;
 
 /// Trains, or continues with `resume`. Ends at the limits, at `interrupt`, or on an error; the state
-/// is saved in each case.
+/// is saved in each case, once something was driven.
 ///
 /// # Errors
 /// Bad configuration, SUMO, the disk, or learning that diverges.
@@ -51,7 +53,7 @@ pub fn train(
     maker: &Maker,
     mut progress: impl FnMut(Progress<'_>),
 ) -> Result<Trained, TrainError> {
-    if let Some(problem) = config.problem() {
+    if let Some(problem) = config.problem().or_else(|| limits.problem(config)) {
         return Err(TrainError::Config(problem));
     }
     if let Some(folder) = &limits.record {
@@ -60,16 +62,14 @@ pub fn train(
     }
     let _lock = FolderLock::take(&limits.out)?;
     let mut learning = Learning::begin(config, limits, resume)?;
-    if !resume {
-        learning.recall(interrupt, maker, &mut progress)?;
+    if !resume && !config.recorded.is_empty() {
+        learning.recall(interrupt, (maker.encoder)()?, &mut progress)?;
     }
-    let shared = Shared {
-        stop: AtomicBool::new(false),
-        version: AtomicU64::new(0),
-        actor: Mutex::new(Arc::new(learning.copy())),
-        schedule: Mutex::new(Schedule::new(config, learning.resumed.take(), learning.steps)),
-    };
-    lock(&shared.schedule).state.demonstrated = learning.demonstrated;
+    let shared = learning.shared();
+    if resume && learning.steps >= config.steps {
+        let news = format!("the {} steps are done; a larger --steps goes on", config.steps);
+        learning.show(&shared, Some(news), &mut progress);
+    }
     let collectors = limits.collectors.max(1);
     let result = std::thread::scope(|scope| {
         let (out, messages) = sync_channel(2 * collectors);
@@ -130,9 +130,10 @@ struct Learning<'a> {
     checkpoints: Checkpoints,
     /// Steps of behaviour cloning so far.
     cloned: u64,
-    /// Environment steps of the agent, and of the autopilot.
+    /// Environment steps of the agent, of the autopilot, and of the recorded episodes.
     steps: u64,
     demonstrated: u64,
+    recorded: u64,
     version: u64,
     published_at: u64,
     best: Option<Best>,
@@ -173,8 +174,7 @@ impl<'a> Learning<'a> {
         let init = config.init.as_deref().filter(|_| !resume);
         let init = init.map(|name| begin_with(config, name)).transpose()?;
         std::fs::create_dir_all(out).map_err(|source| TrainError::Write { path: out.clone(), source })?;
-        let file = out.join("config.json");
-        if file.exists() && !resume {
+        if out.join(CONFIG).exists() && !resume {
             return Err(TrainError::Taken { path: out.clone() });
         }
         let mut learner = Learner::new(&config.algorithm, config.dims(), config.seed, limits.device);
@@ -186,12 +186,11 @@ impl<'a> Learning<'a> {
         } else {
             (None, new_buffer()?)
         };
-        let text = serde_json::to_vec_pretty(config)
-            .map_err(|e| TrainError::Write { path: file.clone(), source: e.into() })?;
-        write_whole(&file, &text).map_err(|source| TrainError::Write { path: file, source })?;
+        // Checkpoints of older versions do not say what was in the logs.
+        let logged = state.as_ref().map_or([0; 2], |state| state.logged.unwrap_or([u64::MAX; 2]));
         let mut rng = seeds::rng(config.seed, "learner");
         let mut learning = Self {
-            log: RunLog::open(out)?,
+            log: RunLog::open(out, logged)?,
             config,
             limits,
             learner,
@@ -203,6 +202,7 @@ impl<'a> Learning<'a> {
             cloned: 0,
             steps: 0,
             demonstrated: 0,
+            recorded: 0,
             version: 0,
             published_at: 0,
             best: None,
@@ -227,13 +227,15 @@ impl<'a> Learning<'a> {
             learning.steps = state.steps;
             learning.saved_at = state.steps;
             learning.demonstrated = state.schedule.demonstrated;
+            learning.recorded = state.recorded;
+            learning.cloned = state.cloned;
             learning.scale = state.scale.map(|scale| {
                 let tensors = scale.tensors(limits.device);
                 (scale, tensors)
             });
             learning.best = state.best;
             learning.validated_at = state.validated_at;
-            learning.begins_trained = false;
+            learning.begins_trained = state.begins_trained;
             learning.before_seconds = state.wall_seconds;
             learning.published_at = learning.learner.updates();
             learning.resumed = Some(state.schedule);
@@ -243,6 +245,21 @@ impl<'a> Learning<'a> {
             learning.scale = Some((policy.scale, tensors));
         }
         Ok(learning)
+    }
+
+    /// What it shares with collectors, at its beginning.
+    fn shared(&mut self) -> Shared {
+        Shared {
+            stop: AtomicBool::new(false),
+            version: AtomicU64::new(0),
+            actor: Mutex::new(Arc::new(self.copy())),
+            schedule: Mutex::new(Schedule::new(self.config, self.resumed.take(), self.steps)),
+        }
+    }
+
+    /// Steps in the buffer that the agent did not drive.
+    fn demonstrations(&self) -> u64 {
+        self.recorded + self.demonstrated
     }
 
     fn copy(&self) -> ActorCopy {
@@ -293,7 +310,7 @@ impl<'a> Learning<'a> {
             if self.cloned >= self.config.cloning && std::mem::take(&mut self.begins_trained) {
                 self.start_validation(shared);
             }
-            let over = self.steps >= self.limits.steps;
+            let over = self.steps >= self.config.steps;
             let behind = if self.ready() { self.due().saturating_sub(self.learner.updates()) } else { 0 };
             if over && behind == 0 && self.validation.is_none() {
                 // The end is validated too, unless it was just now.
@@ -393,9 +410,14 @@ impl<'a> Learning<'a> {
             steps: self.steps,
             what: what.to_string(),
             kept: if self.saved_at > 0 {
-                format!("the checkpoint of step {} is kept", self.saved_at)
+                format!(
+                    "the checkpoint of step {} is kept; begin a new training with --init {} and smaller \
+                     learning rates",
+                    self.saved_at,
+                    self.limits.out.join("last.safetensors").display()
+                )
             } else {
-                "there was no checkpoint yet".to_string()
+                "there was no checkpoint yet; begin again with smaller learning rates".to_string()
             },
         }
     }
@@ -425,7 +447,8 @@ impl<'a> Learning<'a> {
         Ok(())
     }
 
-    fn policy(&self, scores: serde_json::Value, values: &[f32], steps: u64) -> Policy {
+    /// The actor that is kept, without scores.
+    fn policy(&self) -> Policy {
         let c = self.config;
         let card = PolicyCard {
             algorithm: c.algorithm.clone(),
@@ -435,15 +458,16 @@ impl<'a> Learning<'a> {
             camera_hash: c.env.camera.hash(),
             raw_meaning: wad_see::observation::RAW_MEANING,
             detector: c.env.detector.clone(),
-            steps,
+            steps: self.steps,
             updates: self.learner.updates(),
             seed: c.seed,
-            demonstrations: self.demonstrated,
-            scores,
+            demonstrations: self.demonstrations(),
+            scores: serde_json::Value::Null,
             config: serde_json::to_value(c).unwrap_or_default(),
         };
         let scale = self.scale.as_ref().map(|(scale, _)| scale.clone());
-        Policy::new(card, scale.unwrap_or_else(|| InputScale::identity(c.dims())), values)
+        let scale = scale.unwrap_or_else(|| InputScale::identity(c.dims()));
+        Policy::new(card, scale, &self.learner.kept_actor_values())
     }
 
     /// Wall time of all calls of this training (h).
@@ -468,16 +492,18 @@ impl<'a> Learning<'a> {
             scale: self.scale.as_ref().map(|(scale, _)| scale.clone()),
             best: self.best,
             validated_at: self.validated_at,
+            recorded: self.recorded,
+            cloned: self.cloned,
+            begins_trained: self.begins_trained,
+            logged: Some(self.log.lengths()?),
             wall_seconds: 3600.0 * self.hours(),
             replay: Default::default(),
             learner_bytes: 0,
             learner_crc: 0,
         };
-        self.checkpoints.save(state, &mut self.learner, &self.buffer)?;
+        self.checkpoints.save(state, &mut self.learner, &self.buffer, self.config)?;
         self.saved_at = self.steps;
-        self.policy(serde_json::Value::Null, &self.learner.kept_actor_values(), self.steps)
-            .save(&self.limits.out.join("last.safetensors"))?;
-        self.log.flush()?;
+        self.policy().save(&self.limits.out.join("last.safetensors"))?;
         self.rate.paused += clock.elapsed().as_secs_f64();
         Ok(())
     }

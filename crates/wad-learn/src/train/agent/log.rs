@@ -20,24 +20,27 @@ pub struct RunLog {
 }
 
 impl RunLog {
-    /// Opens the logs in `out`, and appends to existing ones.
+    /// Opens the logs in `out`, and appends to existing ones behind their first `kept` bytes ([`Self::lengths`]): what
+    /// came after the checkpoint is driven again.
     ///
     /// # Errors
     /// They cannot be written.
-    pub fn open(out: &Path) -> Result<Self, TrainError> {
+    pub fn open(out: &Path, kept: [u64; 2]) -> Result<Self, TrainError> {
         let failed = |path: &Path| {
             let path = path.to_path_buf();
             move |source| TrainError::Write { path, source }
         };
-        let append = |name: &str| {
+        let append = |name: &str, kept: u64| {
             let path = out.join(name);
             let file = OpenOptions::new().create(true).append(true).open(&path).map_err(failed(&path))?;
+            let length = file.metadata().map_err(failed(&path))?.len();
+            file.set_len(length.min(kept)).map_err(failed(&path))?;
             Ok::<_, TrainError>(BufWriter::new(file))
         };
         Ok(Self {
             path: out.to_path_buf(),
-            lines: append("train.jsonl")?,
-            validation: append("validation.jsonl")?,
+            lines: append("train.jsonl", kept[0])?,
+            validation: append("validation.jsonl", kept[1])?,
             events: EventWriter::create(out).map_err(failed(out))?,
         })
     }
@@ -142,6 +145,19 @@ impl RunLog {
             .map_err(|source| self.failed(source))
     }
 
+    /// Flushes the buffers, and gives the lengths of `train.jsonl` and `validation.jsonl` (bytes).
+    ///
+    /// # Errors
+    /// The logs cannot be written.
+    pub fn lengths(&mut self) -> Result<[u64; 2], TrainError> {
+        self.flush()?;
+        let length = |file: &BufWriter<File>| {
+            let data = file.get_ref().metadata().map_err(|source| self.failed(source))?;
+            Ok::<_, TrainError>(data.len())
+        };
+        Ok([length(&self.lines)?, length(&self.validation)?])
+    }
+
     fn failed(&self, source: std::io::Error) -> TrainError {
         TrainError::Write { path: self.path.clone(), source }
     }
@@ -159,6 +175,7 @@ fn report_values(steps: u64, r: &Report) -> Map<String, Value> {
         "charts/episodic_length": r.steps,
         "discounted_return": r.discounted_return,
         "expected_return": r.expected_return,
+        "stage": r.stage,
         "task": r.task.kind,
         "weather": r.task.weather,
         "end": r.ending.end,

@@ -29,6 +29,7 @@ pub use config::{TrainConfig, ValidationParams};
 pub use curve::{Curve, StagePassed};
 pub use learning::train;
 
+use crate::agent::batch::Inputs;
 use crate::agent::learner::Misfit;
 use crate::agent::policy::PolicyError;
 use crate::agent::replay_buffer::BufferError;
@@ -41,12 +42,11 @@ use std::sync::Arc;
 use std::time::Duration;
 use tch::Device;
 use wad_see::latent::Encoder;
+use wad_sim::telemetry::WriteError;
 
-/// Length, workers and folder of a training: they may change when it is resumed.
+/// Time, workers and folder of a call of a training.
 #[derive(Clone, Debug)]
 pub struct Limits {
-    /// Environment steps of the agent, including those before a resume.
-    pub steps: u64,
     /// Wall time limit of this call.
     pub time: Option<Duration>,
     /// Environments in parallel.
@@ -57,6 +57,21 @@ pub struct Limits {
     pub out: PathBuf,
     /// Folder for recorded episodes; None: they are not kept.
     pub record: Option<PathBuf>,
+}
+
+impl Limits {
+    /// Why a training with `config` cannot be recorded, if that is asked.
+    fn problem(&self, config: &TrainConfig) -> Option<String> {
+        self.record.as_ref()?;
+        if config.egos > 1 {
+            let egos = config.egos;
+            Some(format!("--record needs one ego to a SUMO, and --egos is {egos}; leave out one of the two"))
+        } else if config.inputs == Inputs::Vector {
+            Some("--record does not keep what --inputs vector sees; leave out one of the two".to_string())
+        } else {
+            None
+        }
+    }
 }
 
 /// What environments are made of, each on the thread that uses it.
@@ -127,16 +142,13 @@ pub enum TrainError {
         why: String,
     },
     /// Learning diverged: a number is not finite.
-    #[error(
-        "learning diverged at step {steps}: {what} is not a number. {kept}; \
-         go on from there with a smaller learning rate or another seed"
-    )]
+    #[error("learning diverged at step {steps}: {what} is not a number; {kept}")]
     Diverged {
         /// Environment steps so far.
         steps: u64,
         /// The number.
         what: String,
-        /// The rest of the message: which checkpoint is kept.
+        /// The rest of the message: which checkpoint is kept, and what to do.
         kept: String,
     },
     /// All collectors have failed.
@@ -147,12 +159,18 @@ pub enum TrainError {
     Thread(std::io::Error),
 }
 
+impl From<WriteError> for TrainError {
+    fn from(error: WriteError) -> Self {
+        Self::Write { path: error.path, source: error.source }
+    }
+}
+
 /// Facts for a progress bar.
 #[derive(Clone, Debug)]
 pub struct Progress<'a> {
     /// Environment steps of the agent.
     pub steps: u64,
-    /// Environment steps of the autopilot.
+    /// Environment steps of the autopilot and of recorded episodes.
     pub demonstrated: u64,
     /// Updates of the networks.
     pub updates: u64,
@@ -181,11 +199,11 @@ pub struct Trained {
     pub seed: u64,
     /// Environment steps of the agent.
     pub steps: u64,
-    /// Environment steps of the autopilot.
+    /// Environment steps of the autopilot and of recorded episodes.
     pub demonstrated: u64,
     /// Updates of the networks.
     pub updates: u64,
-    /// Episodes driven.
+    /// Episodes handed out to collectors: lost and unfinished ones count, validations do not.
     pub episodes: u64,
     /// The last stage's number, from 0.
     pub stage: usize,

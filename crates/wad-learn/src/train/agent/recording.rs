@@ -1,17 +1,17 @@
 //! Episodes on disk with their transformed images, so that a recorded episode serves every encoder.
 //!
 //! ```text
-//! DIR/SEED.episode   one line of JSON (Header), then per observation: length and bytes of a PNG, the raw
-//!                    vector; per transition: action, 1 or 0 and the expert's action, reward
+//! DIR/SEED.episode   one line of JSON (Header), then per observation: length and bytes of a PNG (0 and none
+//!                    where no images were made), the raw vector; per transition: action, 1 or 0 and the
+//!                    expert's action, reward
 //! ```
 //!
-//! Numbers are little-endian `f32` and `u32`. About 4 kB per step.
+//! Numbers are little-endian `f32` and `u32`. About 22 kB per step with images.
 
 use super::TrainError;
 use crate::agent::action::{self, ACTION_SIZE, Action};
 use crate::agent::networks::Dims;
 use crate::agent::replay_buffer::{SEGMENT, Segment};
-use crate::agent::replay_files::write_whole;
 use crate::dataset::image_codec::{decode_png, encode_png};
 use serde::{Deserialize, Serialize};
 use std::io::{Error, ErrorKind};
@@ -21,6 +21,7 @@ use wad_see::latent::Encoder;
 use wad_see::observation::{self, Observation, RAW_SIZE, RawState};
 use wad_see::perception::{ImageKind, TRANSFORMED_SIZE, TransformedImage};
 use wad_sim::tasks::TaskKind;
+use wad_sim::telemetry::write_whole;
 
 /// A file's first line.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -30,9 +31,9 @@ pub struct Header {
     /// The driver: `autopilot`, or the trained agent's name.
     pub driver: String,
     pub camera_hash: String,
-    /// What its images are.
-    #[serde(default)]
-    pub image: ImageKind,
+    /// What its images are; None: it has none.
+    #[serde(default = "transformed")]
+    pub image: Option<ImageKind>,
     /// Version of the raw vectors' meaning: [`observation::RAW_MEANING`] at its recording.
     #[serde(default = "observation::first_meaning")]
     pub raw_meaning: u32,
@@ -43,29 +44,34 @@ pub struct Header {
     pub terminated: bool,
 }
 
+/// Files that do not say what their images are have transformed ones.
+fn transformed() -> Option<ImageKind> {
+    Some(ImageKind::Transformed)
+}
+
 /// A growing recording of an episode.
 #[derive(Debug, Default)]
 pub struct Recording {
-    /// What the images are.
-    pub image: ImageKind,
+    /// What the images are; None: there are none.
+    pub image: Option<ImageKind>,
     observations: Vec<(Vec<u8>, [f32; RAW_SIZE])>,
     transitions: Vec<(Action, Option<Action>, f32)>,
 }
 
 impl Recording {
-    /// An empty one, of images of this kind.
-    pub fn of(image: ImageKind) -> Self {
+    /// An empty one, of images of this kind or without images.
+    pub fn of(image: Option<ImageKind>) -> Self {
         Self { image, ..Self::default() }
     }
 
-    /// Adds an observation.
+    /// Adds an observation, with its image if there is one.
     ///
     /// # Errors
     /// The image cannot be compressed.
-    pub fn observe(&mut self, image: &TransformedImage, raw: &[f32; RAW_SIZE]) -> Result<(), Error> {
+    pub fn observe(&mut self, image: Option<&TransformedImage>, raw: [f32; RAW_SIZE]) -> Result<(), Error> {
         let side = TRANSFORMED_SIZE as u32;
-        let png = encode_png(image.bytes(), side, side).map_err(Error::other)?;
-        self.observations.push((png, *raw));
+        let png = image.map(|image| encode_png(image.bytes(), side, side).map_err(Error::other));
+        self.observations.push((png.transpose()?.unwrap_or_default(), raw));
         Ok(())
     }
 
@@ -85,8 +91,8 @@ impl Recording {
     /// The file cannot be written.
     pub fn write(&self, folder: &Path, header: &Header) -> Result<(), TrainError> {
         let path = folder.join(format!("{:016x}.episode", header.seed));
-        let failed = |source| TrainError::Write { path: path.clone(), source };
-        let mut data = serde_json::to_vec(header).map_err(|e| failed(e.into()))?;
+        let mut data = serde_json::to_vec(header)
+            .map_err(|e| TrainError::Write { path: path.clone(), source: e.into() })?;
         data.push(b'\n');
         for (png, raw) in &self.observations {
             data.extend((png.len() as u32).to_le_bytes());
@@ -99,7 +105,7 @@ impl Recording {
             let numbers = action.iter().chain([&known]).chain(&shown).chain([reward]);
             data.extend(numbers.flat_map(|x| x.to_le_bytes()));
         }
-        write_whole(&path, &data).map_err(failed)
+        Ok(write_whole(&path, &data)?)
     }
 }
 
@@ -129,7 +135,7 @@ pub fn list(folder: &Path) -> Result<Vec<PathBuf>, TrainError> {
 /// An episode as networks of `dims` see it, with latents of `encoder`, in segments for the replay buffer.
 ///
 /// # Errors
-/// The file cannot be read, is damaged, or is of another camera; or the encoder fails.
+/// The file cannot be read, is damaged, is of another camera, or lacks the encoder's images; or the encoder fails.
 pub fn load(
     path: &Path,
     camera_hash: &str,
@@ -145,11 +151,13 @@ pub fn load(
             header.camera_hash
         ))));
     }
-    if dims.latent > 0 && header.image != encoder.image_kind() {
+    let wanted = encoder.image_kind();
+    if dims.latent > 0 && header.image != Some(wanted) {
+        let kind = |image: ImageKind| format!("its images are {}", image.name());
+        let found = header.image.map_or("it holds no images".to_string(), kind);
         return Err(failed(invalid(format!(
-            "its images are {}, and the encoder was trained on {} ones",
-            header.image.name(),
-            encoder.image_kind().name()
+            "{found}, and the encoder was trained on {} ones; record again with them, or train with --inputs raw",
+            wanted.name()
         ))));
     }
     if header.raw_meaning != observation::RAW_MEANING {
@@ -168,8 +176,8 @@ pub fn load(
         let length = take(&mut rest, 4).map_err(failed)?;
         let length = u32::from_le_bytes([length[0], length[1], length[2], length[3]]);
         let png = take(&mut rest, length as usize).map_err(failed)?;
-        decode_png(png, side, side, image.bytes_mut()).map_err(|e| failed(Error::other(e)))?;
         if dims.latent > 0 {
+            decode_png(png, side, side, image.bytes_mut()).map_err(|e| failed(Error::other(e)))?;
             encoder
                 .encode(&image, &mut observation.latent)
                 .map_err(|e| TrainError::Env(EyesError::from(e).into()))?;
@@ -232,7 +240,7 @@ mod tests {
             seed: 77,
             driver: "autopilot".to_string(),
             camera_hash: "camera".to_string(),
-            image: ImageKind::Transformed,
+            image: Some(ImageKind::Transformed),
             raw_meaning: observation::RAW_MEANING,
             detector: "truth".to_string(),
             success: !terminated,
@@ -247,7 +255,7 @@ mod tests {
         let mut image = TransformedImage::default();
         for i in 0..=n {
             image.bytes_mut().fill((i % 250) as u8);
-            recording.observe(&image, &[i as f32; RAW_SIZE]).unwrap();
+            recording.observe(Some(&image), [i as f32; RAW_SIZE]).unwrap();
             if i < n {
                 let shown = (i % 3 == 0).then_some([-0.5, 0.25, i as f32]);
                 recording.act([0.5, i as f32, 0.0], shown, i as f32);
@@ -278,11 +286,27 @@ mod tests {
     #[test]
     fn images_of_another_kind_are_refused() {
         let folder = tempfile::tempdir().unwrap();
-        let plain = Header { image: ImageKind::Plain, ..header(5, false) };
+        let plain = Header { image: Some(ImageKind::Plain), ..header(5, false) };
         recording(5).write(folder.path(), &plain).unwrap();
         let file = list(folder.path()).unwrap().remove(0);
         let error = load(&file, "camera", &mut PooledEncoder, Dims::DRIVING).unwrap_err().to_string();
         assert!(error.contains("plain") && error.contains("transformed"), "{error}");
+    }
+
+    #[test]
+    fn an_episode_without_images_serves_raw_inputs_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut blind = Recording::of(None);
+        blind.observe(None, [1.0; RAW_SIZE]).unwrap();
+        blind.act([0.5, 0.0, 0.0], None, 1.0);
+        blind.observe(None, [2.0; RAW_SIZE]).unwrap();
+        blind.write(folder.path(), &Header { image: blind.image, ..header(1, false) }).unwrap();
+        let file = list(folder.path()).unwrap().remove(0);
+        let error = load(&file, "camera", &mut PooledEncoder, Dims::DRIVING).unwrap_err().to_string();
+        assert!(error.contains("holds no images") && error.contains("--inputs raw"), "{error}");
+        let raw = Dims { latent: 0, ..Dims::DRIVING };
+        let (_, segments) = load(&file, "camera", &mut PooledEncoder, raw).unwrap();
+        assert_eq!(segments[0].observations, [[1.0; RAW_SIZE], [2.0; RAW_SIZE]]);
     }
 
     #[test]

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::sync::Arc;
 use sumo_network::seeds;
-use wad_sim::tasks::{Progress, TaskKind, TaskSpec};
+use wad_sim::tasks::{Progress, TaskSpec};
 
 /// An actor's parameters as they were at some update.
 #[derive(Debug)]
@@ -25,6 +25,8 @@ pub struct ActorCopy {
 #[derive(Clone, Debug)]
 pub struct Job {
     pub purpose: Purpose,
+    /// The curriculum's stage that it was drawn from.
+    pub stage: usize,
     pub task: TaskSpec,
     pub seed: u64,
 }
@@ -53,6 +55,8 @@ impl Purpose {
 #[derive(Clone, Debug)]
 pub struct Report {
     pub purpose: Purpose,
+    /// The curriculum's stage that it was drawn from.
+    pub stage: usize,
     pub task: TaskSpec,
     pub ending: Ending,
     pub steps: u64,
@@ -110,13 +114,13 @@ impl Schedule {
             let everywhere = Progress { stage: rng.random_range(0..stages.len()), ..Progress::default() };
             let alone = wad_sim::tasks::Curriculum { replay: 0.0, ..config.curriculum.clone() };
             let noisy = rng.random::<f64>() < config.noisy_demonstrations;
-            let task = everywhere.draw(&alone, &mut rng);
-            return Job { purpose: Purpose::Demonstrate { noisy }, task, seed };
+            let (stage, task) = everywhere.draw(&alone, &mut rng);
+            return Job { purpose: Purpose::Demonstrate { noisy }, stage, task, seed };
         }
-        let task = self.state.progress.draw(&config.curriculum, &mut rng);
+        let (stage, task) = self.state.progress.draw(&config.curriculum, &mut rng);
         let knows_nothing = !config.is_warm() && config.init.is_none();
         let start = self.steps < config.learning_starts && knows_nothing;
-        Job { purpose: if start { Purpose::Start } else { Purpose::Explore }, task, seed }
+        Job { purpose: if start { Purpose::Start } else { Purpose::Explore }, stage, task, seed }
     }
 
     /// Whether episodes of a validation wait.
@@ -124,21 +128,17 @@ impl Schedule {
         !self.validations.is_empty()
     }
 
-    /// Queues a validation of `actor` first: every task of the stages so far.
+    /// Queues a validation of `actor` first: every task of the stages so far, in each traffic.
     pub fn validate(&mut self, config: &TrainConfig, actor: &Arc<ActorCopy>) -> usize {
         let params = config.validation;
         let weathers = &config.curriculum.weathers;
-        for task in self.tasks_so_far(config) {
+        for (stage, task) in tasks(config, self.state.progress.stage + 1) {
             for i in 0..params.episodes {
-                let stage = config.curriculum.stages.iter().find(|stage| stage.task == task);
-                let traffic = stage.and_then(|stage| stage.traffic);
-                let spec =
-                    TaskSpec { traffic, ..TaskSpec::new(task) }.in_weather(weathers[i % weathers.len()]);
-                let seed = seeds::derive(params.seed, &format!("{task} {i}"));
                 self.validations.push_back(Job {
                     purpose: Purpose::Validate(Arc::clone(actor)),
-                    task: spec,
-                    seed,
+                    stage,
+                    task: task.clone().in_weather(weathers[i % weathers.len()]),
+                    seed: seeds::derive(params.seed, &format!("{} {i}", task.kind)),
                 });
             }
         }
@@ -149,18 +149,17 @@ impl Schedule {
     pub fn full_validation(config: &TrainConfig) -> usize {
         tasks(config, config.curriculum.stages.len()).len() * config.validation.episodes
     }
-
-    fn tasks_so_far(&self, config: &TrainConfig) -> Vec<TaskKind> {
-        tasks(config, self.state.progress.stage + 1)
-    }
 }
 
-/// The different tasks of the first `stages` stages.
-fn tasks(config: &TrainConfig, stages: usize) -> Vec<TaskKind> {
-    let mut tasks = Vec::new();
-    for stage in config.curriculum.stages.iter().take(stages) {
-        if !tasks.contains(&stage.task) {
-            tasks.push(stage.task);
+/// The first `stages` stages that differ in task or traffic, each with its task.
+fn tasks(config: &TrainConfig, stages: usize) -> Vec<(usize, TaskSpec)> {
+    let mut tasks: Vec<(usize, TaskSpec)> = Vec::new();
+    for (index, stage) in config.curriculum.stages.iter().take(stages).enumerate() {
+        let task = stage.spec();
+        let same =
+            |(_, other): &(usize, TaskSpec)| (other.kind, other.traffic()) == (task.kind, task.traffic());
+        if !tasks.iter().any(same) {
+            tasks.push((index, task));
         }
     }
     tasks

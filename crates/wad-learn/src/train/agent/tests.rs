@@ -1,9 +1,9 @@
 //! Checkpoints that resume bit for bit, and the schedule's order.
 
 use super::checkpoint::{Checkpoints, RngState, State};
-use super::config::TrainConfig;
+use super::config::{TrainConfig, ValidationParams};
 use super::schedule::{ActorCopy, Purpose, Schedule};
-use crate::agent::batch::{Batches, InputScale, Metrics};
+use crate::agent::batch::{Batches, InputScale, Inputs, Metrics};
 use crate::agent::learner::{Algorithm, Learner};
 use crate::agent::networks::Dims;
 use crate::agent::replay_buffer::{ReplayBuffer, Sampled, Sampling, Segment};
@@ -11,17 +11,19 @@ use crate::agent::sac::SacParams;
 use crate::agent::td3::Td3Params;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
+use serde_json::Value;
 use std::path::Path;
 use std::sync::Arc;
 use sumo_network::seeds;
 use tch::Device;
 use wad_sim::tasks::{Curriculum, TaskKind};
+use wad_sim::traffic::TrafficSpec;
 
 const DIMS: Dims = Dims { latent: 6, raw: 4, actions: 3 };
 const SAMPLING: Sampling =
     Sampling { batch_size: 32, n_step: 2, gamma: 0.97, reward_scale: 1.0, near_ends: 0.0 };
 
-fn config() -> TrainConfig {
+pub(super) fn config() -> TrainConfig {
     let text = include_str!("../../../../../scenarios/curriculum.json");
     let curriculum = Curriculum::parse(Path::new("curriculum.json"), text).unwrap();
     TrainConfig::new(Algorithm::Td3(Td3Params::default()), curriculum, "pooled", "hash")
@@ -77,12 +79,16 @@ impl Learning {
             scale: None,
             best: None,
             validated_at: 0,
+            recorded: 0,
+            cloned: 0,
+            begins_trained: false,
+            logged: None,
             wall_seconds: 1.0,
             replay: Default::default(),
             learner_bytes: 0,
             learner_crc: 0,
         };
-        checkpoints.save(state, &mut self.learner, &self.buffer).unwrap();
+        checkpoints.save(state, &mut self.learner, &self.buffer, &config()).unwrap();
     }
 
     fn bits(&mut self) -> Vec<(&'static str, Vec<u32>)> {
@@ -167,6 +173,46 @@ fn a_checkpoint_cut_short_is_passed_over_for_the_one_before() {
 }
 
 #[test]
+fn a_training_that_was_saved_without_its_steps_has_the_default() {
+    let mut saved = serde_json::to_value(TrainConfig { steps: 1_000_000, ..config() }).unwrap();
+    let steps = |saved: &Value| serde_json::from_value::<TrainConfig>(saved.clone()).unwrap().steps;
+    assert_eq!(steps(&saved), 1_000_000);
+    saved.as_object_mut().unwrap().remove("steps").unwrap();
+    assert_eq!(steps(&saved), 400_000);
+}
+
+#[test]
+fn settings_that_hang_or_destroy_a_training_are_refused() {
+    let sac = |alpha: f64| {
+        let algorithm = Algorithm::Sac(SacParams { alpha, ..SacParams::default() });
+        TrainConfig { algorithm, ..config() }
+    };
+    let validation = |every: u64| {
+        let validation = ValidationParams { every, episodes: 0, ..ValidationParams::default() };
+        TrainConfig { validation, ..config() }
+    };
+    for config in [config(), sac(0.1), validation(0)] {
+        assert_eq!(config.problem(), None);
+    }
+    let curriculum = |curriculum: Curriculum| TrainConfig { curriculum, ..config() };
+    let bundled = config().curriculum;
+    for (config, expected) in [
+        (validation(1000), "--validate-every 0"),
+        (sac(0.0), "alpha"),
+        (sac(f64::NAN), "alpha"),
+        (curriculum(Curriculum { weathers: Vec::new(), ..bundled.clone() }), "weathers"),
+        (curriculum(Curriculum { stages: Vec::new(), ..bundled }), "stages"),
+        (
+            TrainConfig { inputs: Inputs::Vector, recorded: vec!["recorded".into()], ..config() },
+            "--inputs vector",
+        ),
+    ] {
+        let problem = config.problem().unwrap();
+        assert!(problem.contains(expected), "{problem}");
+    }
+}
+
+#[test]
 fn nothing_to_resume_and_another_form_are_said() {
     let out = tempfile::tempdir().unwrap();
     let td3 = Algorithm::Td3(Td3Params::default());
@@ -189,7 +235,7 @@ fn a_buffer_whose_raw_states_mean_something_else_is_not_gone_on_with() {
     // Written before there was a second meaning.
     let path = out.path().join("checkpoints/000000100/state.json");
     let text = std::fs::read_to_string(&path).unwrap();
-    let mut state: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let mut state: Value = serde_json::from_str(&text).unwrap();
     state.as_object_mut().unwrap().remove("raw_meaning").unwrap();
     std::fs::write(&path, state.to_string()).unwrap();
     let error = restore(&td3, out.path()).err().unwrap().to_string();
@@ -230,6 +276,23 @@ fn demonstrations_come_first_then_the_curriculum_and_validations_between() {
     let first = validation(&mut schedule);
     assert!(matches!(schedule.next(&config).purpose, Purpose::Explore));
     assert_eq!(validation(&mut schedule), first, "always the same episodes");
+}
+
+#[test]
+fn a_task_is_validated_in_each_traffic_of_its_stages() {
+    let text = include_str!("../../../../../scenarios/curriculum_dense.json");
+    let curriculum = Curriculum::parse(Path::new("curriculum_dense.json"), text).unwrap();
+    let config = TrainConfig { curriculum, ..config() };
+    let mut schedule = Schedule::new(&config, None, 0);
+    schedule.state.progress.stage = 6;
+    let scale = InputScale::identity(Dims::DRIVING);
+    let actor = Arc::new(ActorCopy { version: 3, values: Vec::new(), scale });
+    let n = schedule.validate(&config, &actor);
+    assert_eq!((n, n), (7 * config.validation.episodes, Schedule::full_validation(&config)));
+    let jobs: Vec<_> = (0..n).map(|_| schedule.next(&config)).collect();
+    let dense = jobs.iter().filter(|job| job.task.traffic == Some(TrafficSpec::Dense));
+    assert!(dense.clone().all(|job| job.stage == 6));
+    assert_eq!(dense.count(), config.validation.episodes);
 }
 
 #[test]

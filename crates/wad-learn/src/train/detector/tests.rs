@@ -74,6 +74,51 @@ fn a_broken_off_training_goes_on_and_is_not_overwritten() {
 }
 
 #[test]
+fn a_training_does_not_go_on_with_other_options_and_its_own_stay() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    for name in ["data", "rare"] {
+        data(&path(name), "town3", Some(CameraCodec::Png));
+    }
+    let first = TrainOptions { more: vec![path("rare")], ..options(&path("data"), &path("out"), 1) };
+    go(&first, false).unwrap();
+    let more = TrainOptions { epochs: 2, ..first.clone() };
+    for (other, what) in [
+        (TrainOptions { more: Vec::new(), ..more.clone() }, "more"),
+        (TrainOptions { learning_rate: 1e-4, ..more.clone() }, "learning_rate"),
+        (TrainOptions { window: None, ..more.clone() }, "window"),
+        (TrainOptions { seed: 1, ..more.clone() }, "seed"),
+    ] {
+        let error = go(&other, true).unwrap_err();
+        assert!(error.is_input() && error.to_string().contains(&format!("`{what}` = ")), "{error}");
+    }
+    let saved = || run::saved::<TrainOptions>(&path("out")).unwrap();
+    assert_eq!(saved(), first);
+    go(&more, true).unwrap();
+    assert_eq!(saved(), more, "the next resume goes on to as many epochs");
+}
+
+#[test]
+fn a_head_that_learns_alone_goes_on_and_tells_of_the_data_before() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    data(&path("data"), "town3", Some(CameraCodec::Png));
+    let first = TrainOptions {
+        sees: Sees::Road,
+        init: Some("eyes".to_string()),
+        only: Some(Part::Area),
+        window: None,
+        ..options(&path("data"), &path("out"), 1)
+    };
+    let made_of = |trained: Trained| Weights::load(&trained.detector).unwrap().metadata[MADE_OF].clone();
+    let before = made_of(go(&first, false).unwrap());
+    assert!(before.contains("; the head for area alone: 8 frames"), "{before}");
+    let trained = go(&TrainOptions { epochs: 2, ..first }, true).unwrap();
+    assert_eq!((trained.epochs, trained.best_epoch), (2, 2));
+    assert_eq!(made_of(trained), before);
+}
+
+#[test]
 fn one_begins_with_the_weights_it_is_told_to() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);

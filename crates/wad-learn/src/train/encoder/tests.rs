@@ -1,6 +1,7 @@
 use super::*;
 use crate::dataset::testing::{Picture, write};
 use safetensors::Dtype;
+use std::path::Path;
 use std::sync::atomic::AtomicBool;
 use wad_camera::Preset;
 
@@ -95,6 +96,7 @@ fn an_infinite_loss_stops_and_keeps_the_last_checkpoint() {
     let checkpoint = path("out").join("checkpoint.safetensors");
     let before = std::fs::read(&checkpoint).unwrap();
     let wild = TrainOptions { learning_rate: 1e30, ..options(&path("data"), &path("out"), 9) };
+    run::write_json(&path("out").join(run::CONFIG), &wild).unwrap();
     let error = go(&wild, true).unwrap_err();
     assert!(matches!(error, TrainError::NotFinite { .. }), "{error}");
     assert_eq!(std::fs::read(&checkpoint).unwrap(), before);
@@ -167,7 +169,41 @@ fn test_data_other_seeds_and_taken_folders_are_refused() {
     assert!(matches!(error, TrainError::Taken { .. }), "{error}");
     let other = TrainOptions { seed: 5, ..options(&path("data"), &path("out"), 2) };
     let error = go(&other, true).unwrap_err().to_string();
-    assert!(error.contains("--seed") && error.contains('5'), "{error}");
+    assert!(error.contains("`seed` = 0") && error.contains("found 5"), "{error}");
+}
+
+#[test]
+fn a_training_does_not_go_on_with_other_options_and_its_own_stay() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    data(&path("data"), "town3");
+    go(&options(&path("data"), &path("out"), 1), false).unwrap();
+    let saved = || run::saved::<TrainOptions>(&path("out")).unwrap();
+    let first = saved();
+    let more = options(&path("data"), &path("out"), 2);
+    for (other, what) in [
+        (TrainOptions { data: path("other"), ..more.clone() }, "data"),
+        (TrainOptions { learning_rate: 1e-3, ..more.clone() }, "learning_rate"),
+        (TrainOptions { dropout: 0.0, ..more.clone() }, "dropout"),
+        (TrainOptions { bfloat16: true, ..more.clone() }, "bfloat16"),
+    ] {
+        let error = go(&other, true).unwrap_err();
+        assert!(error.is_input() && error.to_string().contains(&format!("`{what}` = ")), "{error}");
+    }
+    assert_eq!(saved(), first);
+    go(&more, true).unwrap();
+    assert_eq!(saved(), more, "the next resume goes on to as many epochs");
+}
+
+#[test]
+fn a_time_limit_counts_the_time_before_a_resume() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    data(&path("data"), "town3");
+    let first = go(&options(&path("data"), &path("out"), 2), false).unwrap();
+    let time_limit = Some(0.9 * first.wall_seconds);
+    let more = TrainOptions { time_limit, ..options(&path("data"), &path("out"), 4) };
+    assert_eq!(go(&more, true).unwrap().epochs, 2);
 }
 
 #[test]

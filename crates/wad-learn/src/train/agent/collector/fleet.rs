@@ -9,7 +9,6 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use wad_see::observation::RAW_SIZE;
 use wad_sim::session::Act;
-use wad_sim::tasks::TaskSpec;
 
 /// Ticks of a fleet between two reports of its times.
 const TOLD_EVERY: u64 = 50;
@@ -26,8 +25,8 @@ impl Collector<'_> {
         let encoders = jobs.iter().map(|job| self.encoder(job)).collect::<Result<_, _>>()?;
         let mut fleet = Fleet::new(Arc::clone(&self.maker.assets), self.config.env.clone(), encoders)?;
         self.told = Stages::default();
-        let tasks: Vec<TaskSpec> = jobs.iter().map(|job| job.task.clone()).collect();
-        fleet.reset(&tasks, jobs[0].seed)?;
+        let starts: Vec<_> = jobs.iter().map(|job| (job.task.clone(), job.seed)).collect();
+        fleet.reset_each(&starts)?;
         let size = fleet.observation_size();
         let part = |fleet: &Fleet, ego: usize| {
             let (latent, raw) = fleet.observations()[ego * size..(ego + 1) * size].split_at(size - RAW_SIZE);

@@ -91,6 +91,7 @@ impl Ongoing {
         let info = result.info;
         Report {
             purpose: self.job.purpose.clone(),
+            stage: self.job.stage,
             task: self.job.task.clone(),
             ending: info.ending.clone().unwrap_or_else(unknown),
             steps: self.steps,

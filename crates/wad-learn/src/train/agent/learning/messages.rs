@@ -35,7 +35,7 @@ impl Learning<'_> {
             match now {
                 Message::Segment { segment, autopilot } => {
                     let n = segment.len() as u64;
-                    if self.steps < self.limits.steps {
+                    if self.steps < self.config.steps {
                         self.buffer.push(&segment);
                         let mut schedule = lock(&shared.schedule);
                         if autopilot {
@@ -88,7 +88,6 @@ impl Learning<'_> {
             Purpose::Validate(actor) => {
                 let Some(validation) = &mut self.validation else { return Ok(()) };
                 if actor.version == validation.actor.version {
-                    self.log.validation_episode(validation.steps, &report)?;
                     validation.reports.push(report);
                 }
                 if validation.reports.len() >= validation.expected {
@@ -108,7 +107,7 @@ impl Learning<'_> {
                             self.returns.pop_front();
                         }
                         let success = report.ending.success;
-                        passed = state.progress.note(curriculum, report.task.kind, report.steps, success);
+                        passed = state.progress.note(curriculum, report.stage, report.steps, success);
                     }
                     (state.progress.stage, state.progress.success_rate())
                 };
@@ -118,7 +117,7 @@ impl Learning<'_> {
                     let pass = StagePassed { stage, threshold, step: self.steps, hours: self.hours() };
                     self.log.passed(&pass)?;
                     let how = if threshold { "is passed" } else { "is left, its steps are spent" };
-                    let task = self.config.curriculum.stages[stage].task;
+                    let task = &self.config.curriculum.stages[stage];
                     let news = format!(
                         "step {}: stage {} ({task}) {how}, after {steps} steps with {:.0} % of its last episodes",
                         self.steps,

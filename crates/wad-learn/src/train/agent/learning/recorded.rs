@@ -1,27 +1,27 @@
 //! Loads recorded episodes into the replay buffer.
 
-use super::{Learning, Maker, Progress, TrainError};
+use super::{Learning, Progress, TrainError};
 use crate::train::agent::other_days::OtherDays;
 use crate::train::agent::recording;
 use std::sync::atomic::{AtomicBool, Ordering};
 use sumo_network::seeds;
+use wad_see::latent::Encoder;
 
 impl Learning<'_> {
-    /// Fills the buffer with recorded episodes, with latents of this training's encoder.
+    /// Fills the buffer with recorded episodes, with latents of `encoder`. They count when all are there: a
+    /// checkpoint with a part of them would go on with that part.
     pub(super) fn recall(
         &mut self,
         interrupt: &AtomicBool,
-        maker: &Maker,
+        encoder: Box<dyn Encoder>,
         progress: &mut impl FnMut(Progress<'_>),
     ) -> Result<(), TrainError> {
-        if self.config.recorded.is_empty() {
-            return Ok(());
-        }
         let rng = seeds::rng(self.config.seed, "other days of what was recorded");
-        let mut encoder = OtherDays::before((maker.encoder)()?, self.config.other_days, rng);
+        let mut encoder = OtherDays::before(encoder, self.config.other_days, rng);
         let camera = self.config.env.camera.hash();
+        let mut recalled = 0;
         for folder in &self.config.recorded {
-            let before = self.demonstrated;
+            let before = recalled;
             let files = recording::list(folder)?;
             for file in &files {
                 if interrupt.load(Ordering::Relaxed) {
@@ -30,18 +30,18 @@ impl Learning<'_> {
                 let (_, segments) = recording::load(file, &camera, &mut *encoder, self.config.dims())?;
                 for segment in &segments {
                     self.buffer.push(segment);
-                    self.demonstrated += segment.len() as u64;
+                    recalled += segment.len() as u64;
                 }
             }
             let news = format!(
                 "{} recorded steps in {} episodes of `{}`",
-                self.demonstrated - before,
+                recalled - before,
                 files.len(),
                 folder.display()
             );
             progress(Progress {
                 steps: self.steps,
-                demonstrated: self.demonstrated,
+                demonstrated: recalled,
                 updates: 0,
                 task: "",
                 stage: 0,
@@ -52,6 +52,7 @@ impl Learning<'_> {
                 news: Some(news),
             });
         }
+        self.recorded = recalled;
         Ok(())
     }
 }

@@ -1,11 +1,11 @@
 //! A training's reports: metrics, progress, the summary at the end.
 
-use super::{Learning, Progress, TrainError, Trained, lock, write_whole};
+use super::{Learning, Progress, TrainError, Trained, lock};
 use crate::train::agent::collector::Shared;
 use std::collections::BTreeMap;
-use std::path::Path;
 use std::time::Instant;
 use tch::Device;
+use wad_sim::telemetry::write_json;
 
 impl Learning<'_> {
     pub(super) fn figures(&mut self) -> Result<(), TrainError> {
@@ -21,7 +21,7 @@ impl Learning<'_> {
         values.push(("charts/UPS", (updates - self.rate.last.1) as f64 / seconds));
         values.push(("charts/updates", updates as f64));
         values.push(("charts/buffer", self.buffer.len() as f64));
-        values.push(("charts/demonstrated", self.demonstrated as f64));
+        values.push(("charts/demonstrated", self.demonstrations() as f64));
         values.push(("charts/hours", self.hours()));
         self.rate.last = (self.steps, updates);
         self.log.figures(self.steps, &values)
@@ -40,7 +40,7 @@ impl Learning<'_> {
         let stages = &self.config.curriculum.stages;
         progress(Progress {
             steps: self.steps,
-            demonstrated: self.demonstrated,
+            demonstrated: self.demonstrations(),
             updates: self.learner.updates(),
             task: stages.get(stage).map_or("", |stage| stage.task.name()),
             stage,
@@ -52,7 +52,7 @@ impl Learning<'_> {
         });
     }
 
-    /// Writes the last checkpoint and the summary; after an error only the summary.
+    /// Writes the last checkpoint, unless nothing was driven or learning diverged; without an error also the summary.
     pub(super) fn finish(
         mut self,
         shared: &Shared,
@@ -68,7 +68,7 @@ impl Learning<'_> {
         let unsaid = self.rate.began.is_some() && updates > self.rate.last.1;
         let result = if unsaid { result.and_then(|()| self.figures()) } else { result };
         let diverged = matches!(result, Err(TrainError::Diverged { .. }));
-        let saved = if diverged || self.steps + self.demonstrated == 0 {
+        let saved = if diverged || self.steps + self.demonstrations() == 0 {
             self.log.flush()
         } else {
             self.save(shared)
@@ -94,7 +94,7 @@ impl Learning<'_> {
             algorithm: self.config.algorithm.agent_name().to_string(),
             seed: self.config.seed,
             steps,
-            demonstrated: self.demonstrated,
+            demonstrated: self.demonstrations(),
             updates,
             episodes: schedule.episodes,
             stage: schedule.progress.stage,
@@ -114,14 +114,7 @@ impl Learning<'_> {
             interrupted: self.interrupted,
             out: self.limits.out.clone(),
         };
-        write_summary(&self.limits.out, &trained)?;
+        write_json(&self.limits.out.join("summary.json"), &trained)?;
         Ok(trained)
     }
-}
-
-fn write_summary(out: &Path, trained: &Trained) -> Result<(), TrainError> {
-    let path = out.join("summary.json");
-    let failed = |source| TrainError::Write { path: path.clone(), source };
-    let text = serde_json::to_vec_pretty(trained).map_err(|e| failed(e.into()))?;
-    write_whole(&path, &text).map_err(failed)
 }
