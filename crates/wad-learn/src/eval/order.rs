@@ -1,5 +1,6 @@
 //! A whole evaluation: from a suite and a selection to a folder of results and their table.
 
+use super::plan::groups;
 use super::store::key;
 use super::{
     Case, Driven, DriverSpec, EpisodeRecord, EvalError, Evaluation, Fault, Manifest, Selection, Shard, Store,
@@ -70,18 +71,6 @@ pub fn plan(suite: &Suite, selection: &Selection) -> Result<(Vec<Case>, Towns), 
     Ok((plan, towns))
 }
 
-/// The episodes that drive in one SUMO: up to `egos` of one row of the table, in the plan's order.
-fn groups(plan: Vec<Case>, egos: usize) -> Vec<Vec<Case>> {
-    let mut groups: Vec<Vec<Case>> = Vec::new();
-    for case in plan {
-        match groups.last_mut() {
-            Some(group) if group.len() < egos.max(1) && group[0].is_of_the_row_of(&case) => group.push(case),
-            _ => groups.push(vec![case]),
-        }
-    }
-    groups
-}
-
 /// An evaluation's plan and its results, wherever they are driven: what is left, and each episode once.
 pub struct Ledger {
     manifest: Manifest,
@@ -103,9 +92,7 @@ impl Ledger {
     pub fn open(order: &Order<'_>) -> Result<(Self, Towns), EvalError> {
         let Order { suite, selection, shard, out, resume, evaluation } = order;
         let (plan, towns) = plan(suite, selection)?;
-        let groups = groups(plan, evaluation.egos).into_iter().enumerate();
-        let groups: Vec<Vec<Case>> =
-            groups.filter(|(i, _)| shard.is_none_or(|s| s.has(*i))).map(|(_, group)| group).collect();
+        let groups = groups(plan, evaluation.egos, *shard);
         let plan = groups.concat();
         let named = Manifest {
             build: String::new(),

@@ -72,7 +72,7 @@ impl Case {
     }
 
     /// Whether both differ in the episode's number, and in nothing else but the places that follow from it.
-    pub(super) fn is_of_the_row_of(&self, other: &Self) -> bool {
+    fn is_of_the_row_of(&self, other: &Self) -> bool {
         let row = |case: &Self| {
             let spec = TaskSpec { placement: None, tick_limit: None, ..case.spec.clone() };
             Self { spec, episode: 0, ..case.clone() }
@@ -82,27 +82,25 @@ impl Case {
 
     /// A unique name for the episode's folder.
     pub fn name(&self) -> String {
+        // No other traffic is called by two numbers.
+        let traffic = self.spec.traffic().to_string().replace(',', "-");
         let text = format!(
-            "{}_{}_{}_{}_{}_s{}_{:03}",
+            "{}_{}_{}_{}_{traffic}_s{}_{:03}",
             self.agent,
             self.town,
             self.task,
             self.spec.weather.name(),
-            self.spec.traffic(),
             self.seed,
             self.episode
         );
         let plain = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '-' };
-        let mut name: String = text.chars().map(plain).collect();
-        // `../agent.safetensors` must not become a hidden folder.
-        if name.starts_with('.') {
-            name.replace_range(..1, "_");
-        }
-        if name.len() <= 100 {
+        let name: String = text.chars().map(plain).collect();
+        // `.agent` must not become a hidden folder.
+        if name == text && name.len() <= 100 && !name.starts_with('.') {
             return name;
         }
-        // The end identifies the episode; the number covers the part that is cut off.
-        format!("{:08x}{}", crc32fast::hash(text.as_bytes()), &name[name.len() - 80..])
+        // The end identifies the episode; the number covers what is replaced or cut off.
+        format!("{:08x}_{}", crc32fast::hash(text.as_bytes()), &name[name.len().saturating_sub(80)..])
     }
 }
 
@@ -116,7 +114,7 @@ pub struct Shard {
 }
 
 impl Shard {
-    /// Whether case number `index` of the plan belongs to it.
+    /// Whether group number `index` of the plan belongs to it.
     pub fn has(self, index: usize) -> bool {
         index % self.of.max(1) + 1 == self.part
     }
@@ -138,6 +136,20 @@ impl fmt::Display for Shard {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}/{}", self.part, self.of)
     }
+}
+
+/// The cases of `plan` that drive in one SUMO each, of `shard` alone: up to `egos` of one row of the table, in the plan's
+/// order.
+pub(super) fn groups(plan: Vec<Case>, egos: usize, shard: Option<Shard>) -> Vec<Vec<Case>> {
+    let mut groups: Vec<Vec<Case>> = Vec::new();
+    for case in plan {
+        match groups.last_mut() {
+            Some(group) if group.len() < egos.max(1) && group[0].is_of_the_row_of(&case) => group.push(case),
+            _ => groups.push(vec![case]),
+        }
+    }
+    let groups = groups.into_iter().enumerate();
+    groups.filter(|(i, _)| shard.is_none_or(|shard| shard.has(*i))).map(|(_, group)| group).collect()
 }
 
 /// A town of the plan with its weathers.
@@ -416,6 +428,18 @@ mod tests {
     }
 
     #[test]
+    fn agents_whose_names_look_alike_are_all_driven() {
+        let agents = ["runs/t/1/last.safetensors", "runs/t-1/last.safetensors", "runs-t-1-last.safetensors"];
+        let of = |agents: &[&str]| {
+            let agents = agents.iter().map(|agent| agent.parse().unwrap()).collect();
+            plan(&Selection { agents, ..Selection::default() }, "nocrash")
+        };
+        let all = of(&agents);
+        assert_eq!(all.len(), 3 * of(&agents[..1]).len());
+        assert_eq!(all.iter().map(Case::name).collect::<HashSet<_>>().len(), all.len());
+    }
+
+    #[test]
     fn a_plan_of_a_million_million_episodes_is_refused() {
         let many = Selection { episodes: Some(u64::MAX), ..Selection::default() };
         let error = many.cases(&Suite::find("nocrash").unwrap()).unwrap_err().to_string();
@@ -433,7 +457,8 @@ mod tests {
         let here = named("wad-t");
         assert!(here.starts_with("wad-t_") && here.ends_with("_000"), "{here}");
         let file = named("../runs/my agent.safetensors");
-        assert!(file.starts_with("_.-runs-my-agent.safetensors_") && file.ends_with("_000"), "{file}");
+        assert!(file.contains("_..-runs-my-agent.safetensors_") && file.ends_with("_000"), "{file}");
+        assert!(!file.starts_with('.') && !named(".agent").starts_with('.'), "{file}");
         let long = named(&"deep/".repeat(40));
         assert!(long.len() <= 100 && long.ends_with("_000"), "{long}");
         assert_ne!(long, named(&"deeper/".repeat(40)));

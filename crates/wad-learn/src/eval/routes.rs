@@ -59,7 +59,9 @@ pub enum RouteError {
         source: std::io::Error,
     },
     /// The file does not hold routes.
-    #[error("{} is not a file of routes: {why}; `wad-cosim eval routes` makes one", path.display())]
+    #[error(
+        "{} is not a file of routes: {why}; remove it, and `wad-cosim eval routes` makes a new one", path.display()
+    )]
     Format {
         /// The file or folder.
         path: PathBuf,
@@ -199,19 +201,30 @@ const DRAWS: u64 = 12;
 /// Routes between the same lanes that begin closer together than this count as the same (m).
 const APART: f64 = 2.0;
 
+/// The end of a search for a set.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Search {
+    /// The set.
+    Found(Vec<Placement>),
+    /// There is none on the net, and why.
+    None(String),
+    /// It was stopped before the set was whole.
+    Stopped,
+}
+
 /// Finds `count` routes for a kind of task: drawn from `seed`, and kept if the autopilot finishes them
-/// in the empty town without breaking a rule. `tried` is called for each one.
+/// in the empty town without breaking a rule. `stopped` is asked before each one, `tried` is called after it.
 ///
 /// # Errors
-/// SUMO or the environment fail. A net without a place for the task is not an error: the inner result has the
-/// cause.
+/// SUMO or the environment fail.
 pub fn find(
     assets: &Arc<Assets>,
     kind: TaskKind,
     count: usize,
     seed: u64,
+    stopped: impl Fn() -> bool,
     mut tried: impl FnMut(&Placement, bool),
-) -> Result<Result<Vec<Placement>, String>, EnvError> {
+) -> Result<Search, EnvError> {
     let options = EnvOptions { observation: ObservationMode::Blind, ..EnvOptions::evaluation() };
     let mut env = Env::new(Arc::clone(assets), options, Box::new(PooledEncoder))?;
     let mut found: Vec<Placement> = Vec::new();
@@ -219,10 +232,13 @@ pub fn find(
         if found.len() == count {
             break;
         }
+        if stopped() {
+            return Ok(Search::Stopped);
+        }
         let seed = seeds::derive(seed, &format!("route {kind} {draw}"));
         let placement = match assets.place(kind, seed) {
             Ok(placement) => placement,
-            Err(error @ TaskError::NoPlace { .. }) => return Ok(Err(error.to_string())),
+            Err(error @ TaskError::NoPlace { .. }) => return Ok(Search::None(error.to_string())),
             Err(error) => return Err(error.into()),
         };
         let same = |other: &Placement| {
@@ -244,9 +260,9 @@ pub fn find(
         }
     }
     Ok(if found.is_empty() {
-        Err(format!("the autopilot finished none of {} routes for `{kind}`", DRAWS * count as u64))
+        Search::None(format!("the autopilot finished none of {} routes for `{kind}`", DRAWS * count as u64))
     } else {
-        Ok(found)
+        Search::Found(found)
     })
 }
 

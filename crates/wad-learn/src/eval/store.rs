@@ -8,6 +8,7 @@
 //! | `episodes/NAME/` | the recording of each failed episode, for `replay` |
 
 use super::kept::{KeptError, Packed};
+use super::plan::groups;
 use super::record::RECORDINGS;
 use super::{Case, EpisodeRecord, Manifest, RecordingFolder};
 use crate::folder_lock::{FolderLock, LockError};
@@ -146,11 +147,11 @@ impl Results {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => Vec::new(),
             Err(source) => return Err(StoreError::File { what: "read", path: lines, source }),
         };
-        let (suite, shard) = (&manifest.suite, manifest.shard);
+        let suite = &manifest.suite;
         let plan = (manifest.selection.cases(suite))
             .map_err(|e| StoreError::Format { path: path.to_path_buf(), why: format!("{CONFIG}: {e}") })?;
-        let names: Vec<String> = plan.iter().map(|(case, _)| case.name()).collect();
-        let planned: HashSet<&String> = names.iter().collect();
+        let plan: Vec<Case> = plan.into_iter().map(|(case, _)| case).collect();
+        let planned: HashSet<String> = plan.iter().map(Case::name).collect();
         let (mut episodes, mut broken, mut foreign) = (Vec::<EpisodeRecord>::new(), Vec::new(), Vec::new());
         let mut found = HashSet::new();
         let whole = bytes.iter().rposition(|&b| b == b'\n').map_or(0, |end| end as u64 + 1);
@@ -178,8 +179,8 @@ impl Results {
                 }
             }
         }
-        let here = names.iter().enumerate().filter(|(index, _)| shard.is_none_or(|shard| shard.has(*index)));
-        let missing = here.map(|(_, name)| name).filter(|name| !found.contains(*name)).cloned().collect();
+        let here = groups(plan, manifest.egos, manifest.shard).into_iter().flatten();
+        let missing = here.map(|case| case.name()).filter(|name| !found.contains(name)).collect();
         Ok(Self { path: path.to_path_buf(), manifest, episodes, broken, foreign, missing, whole })
     }
 
@@ -413,6 +414,7 @@ mod tests {
     use crate::env::EnvOptions;
     use crate::eval::{DriverSpec, Selection, Suite};
     use std::collections::BTreeMap;
+    use wad_camera::Preset;
 
     fn manifest() -> Manifest {
         Manifest {
@@ -490,6 +492,20 @@ mod tests {
         let (_, left) = Store::open(path, &manifest, true).unwrap();
         assert_eq!(left.len(), 1);
         assert!(std::fs::read_to_string(&lines).unwrap().ends_with("no episode\n"));
+    }
+
+    /// Five groups of two: the second of three shards drives the second and the fifth.
+    #[test]
+    fn a_shard_of_groups_misses_no_episode_of_another_shard() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut manifest = Manifest { egos: 2, shard: Some("2/3".parse().unwrap()), ..manifest() };
+        manifest.selection.weathers = vec![Preset::WetNoon];
+        manifest.selection.episodes = Some(10);
+        let all = cases(&manifest);
+        assert_eq!(all.len(), 10);
+        Store::open(folder.path(), &manifest, false).unwrap();
+        let missing = Results::open(folder.path()).unwrap().missing;
+        assert_eq!(missing, [2, 3, 8, 9].map(|episode: usize| all[episode].name()));
     }
 
     #[test]
