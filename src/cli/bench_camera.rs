@@ -6,6 +6,7 @@ use serde::Serialize;
 use std::time::Instant;
 use wad_cosim::bundled;
 use wad_cosim::camera::{Camera, CameraConfig, Outputs, Preset, Stages, Town, Weather};
+use wad_cosim::cpu_time;
 use wad_cosim::drive::{Drive, DriveOptions};
 use wad_cosim::stats::median;
 use wad_cosim::traffic::TrafficSpec;
@@ -82,14 +83,6 @@ struct Way {
     stages: Vec<Stages>,
 }
 
-/// Processor time of this thread (s).
-fn cpu_seconds() -> f64 {
-    let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
-    // SAFETY: `time` is a valid place to write to.
-    unsafe { libc::clock_gettime(libc::CLOCK_THREAD_CPUTIME_ID, &mut time) };
-    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
-}
-
 /// Runs the command.
 pub async fn run(args: Args) -> anyhow::Result<Exit> {
     let config = bundled::resolve(&args.config).map_err(|e| Exit::Input.because(e))?;
@@ -157,6 +150,7 @@ fn time(way: &mut Way, town: &Town, large: Option<&wad_cosim::camera::model::Sce
     let scene = large.unwrap_or(town.scene());
     let outputs = if way.outputs == "all" { Outputs::ALL } else { Outputs::RGB };
     let pose = drive.ego().state().pose;
+    let cpu_seconds = || cpu_time::of_thread().unwrap_or(f64::NAN);
     let (cpu, wall) = (cpu_seconds(), Instant::now());
     way.camera.render(scene, town.actors(), &pose, &way.weather, outputs);
     way.wall.push(wall.elapsed().as_secs_f64() * 1000.0);

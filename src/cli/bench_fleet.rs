@@ -6,10 +6,10 @@ use clap::ValueHint;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 use wad_cosim::assets::Assets;
-use wad_cosim::bench::peak_memory_mb;
+use wad_cosim::bench::{peak_memory_mb, reset_peak_memory};
 use wad_cosim::bridge::Fetch;
 use wad_cosim::cores::workers;
-use wad_cosim::env::{EnvOptions, Fleet, ObservationMode, Stages};
+use wad_cosim::env::{EnvError, EnvOptions, Fleet, ObservationMode, Stages};
 use wad_cosim::eval::report::{Chart, Line};
 use wad_cosim::latent::{Encoder, PooledEncoder};
 use wad_cosim::observation::{LEAD_NEARNESS, LIGHT_NEARNESS, RAW_SIZE};
@@ -27,7 +27,8 @@ Examples:
 
 Milliseconds are per tick of the whole fleet. Egos follow their routes by their raw states, and begin anew
 elsewhere when their episode ends; `rest` holds those returns, reward and criteria. `vehicles` and
-`pedestrians` are those of the background at the end: a net may have no room for all that were asked for.";
+`pedestrians` are those of the background at the end: a net may have no room for all that were asked for.
+`memory MB` is the most that this process, without SUMO, held during the row.";
 
 /// Measure many egos in one SUMO: time of a tick by stage, agent-steps per second, memory.
 #[derive(clap::Args, Debug)]
@@ -105,7 +106,7 @@ const WARM_UP: u64 = 60;
 
 /// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<Exit> {
-    let assets = Assets::load(&args.config).map_err(|e| Exit::Input.because(e))?;
+    let assets = Assets::load(&args.config).map_err(|e| Exit::of_assets(&e).because(e))?;
     let say = |line: &str| super::row(line, args.json);
     say(&format!(
         "{:>5} {:>8} {:>11} {:>9} {:>14} {:>9} {:>11} {:>10} {:>13} {:>11} {:>8} {:>9} {:>9}",
@@ -189,6 +190,7 @@ fn measure(
     traffic: TrafficSpec,
     egos: u32,
 ) -> anyhow::Result<Row> {
+    reset_peak_memory();
     let (observation, detector) = match args.observation {
         Observe::Vector => (ObservationMode::Vector, "outlines"),
         Observe::Camera => (ObservationMode::LatentAndRaw, "truth"),
@@ -204,10 +206,11 @@ fn measure(
         Observe::Camera => default_encoder(None),
     };
     let encoders: Result<Vec<_>, _> = (0..egos).map(|_| encoder()).collect();
-    let mut fleet =
-        Fleet::new(std::sync::Arc::clone(assets), options, encoders.map_err(|e| Exit::Input.because(e))?)?;
+    let encoders = encoders.map_err(|e| Exit::Input.because(e))?;
+    let failed = |error: EnvError| Exit::of_env(&error).because(error);
+    let mut fleet = Fleet::new(std::sync::Arc::clone(assets), options, encoders).map_err(failed)?;
     let task = TaskSpec { traffic: Some(traffic), ..TaskSpec::new(TaskKind::Composite) };
-    fleet.reset(&[task], args.seed).map_err(Exit::of_env)?;
+    fleet.reset(&[task], args.seed).map_err(failed)?;
     let mut acts = vec![Act::Stay; fleet.egos()];
     let (mut ticks, mut episodes, mut ego_collisions) = (0, 0, 0);
     let mut background = (0, 0);
@@ -217,7 +220,7 @@ fn measure(
         for (act, row) in acts.iter_mut().zip(fleet.observations().chunks_exact(size)) {
             *act = Act::Control(follow(&row[size - RAW_SIZE..]));
         }
-        let step = fleet.step(&acts)?;
+        let step = fleet.step(&acts).map_err(failed)?;
         background = step.infos.last().map_or(background, |info| info.traffic);
         if let Some((clock, _)) = &since {
             episodes += step.began.iter().filter(|began| **began).count() as u64;

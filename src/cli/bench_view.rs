@@ -34,8 +34,8 @@ pub struct Args {
     /// Measured ticks per turn.
     #[arg(long, default_value_t = 40)]
     ticks: usize,
-    /// How often each case is measured.
-    #[arg(long, default_value_t = 5)]
+    /// How often each case is measured, after one turn to warm up.
+    #[arg(long, default_value_t = 5, value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..))]
     repeat: usize,
     #[arg(long, help = format!("The detector: {DETECTORS}"), default_value = DEFAULT_DETECTOR, value_name = "NAME")]
     detector: String,
@@ -105,14 +105,14 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
     let crowds = [0, 1, args.viewers];
     let mut times: [Times; 3] = Default::default();
     let mut interrupt = super::interrupt()?;
-    let mut film = Film::default();
-    'turns: for turn in 0..args.repeat {
+    let (mut film, mut interrupted) = (Film::default(), false);
+    'turns: for turn in 0..=args.repeat {
         for (viewers, times) in crowds.iter().zip(&mut times) {
             let crowd = Crowd::watch(address, *viewers, view.cores())?;
             let began = Instant::now();
             for tick in 0..SETTLE + args.ticks {
                 let control = tokio::select! {
-                    () = interrupt.wait() => break 'turns,
+                    () = interrupt.wait() => { interrupted = true; break 'turns; }
                     next = view.next(&mut drive, &mut film) => next.map_err(with_exit)?,
                 };
                 let clock = Instant::now();
@@ -135,7 +135,7 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
                 times.late.extend(got.late_ms);
             }
         }
-        super::note(format_args!("turn {} of {}", turn + 1, args.repeat));
+        super::note(format_args!("turn {turn} of {} (turn 0 warms up)", args.repeat));
     }
     view.close();
     drive.finish(false).await.map_err(with_exit)?;
@@ -161,7 +161,7 @@ pub async fn run(args: Args) -> anyhow::Result<Exit> {
             serde_json::json!({ "config": args.config, "tick_ms": args.tick_ms, "rows": rows })
         ))?;
     }
-    Ok(Exit::Done)
+    Ok(if interrupted { Exit::Interrupted } else { Exit::Done })
 }
 
 /// The figures for each number of viewers, `turn` ticks per turn.

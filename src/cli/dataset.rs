@@ -5,7 +5,6 @@ use super::{Exit, answer, print};
 use clap::{Subcommand, ValueHint};
 use std::path::PathBuf;
 use std::time::Duration;
-use wad_cosim::bridge::BridgeError;
 use wad_cosim::camera::Preset;
 use wad_cosim::camera::model::ObjectClass;
 use wad_cosim::camera::variety::Varied;
@@ -13,7 +12,6 @@ use wad_cosim::dataset::{
     CollectOptions, Collected, Dataset, DatasetError, NoiseParams, Progress, RecordedRun, Role,
     TRAINING_WEATHERS, collect,
 };
-use wad_cosim::drive::DriveError;
 use wad_cosim::folder_lock::LockError;
 use wad_cosim::perception::ImageKind;
 use wad_cosim::perception::coco::{CLASSES, class_name};
@@ -132,15 +130,13 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
 /// The exit code of a dataset's error.
 pub fn with_exit(error: DatasetError) -> anyhow::Error {
     let exit = match &error {
-        DatasetError::Bridge(bridge) if bridge.is_input() => Exit::Input,
-        DatasetError::Bridge(BridgeError::Folder { .. })
-        | DatasetError::Io { .. }
+        DatasetError::Bridge(bridge) => Exit::of_bridge(bridge),
+        DatasetError::Drive(drive) => Exit::of_drive(drive),
+        DatasetError::Assets(assets) => Exit::of_assets(assets),
+        DatasetError::Io { .. }
         | DatasetError::Lock(LockError::Make { .. })
         | DatasetError::DiskFull { .. }
         | DatasetError::System { .. } => Exit::Other,
-        DatasetError::Bridge(_) => Exit::Sumo,
-        DatasetError::Drive(DriveError::Bridge(bridge)) if !bridge.is_input() => Exit::Sumo,
-        DatasetError::Drive(DriveError::Write(_)) => Exit::Other,
         _ => Exit::Input,
     };
     exit.because(error)

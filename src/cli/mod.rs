@@ -49,14 +49,35 @@ const LAST: usize = 900;
 #[command(after_help = "Exit codes: 0 done; 2 usage or input; 3 SUMO failed; \
                         4 interrupted, results kept; 1 anything else.")]
 struct Cli {
+    #[command(flatten)]
+    common: Common,
+    #[command(subcommand)]
+    command: Command,
+}
+
+/// The options of all commands.
+#[derive(clap::Args, Clone, Copy, Debug, Default, PartialEq)]
+pub struct Common {
     /// Print more on stderr: -v progress, -vv details, -vvv everything.
     #[arg(short, long, global = true, action = ArgAction::Count, display_order = LAST)]
     verbose: u8,
     /// Print only errors on stderr.
     #[arg(short, long, global = true, conflicts_with = "verbose", display_order = LAST)]
     quiet: bool,
-    #[command(subcommand)]
-    command: Command,
+}
+
+impl Cli {
+    /// The options of all commands, those behind a suite's file too.
+    fn common(&self) -> Common {
+        let behind = match &self.command {
+            Command::Eval(args) => args.behind_file(),
+            _ => Common::default(),
+        };
+        Common {
+            verbose: self.common.verbose.saturating_add(behind.verbose),
+            quiet: self.common.quiet || behind.quiet,
+        }
+    }
 }
 
 #[derive(Subcommand)]
@@ -93,7 +114,7 @@ enum Command {
 pub fn main() -> ExitCode {
     wad_cosim::register_bundled();
     let cli = Cli::parse();
-    start_log(cli.verbose, cli.quiet);
+    start_log(cli.common());
     if let Err(wrong) = wad_cosim::camera::Instructions::allowed() {
         note(format_args!("wad-cosim: {wrong}"));
         return Exit::Input.into();
@@ -133,7 +154,7 @@ fn message(error: &anyhow::Error) -> String {
 
 /// Log to stderr: stdout belongs to results. `WAD_COSIM_LOG` (a tracing filter such as
 /// `wad_cosim::traci=trace`) wins over `-v` and `-q`.
-fn start_log(verbose: u8, quiet: bool) {
+fn start_log(Common { verbose, quiet }: Common) {
     let level = match (quiet, verbose) {
         (true, _) => "error",
         (_, 0) => "warn",
@@ -266,6 +287,54 @@ mod tests {
             assert!(!leaf || after.contains("Example"), "{name}: no example");
         }
         look(&Cli::command(), "wad-cosim");
+    }
+
+    #[test]
+    fn a_suite_from_a_file_takes_the_options_of_all_commands() {
+        let common = |words: &str| Cli::try_parse_from(words.split(' ')).unwrap().common();
+        for (words, verbose, quiet) in [
+            ("wad-cosim eval nocrash --agent constant -v", 1, false),
+            ("wad-cosim eval mine.json --agent constant -v", 1, false),
+            ("wad-cosim -v eval mine.json -vv --jobs 2", 3, false),
+            ("wad-cosim eval mine.json --quiet", 0, true),
+        ] {
+            assert_eq!(common(words), Common { verbose, quiet }, "{words}");
+        }
+    }
+
+    #[test]
+    fn an_option_without_effect_is_refused() {
+        let parse = |words: &str| Cli::try_parse_from(words.split(' ')).map(drop);
+        for words in [
+            "replay a --view --record film.mp4",
+            "replay a --view --detector truth",
+            "replay a --view --verify",
+            "replay a --view --gui",
+            "replay a --view --json",
+            "replay a --last 5",
+            "replay a --verify --last 5",
+            "eval nocrash --keep all",
+            "eval nocrash --keep failures",
+            "eval nocrash --shard 1/4",
+            "eval lead --weather ClearNoon,WetNoon",
+            "eval lanes --near",
+        ] {
+            let refused = parse(&format!("wad-cosim {words}"));
+            assert!(refused.is_err_and(|error| error.exit_code() == 2), "{words}");
+        }
+        for words in [
+            "replay a --view --view-speed 2",
+            "replay a --record film.mp4 --last 5 --verify --json",
+            "replay a --detector truth --last 5",
+            "replay a --record film.mp4 --detector truth --last 5",
+            "eval nocrash --keep none",
+            "eval nocrash --keep all --shard 1/4 --out a",
+            "eval nocrash --out a",
+            "eval lead --weather WetNoon --near",
+            "eval lanes --weather ClearNoon,WetNoon",
+        ] {
+            assert!(parse(&format!("wad-cosim {words}")).is_ok(), "{words}");
+        }
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use super::progress::Bar;
 use super::replay_look::{Looker, Row};
 use super::{Exit, agents, print, row};
-use clap::ValueHint;
+use clap::{ArgGroup, ValueHint};
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
@@ -28,12 +28,13 @@ Examples:
 /// Show a kept episode as a film, in the browser or in sumo-gui, or verify it.
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
+#[command(group = ArgGroup::new("played").args(["record", "detector"]).multiple(true))]
 pub struct Args {
     /// An episode's folder (`eval` keeps one of each failure); with --view also a folder that contains some.
     #[arg(value_name = "EPISODE", value_hint = ValueHint::DirPath)]
     episode: PathBuf,
     /// Film the recorded states: a .mp4 file, or a folder with a trailing / for numbered PNG pictures.
-    #[arg(long, value_name = "FILE", value_hint = ValueHint::AnyPath)]
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::AnyPath, conflicts_with = "view")]
     record: Option<PathBuf>,
     /// What the film shows: front, chase, bird, or all.
     #[arg(long, value_name = "VIEW", default_value = "chase", requires = "record")]
@@ -48,16 +49,16 @@ pub struct Args {
     #[arg(long, value_name = "NAME", conflicts_with = "view")]
     detector: Option<String>,
     /// Film or look at only the last N seconds.
-    #[arg(long, value_name = "SECONDS", value_parser = super::seconds)]
+    #[arg(long, value_name = "SECONDS", requires = "played", conflicts_with = "view", value_parser = super::seconds)]
     last: Option<f64>,
     /// Simulate the episode again and compare every bit of every tick.
-    #[arg(long)]
+    #[arg(long, conflicts_with = "view")]
     verify: bool,
     /// Simulate the episode again in sumo-gui, in real time.
-    #[arg(long)]
+    #[arg(long, conflicts_with = "view")]
     gui: bool,
     /// Print one JSON object as the last line of stdout; everything else goes to stderr.
-    #[arg(long)]
+    #[arg(long, conflicts_with = "view")]
     json: bool,
 }
 
@@ -128,9 +129,9 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
 
 fn with_exit(error: VerifyError) -> anyhow::Error {
     let exit = match &error {
-        VerifyError::Env(env) if env.is_sumo() => Exit::Sumo,
+        VerifyError::Env(env) => Exit::of_env(env),
         VerifyError::Lost { .. } => Exit::Sumo,
-        VerifyError::Assets(assets) if !assets.is_input() => Exit::Sumo,
+        VerifyError::Assets(assets) => Exit::of_assets(assets),
         _ => Exit::Input,
     };
     exit.because(error)

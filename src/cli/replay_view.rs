@@ -128,7 +128,7 @@ fn load(episodes: &Episodes, id: &str, towns: &mut BTreeMap<String, Arc<Assets>>
     let assets = match towns.get(&config) {
         Some(assets) => Arc::clone(assets),
         None => {
-            let assets = Assets::load(&config).map_err(|e| Exit::Input.because(e))?;
+            let assets = Assets::load(&config).map_err(|e| Exit::of_assets(&e).because(e))?;
             towns.insert(config, Arc::clone(&assets));
             assets
         }

@@ -12,16 +12,15 @@ use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-use wad_cosim::assets::{Assets, AssetsError};
-use wad_cosim::bridge::{BridgeError, BridgeOptions};
+use wad_cosim::assets::Assets;
+use wad_cosim::bridge::BridgeOptions;
 use wad_cosim::camera::Preset;
 use wad_cosim::drive::{Drive, DriveError, DriveOptions, Status, Summary};
 use wad_cosim::driver::{DriverSpec, Pilot};
 use wad_cosim::interrupt::Interrupt;
 use wad_cosim::latent::Decoder;
 use wad_cosim::perception;
-use wad_cosim::record::{Codec, RecordView};
-use wad_cosim::telemetry::FolderError;
+use wad_cosim::record::{Codec, RecordError, RecordView};
 use wad_cosim::traci::process::SumoInstall;
 use wad_cosim::traffic::TrafficSpec;
 use wad_cosim::view::Listener;
@@ -125,17 +124,13 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: Args) -> anyhow::Result<Exit> {
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .context("cannot start the asynchronous runtime")?;
-    runtime.block_on(drive(args))
+    super::runtime()?.block_on(drive(args))
 }
 
 async fn drive(args: Args) -> anyhow::Result<Exit> {
     let config = config::resolve(&args.config)?;
     let assets = town(&args, &config)?;
-    let args = args.in_scenario(&assets);
+    let args = args.completed(&assets);
     let out = args.out.clone().unwrap_or_else(|| default_folder(&config, args.seed()));
     let listener = args.view.listen()?;
     if args.agent == DriverSpec::Manual && listener.is_none() {
@@ -159,13 +154,14 @@ async fn drive(args: Args) -> anyhow::Result<Exit> {
     let view = listener.map(|listener| open_view(listener, &args, &drive, &out)).transpose()?;
     let line = StatusLine::new(args.quiet_status(), limit);
     let mut watched = Watched { drive, film, view, line };
-    let interrupted = match watched.ticks(limit, &args, &mut interrupt).await? {
+    let interrupted = match watched.ticks(limit, &args, &mut interrupt).await {
         Stop::Over => false,
         Stop::Interrupted => true,
         Stop::Failed(error) => return Err(watched.abort(error).await),
     };
-    let summary = watched.finish(interrupted).await?;
+    let (summary, filmed) = watched.finish(interrupted).await?;
     report(&summary, args.json)?;
+    filmed?;
     Ok(if interrupted { Exit::Interrupted } else { Exit::Done })
 }
 
@@ -190,7 +186,7 @@ enum Stop {
     /// The limit, or the scenario's end.
     Over,
     Interrupted,
-    Failed(DriveError),
+    Failed(anyhow::Error),
 }
 
 /// A drive with its film, live view and status line.
@@ -203,23 +199,18 @@ struct Watched {
 
 impl Watched {
     /// Drives and shows tick by tick.
-    async fn ticks(
-        &mut self,
-        limit: Option<u64>,
-        args: &Args,
-        interrupt: &mut Interrupt,
-    ) -> anyhow::Result<Stop> {
+    async fn ticks(&mut self, limit: Option<u64>, args: &Args, interrupt: &mut Interrupt) -> Stop {
         let (began, tick) = (Instant::now(), self.drive.bridge().tick());
         let mut ticks = 0;
         while limit.is_none_or(|limit| ticks < limit) {
             let ticked = tokio::select! {
                 biased;
-                () = interrupt.wait() => return Ok(Stop::Interrupted),
+                () = interrupt.wait() => return Stop::Interrupted,
                 ticked = next_tick(&mut self.drive, &mut self.view, &mut self.film) => ticked,
             };
-            match ticked {
-                Ok(status) => self.show(&status, args.perception)?,
-                Err(error) => return Ok(Stop::Failed(error)),
+            let shown = ticked.map_err(with_exit).and_then(|status| self.show(&status, args.perception));
+            if let Err(error) = shown {
+                return Stop::Failed(error);
             }
             ticks += 1;
             if self.drive.ending().is_some() {
@@ -228,12 +219,12 @@ impl Watched {
             if args.realtime && self.view.is_none() {
                 let due = began + Duration::from_secs_f64(ticks as f64 * tick);
                 tokio::select! {
-                    () = interrupt.wait() => return Ok(Stop::Interrupted),
+                    () = interrupt.wait() => return Stop::Interrupted,
                     () = tokio::time::sleep_until(due.into()) => {}
                 }
             }
         }
-        Ok(Stop::Over)
+        Stop::Over
     }
 
     /// Shows a tick in film, live view and status line.
@@ -246,19 +237,19 @@ impl Watched {
         Ok(())
     }
 
-    /// Ends film, view and SUMO, and writes the summary.
-    async fn finish(self, interrupted: bool) -> anyhow::Result<Summary> {
+    /// Ends film, view and SUMO, and writes the summary, also of a run whose film cannot be completed.
+    async fn finish(self, interrupted: bool) -> anyhow::Result<(Summary, Result<(), RecordError>)> {
         let Self { drive, mut film, view, line } = self;
         line.clear();
         if let Some(view) = view {
             view.close();
         }
-        film.end()?;
-        drive.finish(interrupted).await.map_err(with_exit)
+        let filmed = film.end();
+        Ok((drive.finish(interrupted).await.map_err(with_exit)?, filmed))
     }
 
     /// Ends after `error`: the results so far stay readable, with a summary that says how the run ended.
-    async fn abort(self, error: DriveError) -> anyhow::Error {
+    async fn abort(self, error: anyhow::Error) -> anyhow::Error {
         self.line.clear();
         if let Some(view) = self.view {
             view.close();
@@ -266,7 +257,7 @@ impl Watched {
         if let Err(second) = self.drive.abort().await {
             super::note(format_args!("wad-cosim: {second}"));
         }
-        with_exit(error)
+        error
     }
 }
 
@@ -319,15 +310,12 @@ fn decoder(args: &Args) -> Option<Box<dyn Decoder>> {
 }
 
 impl Args {
-    /// With the scenario's weather and traffic for those that the command line leaves open.
-    fn in_scenario(mut self, assets: &Assets) -> Self {
+    /// With the config's seed, and the scenario's weather and traffic, for those that the command line leaves open.
+    fn completed(mut self, assets: &Assets) -> Self {
+        self.seed = self.seed.or(assets.seed());
         if let Some(scenario) = assets.scenario() {
             self.weather = self.weather.or(Some(scenario.weather));
-            self.traffic = Some(match self.traffic.unwrap_or(scenario.traffic) {
-                // The scenario's own road users are there anyway; as-is adds none.
-                TrafficSpec::AsIs => TrafficSpec::Empty,
-                traffic => traffic,
-            });
+            self.traffic = self.traffic.or(Some(scenario.traffic));
         }
         self
     }
@@ -406,20 +394,7 @@ fn tick_limit(args: &Args, drive: &Drive) -> anyhow::Result<Option<u64>> {
 }
 
 pub fn with_exit(error: DriveError) -> anyhow::Error {
-    let exit = match &error {
-        DriveError::Bridge(bridge) if bridge.is_input() => Exit::Input,
-        DriveError::Bridge(BridgeError::Folder { .. }) | DriveError::Write(_) => Exit::Other,
-        DriveError::Bridge(_) => Exit::Sumo,
-        DriveError::Assets(AssetsError::Install(_)) => Exit::Sumo,
-        DriveError::Assets(_) => Exit::Input,
-        DriveError::Agent(_) | DriveError::Eyes(_) => Exit::Other,
-        DriveError::Destination(_)
-        | DriveError::Crowded { .. }
-        | DriveError::Scenario { .. }
-        | DriveError::Folder(FolderError::Taken { .. }) => Exit::Input,
-        DriveError::Folder(FolderError::Write(_)) => Exit::Other,
-    };
-    exit.because(error)
+    Exit::of_drive(&error).because(error)
 }
 
 fn report(summary: &Summary, json: bool) -> anyhow::Result<()> {

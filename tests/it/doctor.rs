@@ -2,12 +2,9 @@
 
 use std::process::{Command, Output};
 
-fn doctor(sumo_home: Option<&str>) -> Output {
+fn doctor(environment: &[(&str, &str)]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_wad-cosim"));
-    command.args(["doctor", "--json"]);
-    if let Some(home) = sumo_home {
-        command.env("WAD_COSIM_SUMO_HOME", home);
-    }
+    command.args(["doctor", "--json"]).envs(environment.iter().copied());
     command.output().expect("wad-cosim starts")
 }
 
@@ -22,9 +19,10 @@ fn status(output: &Output, name: &str) -> String {
 
 #[test]
 fn finds_everything_needed() {
-    let output = doctor(None);
+    let output = doctor(&[]);
     assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stdout));
     assert_eq!(status(&output, "SUMO"), "ok");
+    assert_eq!(status(&output, "OpenVINO"), "ok");
     for (library, built_in) in [("libtorch", cfg!(feature = "learn")), ("OpenCV", cfg!(feature = "vision"))] {
         assert_eq!(status(&output, library), if built_in { "ok" } else { "optional" }, "{library}");
     }
@@ -32,7 +30,14 @@ fn finds_everything_needed() {
 
 #[test]
 fn a_missing_sumo_ends_with_1() {
-    let output = doctor(Some("/nowhere"));
+    let output = doctor(&[("WAD_COSIM_SUMO_HOME", "/nowhere")]);
     assert_eq!(output.status.code(), Some(1));
     assert_eq!(status(&output, "SUMO"), "missing");
+}
+
+#[test]
+fn a_missing_openvino_is_told_and_needed_where_libtorch_is_not_built_in() {
+    let output = doctor(&[("WAD_COSIM_OPENVINO", "/nowhere")]);
+    let expected = if cfg!(feature = "learn") { (Some(0), "optional") } else { (Some(1), "missing") };
+    assert_eq!((output.status.code(), status(&output, "OpenVINO").as_str()), expected);
 }

@@ -355,6 +355,20 @@ fn a_sumo_that_dies_while_an_episode_is_verified_is_no_difference() {
     assert!(stderr(&output).contains("SUMO"), "{}", stderr(&output));
 }
 
+/// `--view` called it bad input.
+#[test]
+fn a_kept_episode_without_a_sumo_is_exit_code_3() {
+    let small = Small::new(10, 1);
+    ok(&mut small.eval("run", &["--keep", "all"]));
+    let kept = std::fs::read_dir(small.out("run").join("episodes")).unwrap().next().unwrap().unwrap().path();
+    for how in [&["--view", "127.0.0.1:0"][..], &["--verify"]] {
+        let mut replay = wad(&["replay"]);
+        replay.arg(&kept).args(how).env("WAD_COSIM_SUMO_HOME", small.out("nothing"));
+        let output = replay.output().unwrap();
+        assert_eq!(output.status.code(), Some(3), "{how:?}: {}", stderr(&output));
+    }
+}
+
 /// OpenCV does not say that a film cannot be written: a full disk once ended with 0 and a film that no player opens.
 #[cfg(feature = "vision")]
 #[test]
@@ -461,6 +475,28 @@ fn results_are_not_continued_with_another_scenario_or_detector() {
 }
 
 #[test]
+fn found_sets_of_routes_survive_ctrl_c() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("town3.routes.json");
+    let sets = ["--set", "straight", "--set", "navigation", "--count", "10"];
+    let mut search = wad(&["eval", "routes", "town3", "--out"]);
+    search.arg(&out).args(sets).stdout(Stdio::null()).stderr(Stdio::piped());
+    let mut child = search.spawn().unwrap();
+    let began = Instant::now();
+    // The first set is in the file while the second one is searched.
+    while !out.exists() {
+        assert!(began.elapsed() < Duration::from_secs(120) && child.try_wait().unwrap().is_none());
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    // SAFETY: kill() only takes numbers; the process is this test's own child.
+    unsafe { libc::kill(child.id() as i32, libc::SIGINT) };
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(4), "{}", stderr(&output));
+    let made = read(&out);
+    assert!(made.contains("\"straight\"") && !made.contains("\"navigation\""), "{made}");
+}
+
+#[test]
 fn mistakes_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let failed = |args: &[&str]| {
@@ -489,6 +525,9 @@ fn mistakes_are_named() {
     assert!(error.contains(&format!("eval routes {own}")), "{error}");
     let made = wad(&["eval", "routes", &own, "--set", "navigation", "--count", "1"]).output().unwrap();
     assert!(made.status.success(), "{}", stderr(&made));
+    // Another set joins it in the file.
+    let more = ok(wad(&["eval", "routes", &own, "--set", "straight", "--count", "1"]).arg("--json"));
+    assert_eq!(json(&more)["routes"], serde_json::json!({ "navigation": 1, "straight": 1 }));
     let args = [
         "eval",
         "nocrash",

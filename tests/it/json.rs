@@ -63,6 +63,7 @@ fn the_page_of_json_says_what_is_printed() {
         for key in answer.as_object().unwrap().keys() {
             assert!(documented.contains_key(key), "{command}: docs/json.md lacks `{key}`");
         }
+        answer
     };
     check("run", &["town5", "--ticks", "5", "--traffic", "2,2", "--out", &path("run")]);
     let agent = ["--agent", "constant:1,0.4,0", "--keep", "all"];
@@ -100,7 +101,8 @@ fn the_page_of_json_says_what_is_printed() {
     );
     check("bench fleet", &["--egos", "2", "--traffic", "2,2", "--seconds", "0.1"]);
     check("bench tick", &["--ticks", "1", "--warm-up", "1"]);
-    check("bench view", &["--repeat", "2", "--ticks", "2", "--viewers", "2"]);
+    let view = check("bench view", &["--repeat", "1", "--ticks", "2", "--viewers", "2"]);
+    assert_eq!(view["rows"].as_array().map(Vec::len), Some(3), "one turn is measured: {view}");
     check("doctor", &[]);
     if cfg!(feature = "learn") {
         let data = path("data");

@@ -15,6 +15,14 @@ fn wad(args: &[&str]) -> Command {
     command
 }
 
+/// The program where no file grows beyond so many KiB: like a full disk, once the signal for it is ignored.
+fn wad_on_a_full_disk(kib: u32, args: &[&str]) -> Command {
+    let script = format!("trap '' XFSZ; ulimit -f {kib}; exec \"$@\"");
+    let mut command = Command::new("bash");
+    command.args(["-c", &script, "bash", env!("CARGO_BIN_EXE_wad-cosim")]).args(args).stdin(Stdio::null());
+    command
+}
+
 fn finish(mut command: Command) -> Output {
     command.output().expect("the binary runs")
 }
@@ -157,6 +165,25 @@ fn same_seed_gives_the_same_bytes_and_another_seed_does_not() {
 }
 
 #[test]
+fn the_configs_seed_counts_where_no_other_is_given() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let net = wad_cosim::bundled::resolve("town5.net.xml").expect("a net");
+    let config = dir.path().join("own.sumocfg");
+    let text =
+        format!(r#"<configuration><net-file value="{}"/><seed value="42"/></configuration>"#, net.display());
+    std::fs::write(&config, text).expect("written");
+    let config = config.to_string_lossy().into_owned();
+    let town = [config.as_str(), "--ticks", "3", "--traffic", "2,2"];
+    let args = |more: &[&'static str]| [&town, more].concat();
+    let (own, a) = run(dir.path(), "own", &args(&[]));
+    let (same, b) = run(dir.path(), "same", &args(&["--seed", "42"]));
+    let (other, _) = run(dir.path(), "other", &args(&["--seed", "7"]));
+    let seeds = [own, same, other].map(|summary| summary["seed"].as_u64());
+    assert_eq!(seeds, [Some(42), Some(42), Some(7)]);
+    assert!(telemetry(&a) == telemetry(&b), "the same seed gave different telemetry");
+}
+
+#[test]
 fn several_egos_drive_in_one_sumo_and_each_has_its_lines_and_its_sums() {
     let dir = tempfile::tempdir().expect("a folder");
     let args = ["town3", "--egos", "5", "--ticks", "120", "--traffic", "20,10", "--seed", "3"];
@@ -242,11 +269,19 @@ fn a_finished_run_is_not_overwritten() {
 #[test]
 fn a_missing_sumo_is_exit_code_3_and_says_what_to_do() {
     let dir = tempfile::tempdir().expect("a folder");
-    let mut command = wad(&["run", "town5", "--ticks", "5", "--out"]);
-    command.arg(dir.path().join("r")).env("WAD_COSIM_SUMO_HOME", dir.path().join("nothing"));
-    let output = finish(command);
-    assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
-    assert!(stderr(&output).contains("scripts/setup"), "{}", stderr(&output));
+    let out = dir.path().join("r").to_string_lossy().into_owned();
+    for args in [
+        &["run", "town5", "--ticks", "5", "--out", &out][..],
+        &["eval", "nocrash", "--episodes", "1"],
+        &["dataset", "collect", "--frames", "1", "--out", &out],
+        &["bench", "fleet"],
+    ] {
+        let mut command = wad(args);
+        command.env("WAD_COSIM_SUMO_HOME", dir.path().join("nothing"));
+        let output = finish(command);
+        assert_eq!(output.status.code(), Some(3), "{args:?}: {}", stderr(&output));
+        assert!(stderr(&output).contains("scripts/setup"), "{args:?}: {}", stderr(&output));
+    }
 }
 
 #[test]
@@ -377,6 +412,20 @@ fn ctrl_c_keeps_the_results() {
 }
 
 #[test]
+fn ctrl_c_ends_the_benchmark_of_the_view_with_4() {
+    let sizes = ["--viewers", "1", "--ticks", "2", "--tick-ms", "20", "--repeat", "10000"];
+    let mut command = wad(&["bench", "view", "--detector", "truth"]);
+    command.args(sizes).process_group(0).stdout(Stdio::null()).stderr(Stdio::piped());
+    let mut child = command.spawn().expect("the binary runs");
+    let mut lines = std::io::BufRead::lines(std::io::BufReader::new(child.stderr.take().expect("a pipe")));
+    assert!(lines.any(|line| line.expect("UTF-8").starts_with("turn ")));
+    // SAFETY: kill() only takes numbers; the process is this test's own.
+    let sent = unsafe { libc::kill(child.id() as i32, libc::SIGINT) };
+    assert_eq!(sent, 0);
+    assert_eq!(child.wait().expect("it ends").code(), Some(4));
+}
+
+#[test]
 fn a_stderr_that_cannot_be_written_stops_nothing() {
     let dir = tempfile::tempdir().unwrap();
     let full = || std::fs::File::options().write(true).open("/dev/full").unwrap();
@@ -395,14 +444,9 @@ fn a_stderr_that_cannot_be_written_stops_nothing() {
 fn a_full_disk_is_said_and_what_was_written_stays() {
     let dir = tempfile::tempdir().expect("a folder");
     let out = dir.path().join("r");
-    // A limit on file sizes behaves like a full disk once the signal for it is ignored. Blocks of 1 KiB.
-    let script = format!(
-        "trap '' XFSZ; ulimit -f 128; exec {} run town5 --traffic 3,3 --ticks 2000 --out {}",
-        env!("CARGO_BIN_EXE_wad-cosim"),
-        out.display()
-    );
-    let mut command = Command::new("bash");
-    command.args(["-c", &script]).stdin(Stdio::null());
+    let mut command =
+        wad_on_a_full_disk(128, &["run", "town5", "--traffic", "3,3", "--ticks", "2000", "--out"]);
+    command.arg(&out);
     let output = finish(command);
     let text = stderr(&output);
     assert_eq!(output.status.code(), Some(1), "{text}");
@@ -410,6 +454,38 @@ fn a_full_disk_is_said_and_what_was_written_stays() {
     let telemetry = String::from_utf8(telemetry(&out)).expect("UTF-8");
     let whole = telemetry.lines().filter(|line| serde_json::from_str::<Value>(line).is_ok()).count();
     assert!(whole > 50 && whole + 1 >= telemetry.lines().count(), "{whole} whole lines");
+}
+
+#[test]
+fn a_film_that_cannot_be_written_ends_the_run_with_a_summary() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let out = dir.path().join("r");
+    // A picture is larger, and what SUMO and the run write in a tick is not.
+    let mut command =
+        wad_on_a_full_disk(128, &["run", "town5", "--traffic", "3,3", "--ticks", "20", "--record"]);
+    command.arg(dir.path().join("film/")).arg("--out").arg(&out);
+    let output = finish(command);
+    assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+    assert!(stderr(&output).contains("frame-000000.png"), "{}", stderr(&output));
+    let summary = std::fs::read_to_string(out.join("summary.json")).expect("a summary");
+    assert!(summary.contains(r#""end": "error""#), "{summary}");
+}
+
+/// OpenCV does not say before its end that a film lacks pictures.
+#[cfg(feature = "vision")]
+#[test]
+fn a_film_that_is_cut_off_costs_the_run_nothing() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let out = dir.path().join("r");
+    let args = ["run", "town5", "--traffic", "empty", "--ticks", "40", "--json", "--record"];
+    let mut command = wad_on_a_full_disk(64, &args);
+    command.arg(dir.path().join("film.mp4")).arg("--out").arg(&out);
+    let output = finish(command);
+    assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+    assert!(stderr(&output).contains("Is the disk full?"), "{}", stderr(&output));
+    let told = summary(&output);
+    assert_eq!((told["ticks"].as_u64(), told["end"].as_str()), (Some(40), Some("survived")));
+    assert!(out.join("summary.json").is_file());
 }
 
 /// A TraCI server that answers the first message with `reply`.

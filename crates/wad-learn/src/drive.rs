@@ -400,7 +400,6 @@ impl Drive {
         let on_route = ego.on_route();
         let at = ego.route().at(on_route.s);
         let (vehicles, pedestrians) = self.session.bridge().counts();
-        let autopilot_drives = car.pilot.driver.is_autopilot() && car.guest.is_none();
         TickRecord {
             tick: car.totals.ticks,
             id: (self.options.egos > 1).then(|| ego.id.to_string()),
@@ -417,7 +416,7 @@ impl Drive {
             limit: at.speed_limit,
             light: decision.light.map(|(state, distance)| LightRecord { state, distance }),
             leader: decision.leader.map(|leader| LeaderRecord { gap: leader.gap_m, speed: leader.speed_mps }),
-            reason: autopilot_drives.then_some(decision.reason),
+            reason: car.pilot.driver.is_autopilot().then_some(decision.reason),
             events,
             vehicles,
             pedestrians,

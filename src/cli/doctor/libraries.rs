@@ -1,6 +1,7 @@
-//! The linked libraries, each tested with a small computation.
+//! The libraries, each tried.
 
 use super::Finding;
+use wad_cosim::inference;
 
 #[cfg(not(all(feature = "learn", feature = "vision")))]
 fn not_built_in(name: &'static str, feature: &str) -> Finding {
@@ -45,13 +46,31 @@ fn gradient_of_square(x: f64) -> Result<f64, tch::TchError> {
     x.f_grad()?.f_double_value(&[0])
 }
 
-/// The file that the dynamic linker mapped for a library.
-#[cfg(feature = "learn")]
+/// OpenVINO, which runs the detectors `centernet` and `eyes`: started once.
+pub fn openvino() -> Finding {
+    match inference::available() {
+        Ok(()) => {
+            let place = loaded_from("libopenvino_c.so");
+            let place = place.map_or_else(|| "an unknown place".to_owned(), |lib| lib.display().to_string());
+            Finding::ok("OpenVINO", format!("works, {place}"))
+        }
+        Err(why) if cfg!(feature = "learn") => Finding::optional("OpenVINO", why.to_string()).advice(
+            "the detectors `centernet` and `eyes` run on libtorch, at a third of their speed; if OpenVINO's \
+             folder is damaged, remove it and run scripts/setup",
+        ),
+        Err(why) => Finding::missing("OpenVINO", why.to_string()).advice(
+            "the detectors `centernet` and `eyes` need it, or a build with the cargo feature `learn`; if its \
+             folder is damaged, remove it and run scripts/setup",
+        ),
+    }
+}
+
+/// The file that the dynamic linker mapped for a library, with or without a version in its name.
 fn loaded_from(library: &str) -> Option<std::path::PathBuf> {
     let maps = std::fs::read_to_string("/proc/self/maps").ok()?;
     let path = maps.lines().find_map(|line| {
-        let path = &line[line.find('/')?..];
-        path.ends_with(library).then_some(path)
+        let path = std::path::Path::new(&line[line.find('/')?..]);
+        path.file_name()?.to_str()?.starts_with(library).then_some(path)
     })?;
     Some(path.into())
 }

@@ -70,6 +70,7 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
         sumo::sumo(),
         sumo::tools(),
         libraries::libtorch(),
+        libraries::openvino(),
         libraries::opencv(),
         machine::gpu(),
         machine::cores(),

@@ -1,13 +1,12 @@
 //! `wad-cosim eval detector`: recall, false alarms and average precision on frames of a town. `eval eyes` also scores
 //! what is seen of lane and light.
 
+use crate::cli::progress::Bar;
 use crate::cli::{Exit, answer, run};
 use anyhow::Context;
 use clap::ValueHint;
-use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use std::fmt::Write as _;
-use std::io::IsTerminal;
 use std::path::PathBuf;
 use std::time::Instant;
 use wad_cosim::bundled;
@@ -203,7 +202,7 @@ async fn look(
     let mut tour = Tour::start(options, args.seed).await.map_err(run::with_exit)?;
     let mut camera = Camera::new(CameraConfig::default()).map_err(|e| Exit::Input.because(e))?;
     let outputs = Outputs { boxes: true, depth: roads.is_some(), semantic: roads.is_some(), ..Outputs::RGB };
-    let bar = progress(args.frames as u64);
+    let bar = Bar::new(args.frames as u64, "frames");
     let (mut views, mut found, mut interrupted) = (Vec::new(), Vec::new(), false);
     for (n, &preset) in weathers.iter().cycle().take(args.frames).enumerate() {
         let pose = tokio::select! {
@@ -229,26 +228,11 @@ async fn look(
                 .with_context(|| format!("cannot write the picture {}", path.display()))?;
         }
         views.push(view);
-        match &bar {
-            Some(bar) => bar.inc(1),
-            None if (n + 1) % 50 == 0 => {
-                crate::cli::note(format_args!("{} of {} frames", n + 1, args.frames))
-            }
-            None => {}
-        }
+        bar.show(n as u64 + 1, "");
     }
-    if let Some(bar) = bar {
-        bar.finish_and_clear();
-    }
+    bar.clear();
     tour.finish().await.map_err(run::with_exit)?;
     Ok((views, interrupted))
-}
-
-fn progress(length: u64) -> Option<ProgressBar> {
-    std::io::stderr().is_terminal().then(|| {
-        let style = ProgressStyle::with_template("{bar:30} {pos}/{len} frames, {per_sec}, {eta} left");
-        ProgressBar::new(length).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
-    })
 }
 
 /// The frame with boxes: counted truths white, others grey, counted detections green or red.

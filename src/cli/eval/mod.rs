@@ -2,13 +2,13 @@
 
 mod detector;
 #[cfg(feature = "learn")]
-mod encoder;
+pub mod encoder;
 mod merge;
 mod routes;
 mod sight;
 mod suites;
 
-use super::{Exit, runtime};
+use super::{Common, Exit, runtime};
 use clap::{Parser, Subcommand};
 
 /// Drive the episodes of a suite, or score a part of the system against the ground truth.
@@ -39,9 +39,9 @@ enum What {
     /// Score a detector as `eval detector` does, and what it sees of the ego's lane and light.
     Eyes(detector::Args),
     /// Score lane detection: precision, recall and lateral error, by weather.
-    Lanes(sight::Args),
+    Lanes(sight::Lanes),
     /// Score the estimates of who is in front and who will cross the path: gap and closing speed, by distance.
-    Lead(sight::Args),
+    Lead(sight::Lead),
     /// Score an encoder: how much of the transformed image its latent holds.
     #[cfg(feature = "learn")]
     Encoder(encoder::Args),
@@ -55,7 +55,20 @@ enum What {
 #[command(name = "wad-cosim eval SUITE.json")]
 struct OfFile {
     #[command(flatten)]
+    common: Common,
+    #[command(flatten)]
     args: suites::Args,
+}
+
+impl Args {
+    /// The options of all commands among the words behind a suite's file; none where those words have mistakes, which
+    /// `run` tells.
+    pub fn behind_file(&self) -> Common {
+        match &self.what {
+            What::File(words) => OfFile::try_parse_from(words).map(|of| of.common).unwrap_or_default(),
+            _ => Common::default(),
+        }
+    }
 }
 
 /// Runs the command.

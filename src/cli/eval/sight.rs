@@ -1,35 +1,24 @@
 //! `wad-cosim eval lanes` and `eval lead`: scores perception while the autopilot drives.
 
+use crate::cli::progress::Bar;
 use crate::cli::{Exit, print, run};
 use anyhow::Context;
-use indicatif::{ProgressBar, ProgressStyle};
-use std::io::IsTerminal;
 use wad_cosim::bundled;
 use wad_cosim::camera::{CameraConfig, Frame, Outputs, Preset};
 use wad_cosim::drive::{Drive, DriveOptions};
 use wad_cosim::eyes::Eyes;
 use wad_cosim::perception::sight_score::{self, LaneScore, LaneTruth, LeadReport, LeadScore, MEASURED_AT};
-use wad_cosim::perception::{self, EgoFacts, NearGaps, Perception};
+use wad_cosim::perception::{self, DETECTORS, EgoFacts, NearGaps, Perception};
 use wad_cosim::traffic::TrafficSpec;
 use wad_cosim::world::WorldState;
 
-const EXAMPLES: &str = "\
+/// Score lane detection: precision, recall and lateral error, by weather.
+#[derive(clap::Args, Debug)]
+#[command(after_help = "\
 Examples:
   wad-cosim eval lanes
-  wad-cosim eval lanes town3 --ticks 2000 --weather ClearNoon,HardRainNoon --json
-  wad-cosim eval lead --detector truth:faulty
-  wad-cosim eval lead --detector eyes --near          (from 0.2 to 5 m behind whoever is next)";
-
-/// Options of both commands.
-#[derive(clap::Args, Debug)]
-#[command(after_help = EXAMPLES)]
-pub struct Args {
-    /// A .sumocfg, a .net.xml(.gz) or a bundled town.
-    #[arg(default_value = "town5")]
-    config: String,
-    /// Ticks to drive; ticks at standstill do not count.
-    #[arg(long, value_name = "N", default_value_t = 1200)]
-    ticks: u64,
+  wad-cosim eval lanes town3 --ticks 2000 --weather ClearNoon,HardRainNoon --json")]
+pub struct Lanes {
     /// Weathers, separated by commas.
     #[arg(
         long,
@@ -38,15 +27,41 @@ pub struct Args {
         default_value = "ClearNoon,CloudyNoon,SoftRainNoon,WetCloudySunset,MidRainyNoon,HardRainNoon"
     )]
     weather: Vec<Preset>,
+    #[command(flatten)]
+    drive: Args,
+}
+
+/// Score the estimates of who is in front and who will cross the path: gap and closing speed, by distance.
+#[derive(clap::Args, Debug)]
+#[command(after_help = "\
+Examples:
+  wad-cosim eval lead --detector truth:faulty
+  wad-cosim eval lead --detector eyes --near          (from 0.2 to 5 m behind whoever is next)")]
+pub struct Lead {
+    /// The weather.
+    #[arg(long, value_name = "NAME", default_value = "ClearNoon")]
+    weather: Preset,
+    /// Look each time from 0.2 to 5 m behind whoever is next in the ego's path, nearer than the autopilot drives.
+    #[arg(long)]
+    near: bool,
+    #[command(flatten)]
+    drive: Args,
+}
+
+/// Options of both commands.
+#[derive(clap::Args, Debug)]
+struct Args {
+    /// A .sumocfg, a .net.xml(.gz) or a bundled town.
+    #[arg(default_value = "town5")]
+    config: String,
+    /// Ticks to drive; ticks at standstill do not count.
+    #[arg(long, value_name = "N", default_value_t = 1200)]
+    ticks: u64,
     /// Background traffic: empty, regular, dense, or VEHICLES,PEDESTRIANS.
     #[arg(long, default_value = "regular", value_name = "T")]
     traffic: TrafficSpec,
-    /// The detector: truth (the renderer's boxes) or truth:faulty (with a real detector's faults).
-    #[arg(long, default_value = "truth", value_name = "NAME")]
+    #[arg(long, default_value = "truth", value_name = "NAME", help = format!("The detector: {DETECTORS}"))]
     detector: String,
-    /// Look each time from 0.2 to 5 m behind whoever is next in the ego's path, nearer than the autopilot drives (eval lead).
-    #[arg(long)]
-    near: bool,
     /// WIDTHxHEIGHT of the camera's picture in pixels.
     #[arg(long, value_name = "WxH", default_value = "512x512", value_parser = crate::cli::snapshot::size)]
     size: (usize, usize),
@@ -58,10 +73,11 @@ pub struct Args {
     json: bool,
 }
 
-/// Drives, and passes each weather's percept to `score` after every tick.
+/// Drives, and passes each weather's percept to `score` after every tick; `near`: from close behind whoever is next.
 async fn drive(
     args: &Args,
     weathers: &[Preset],
+    near: bool,
     outputs: Outputs,
     score: &mut dyn FnMut(usize, &Frame, &Perception, &EgoFacts<'_>, &WorldState),
 ) -> anyhow::Result<()> {
@@ -82,27 +98,21 @@ async fn drive(
         look.reset(weather, args.seed);
         eyes.push(look);
     }
-    let bar = progress(args.ticks);
+    let bar = Bar::new(args.ticks, "ticks");
     let mut respawns = 0;
     let mut gaps = NearGaps::new(args.seed);
     for tick in 0..args.ticks {
         drive.tick().await.map_err(run::with_exit)?;
-        match &bar {
-            Some(bar) => bar.inc(1),
-            None if (tick + 1) % 300 == 0 => {
-                crate::cli::note(format_args!("tick {} of {}", tick + 1, args.ticks))
-            }
-            None => {}
-        }
+        bar.show(tick + 1, "");
         let now = drive.respawns();
         let world = drive.ego().world();
         let mut facts = EgoFacts::of(drive.bridge().network(), drive.ego(), drive.bridge().tick());
-        if args.near {
+        if near {
             let Some(next) = sight_score::nearest_in_front(&facts, world, |_| true) else { continue };
             facts = facts.moved(next.gap - gaps.draw());
         }
         for (index, (eyes, &weather)) in eyes.iter_mut().zip(weathers).enumerate() {
-            if args.near || now != respawns {
+            if near || now != respawns {
                 eyes.reset(weather, args.seed);
             }
             eyes.follow(world);
@@ -113,27 +123,19 @@ async fn drive(
         }
         respawns = now;
     }
-    if let Some(bar) = bar {
-        bar.finish_and_clear();
-    }
+    bar.clear();
     drive.finish(false).await.map_err(run::with_exit)?;
     Ok(())
-}
-
-fn progress(ticks: u64) -> Option<ProgressBar> {
-    let bar = std::io::stderr().is_terminal().then(|| ProgressBar::new(ticks))?;
-    let style = ProgressStyle::with_template("{bar:30} {pos}/{len}  {per_sec}  {eta} left").ok()?;
-    Some(bar.with_style(style))
 }
 
 /// Below this speed (m/s) the ego counts as standing: its next frame is like the last.
 const STANDS: f64 = 0.3;
 
 /// `eval lanes`.
-pub async fn lanes(args: Args) -> anyhow::Result<Exit> {
-    let mut scores = vec![LaneScore::default(); args.weather.len()];
+pub async fn lanes(Lanes { weather, drive: args }: Lanes) -> anyhow::Result<Exit> {
+    let mut scores = vec![LaneScore::default(); weather.len()];
     let outputs = Outputs { semantic: true, ..Outputs::RGB };
-    drive(&args, &args.weather, outputs, &mut |index, frame, perception, facts, _| {
+    drive(&args, &weather, false, outputs, &mut |index, frame, perception, facts, _| {
         if facts.on_route.state.speed > STANDS
             && let Some(truth) = LaneTruth::find(facts, perception.ground(), frame)
         {
@@ -159,7 +161,7 @@ pub async fn lanes(args: Args) -> anyhow::Result<Exit> {
         "bias m"
     ))?;
     let mut rows = Vec::new();
-    for (preset, score) in args.weather.iter().zip(&scores) {
+    for (preset, score) in weather.iter().zip(&scores) {
         let r = score.report();
         say(&format!(
             "{:>16} {:>7} {:>8} {:>10} {:>7} {:>11} {:>9} {:>7} {:>7}",
@@ -179,12 +181,11 @@ pub async fn lanes(args: Args) -> anyhow::Result<Exit> {
 }
 
 /// `eval lead`.
-pub async fn lead(args: Args) -> anyhow::Result<Exit> {
+pub async fn lead(Lead { weather, near, drive: args }: Lead) -> anyhow::Result<Exit> {
     let (mut lead, mut crossing) = (LeadScore::default(), LeadScore::default());
     let outputs = Outputs { boxes: true, ..Outputs::RGB };
-    let weather = args.weather.first().copied().unwrap_or_default();
-    drive(&args, &[weather], outputs, &mut |_, frame, perception, facts, world| {
-        if args.near || facts.on_route.state.speed > STANDS {
+    drive(&args, &[weather], near, outputs, &mut |_, frame, perception, facts, world| {
+        if near || facts.on_route.state.speed > STANDS {
             let percept = perception.percept();
             let there = sight_score::in_front(facts, world, frame);
             let (crosses, unseen) = sight_score::who_crosses(facts, world, frame);
@@ -199,7 +200,7 @@ pub async fn lead(args: Args) -> anyhow::Result<Exit> {
     let (lead, crossing) = (lead.report(), crossing.report());
     let head = format!("detector {}, {}, seed {}, {}", args.detector, args.config, args.seed, weather.name());
     say_leads(&args, &format!("vehicle in front, {head}"), &lead, "in the path")?;
-    if !args.near {
+    if !near {
         say_leads(&args, "who will cross the path", &crossing, "to cross")?;
     }
     let (weather, detector) = (weather.name(), &args.detector);

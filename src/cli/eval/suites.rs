@@ -77,7 +77,7 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..=1000))]
     egos: usize,
     /// Drive only the K-th of N parts of the suite; `eval merge` joins them.
-    #[arg(long, value_name = "K/N")]
+    #[arg(long, value_name = "K/N", requires = "out")]
     shard: Option<Shard>,
     /// Folder for the results: config.json, episodes.jsonl, summary.json, and recordings in episodes/.
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
@@ -85,8 +85,8 @@ pub struct Args {
     /// Continue the evaluation in --out.
     #[arg(long, requires = "out")]
     resume: bool,
-    /// Episodes to keep for `replay`: none, failures or all.
-    #[arg(long, value_name = "WHICH", default_value = "failures")]
+    /// Episodes to keep for `replay` in --out: none, failures or all.
+    #[arg(long, value_name = "WHICH", default_value = "failures", requires_ifs = [("failures", "out"), ("all", "out")])]
     keep: Keep,
     /// Time limit for each answer of an external agent.
     #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = crate::cli::seconds)]
@@ -241,10 +241,9 @@ fn selection(suite: &Suite, args: &Args) -> Selection {
 /// The error with its exit code.
 pub fn with_exit(error: EvalError) -> anyhow::Error {
     let exit = match &error {
-        EvalError::Env(env) if env.is_input() => Exit::Input,
-        EvalError::Env(env) if env.is_sumo() => Exit::Sumo,
-        EvalError::Assets(assets) if assets.is_input() => Exit::Input,
-        EvalError::Assets(_) | EvalError::Sumo(_) => Exit::Sumo,
+        EvalError::Env(env) => Exit::of_env(env),
+        EvalError::Assets(assets) => Exit::of_assets(assets),
+        EvalError::Sumo(_) => Exit::Sumo,
         EvalError::Suite(_) => Exit::Input,
         EvalError::Driver(
             DriverError::Unknown { .. } | DriverError::Constant { .. } | DriverError::Manual,

@@ -1,12 +1,13 @@
 //! `wad-cosim report latents`: the paper's figure 5.
 
+use crate::cli::eval::encoder::with_exit;
 use crate::cli::{Exit, dataset as data, print};
 use anyhow::Context;
 use clap::ValueHint;
 use std::path::PathBuf;
 use wad_cosim::camera::Picture;
 use wad_cosim::dataset::Dataset;
-use wad_cosim::encoder_score::judge::{JudgeError, pairs};
+use wad_cosim::encoder_score::judge::pairs;
 use wad_cosim::latent::TchEncoder;
 use wad_cosim::perception::{TRANSFORMED_SIZE, TransformedImage};
 
@@ -42,10 +43,7 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
     let encoder = TchEncoder::find(&args.encoder).map_err(|e| Exit::Input.because(e))?;
     let dataset = Dataset::open(&args.data, args.partial).map_err(data::with_exit)?;
     let (columns, rows) = (args.columns.max(1), args.rows.max(1));
-    let pairs = pairs(&encoder, &dataset, columns * rows).map_err(|error| match error {
-        JudgeError::Dataset(error) => data::with_exit(error),
-        JudgeError::Latent(error) => Exit::Other.because(error),
-    })?;
+    let pairs = pairs(&encoder, &dataset, columns * rows).map_err(with_exit)?;
     let side = TRANSFORMED_SIZE;
     let height = 2 * side + GAP;
     let mut page = Picture::new(columns * (side + GAP) - GAP, rows * (height + ROW_GAP) - ROW_GAP);

@@ -221,6 +221,9 @@ fn who_drove_before_gets_the_wheel_back() {
     browser.ask(&page, &format!("{stops}[0].focus()"));
     press(&mut browser, "ArrowRight", "ArrowRight");
     viewer.until("the next driver", |state| state["driver"] == "random");
+    // A viewer's autopilot says why it drives so, as the run's own does.
+    viewer.send(json!({ "do": "driver", "name": "autopilot" }));
+    viewer.until("the reason", |state| state["driver"] == "autopilot" && state["reason"].is_string());
     assert_eq!(browser.complaints, Vec::<String>::new());
     assert_eq!(run.stop(), Some(4));
 }
@@ -407,6 +410,8 @@ fn a_kept_episode_is_played_and_scrubbed_in_a_browser() {
     // It plays to its end, which says how it ended.
     browser.ask(&page, "wad.send({ do: 'speed', factor: 10 })");
     browser.wait(&page, "wad.state.over");
+    let counts = "document.getElementById('counts').textContent";
+    let told = browser.ask(&page, counts);
     let last = browser.ask(&page, "wad.hello.ticks - 1");
     assert_eq!(browser.ask(&page, "wad.state.tick"), last);
     assert!(browser.ask(&page, "document.querySelectorAll('#events li.bad, #events li.warn').length") != 0);
@@ -425,6 +430,12 @@ fn a_kept_episode_is_played_and_scrubbed_in_a_browser() {
         seen.push(browser.ask(&page, "[wad.state.ego.x, wad.state.ego.y, wad.state.time].join()"));
     }
     assert!(seen[0] == seen[2] && seen[0] != seen[1], "{seen:?}");
+
+    // One that cannot be shown is told, and hides no event of the one that plays.
+    browser.ask(&page, "wad.send({ do: 'open', episode: 'nowhere' })");
+    browser.wait(&page, "document.getElementById('events').textContent.includes('nowhere cannot be shown')");
+    browser.ask(&page, &scrub(last.as_u64().unwrap()));
+    browser.wait(&page, &format!("wad.state.tick === {last} && {counts} === {told}"));
 
     // Another one from the list.
     let first = browser.ask(&page, "wad.hello.episode");
