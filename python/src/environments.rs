@@ -117,6 +117,11 @@ impl Environments {
                     "several egos in one SUMO are reset together: no reset_mask",
                 ));
             }
+            if let (true, Some(route)) = (self.egos > 1, route) {
+                return Err(InputError::new_err(format!(
+                    "route {route}: several egos in one SUMO draw their places; use egos=1"
+                )));
+            }
             let jobs = seeds.iter().step_by(self.egos).map(|seed| seed.map(|seed| Job::Reset(seed, route)));
             open.run(py, jobs)
         })

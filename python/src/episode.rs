@@ -2,6 +2,7 @@
 
 use crate::errors::Failure;
 use crate::setup::{Part, Setup, Tasks};
+use std::sync::Arc;
 use wad_cosim::agent::action::{self, Action};
 use wad_cosim::bridge::Ego;
 use wad_cosim::camera::Outputs;
@@ -14,7 +15,6 @@ use wad_cosim::perception;
 use wad_cosim::record::RecordError;
 use wad_cosim::reward::RewardTerms;
 use wad_cosim::session::Act;
-use wad_cosim::tasks::TaskSpec;
 
 /// Names of the numbers of a tick, in their order: [`Numbers`].
 pub const NUMBERS: [&str; 19] = [
@@ -62,7 +62,7 @@ pub struct News {
 
 /// An environment with its camera for people.
 pub struct Episodes {
-    tasks: std::sync::Arc<Tasks>,
+    tasks: Arc<Tasks>,
     env: Env,
     /// Draws pictures where the environment itself draws none.
     painter: Option<Eyes>,
@@ -72,11 +72,7 @@ pub struct Episodes {
 
 impl Episodes {
     /// An environment without an episode. `record`: the MCAP file that its drives go into.
-    pub fn new(
-        tasks: std::sync::Arc<Tasks>,
-        setup: &Setup,
-        record: Option<&std::path::Path>,
-    ) -> Result<Self, Failure> {
+    pub fn new(tasks: Arc<Tasks>, setup: &Setup, record: Option<&std::path::Path>) -> Result<Self, Failure> {
         let env = Env::new(tasks.assets.clone(), setup.options.clone(), setup.encoder()?)?;
         let own = !setup.options.observation.encodes();
         let painter = (setup.draws() && own)
@@ -227,18 +223,18 @@ fn write(eyes: &Eyes, part: Part, row: Row<'_>) {
 
 /// Several egos in one SUMO.
 pub struct Egos {
-    tasks: Vec<TaskSpec>,
+    tasks: Arc<Tasks>,
     fleet: Fleet,
 }
 
 impl Egos {
     /// Egos without an episode. `returning`: each begins its next one by itself, in the step after an end; else it
     /// leaves the road until the next reset.
-    pub fn new(tasks: &Tasks, setup: &Setup, returning: bool) -> Result<Self, Failure> {
+    pub fn new(tasks: Arc<Tasks>, setup: &Setup, returning: bool) -> Result<Self, Failure> {
         let encoders = (0..setup.egos).map(|_| setup.encoder()).collect::<Result<_, _>>()?;
         let mut fleet = Fleet::new(tasks.assets.clone(), setup.options.clone(), encoders)?;
         fleet.set_returning(returning);
-        Ok(Self { tasks: tasks.all(), fleet })
+        Ok(Self { tasks, fleet })
     }
 
     /// See [`Env::give_up_when`].
@@ -248,14 +244,31 @@ impl Egos {
 
     /// Begins an episode of each ego.
     pub fn reset(&mut self, seed: u64) -> Result<Vec<(Numbers, News)>, Failure> {
-        self.fleet.reset(&self.tasks, seed)?;
-        Ok((0..self.fleet.egos()).map(|ego| (self.standing(ego), News::default())).collect())
+        let egos = 0..self.fleet.egos();
+        let drawn = |ego| self.tasks.episode(Fleet::episode_seed(seed, ego, 0), None);
+        let tasks = egos.clone().map(drawn).collect::<Result<Vec<_>, _>>()?;
+        self.fleet.reset(&tasks, seed)?;
+        egos.clone().try_for_each(|ego| self.draw_next(ego))?;
+        Ok(egos.map(|ego| (self.standing(ego), News::default())).collect())
+    }
+
+    /// Draws the task of an ego's next episode from that episode's seed.
+    fn draw_next(&mut self, ego: usize) -> Result<(), Failure> {
+        let seed = self.fleet.next_seed(ego);
+        let task = self.tasks.episode(seed, None)?;
+        self.fleet.set_next(ego, task, seed);
+        Ok(())
     }
 
     /// Drives one tick; also says whose episode began.
     pub fn step(&mut self, actions: &[Action]) -> Result<Vec<(Numbers, News, bool)>, Failure> {
         let acts: Vec<Act> = actions.iter().map(|action| Act::Control(action::to_control(*action))).collect();
         self.fleet.step(&acts)?;
+        for ego in 0..self.fleet.egos() {
+            if self.fleet.last().began[ego] {
+                self.draw_next(ego)?;
+            }
+        }
         let step = self.fleet.last();
         Ok((0..self.fleet.egos())
             .map(|ego| {

@@ -33,6 +33,8 @@ use wad_cosim::vehicle::Control;
 /// A trained agent that drives with numbers of Python's.
 #[pyclass(frozen)]
 pub struct LoadedAgent {
+    policy: Policy,
+    path: PathBuf,
     actor: PlainActor,
     #[pyo3(get)]
     observation: &'static str,
@@ -49,6 +51,7 @@ impl LoadedAgent {
         let fail = |error: String| Failure::Input(error);
         let (policy, path) = Policy::find(name).map_err(|e| fail(e.to_string()))?;
         let camera = CameraConfig::default().hash();
+        // Its encoder is checked where it is used.
         policy.check(&path, &policy.card.encoder_hash, &camera).map_err(|e| fail(e.to_string()))?;
         let observation = match policy.card.inputs.observation() {
             ObservationMode::RawOnly => "raw",
@@ -56,7 +59,18 @@ impl LoadedAgent {
             _ => "latent",
         };
         let actor = policy.actor().map_err(|e| fail(e.to_string()))?;
-        Ok(Self { actor, observation, encoder: policy.encoder() })
+        Ok(Self { actor, observation, encoder: policy.encoder(), policy, path })
+    }
+
+    /// Refuses an encoder whose latents are not those of its training.
+    fn check_encoder(&self, name: &str) -> PyResult<()> {
+        if !self.policy.card.inputs.observation().encodes() {
+            return Ok(());
+        }
+        let encoder = find_encoder(name).map_err(|e| Failure::Input(e.to_string()))?;
+        let camera = CameraConfig::default().hash();
+        let checked = self.policy.check(&self.path, encoder.hash(), &camera);
+        Ok(checked.map_err(|e| Failure::Input(e.to_string()))?)
     }
 
     /// Steering, throttle and brake for an observation.
@@ -158,6 +172,9 @@ struct Wanted {
 /// Why Python stops an evaluation: an exception of its driver.
 type Raised = Arc<Mutex<Option<PyErr>>>;
 
+/// Held by the thread that calls Python's driver.
+type Turn = Arc<Mutex<()>>;
+
 /// A driver of Python's.
 struct PythonAgent {
     name: String,
@@ -165,11 +182,18 @@ struct PythonAgent {
     act: Arc<Py<PyAny>>,
     /// What it gets.
     mode: ObservationMode,
+    turn: Turn,
     raised: Raised,
     stop: Arc<AtomicBool>,
 }
 
 impl PythonAgent {
+    /// Calls `act` when no other thread does. Python's lock comes after that: `act` may let go of it.
+    fn call<T>(&self, call: impl FnOnce(Python<'_>) -> T) -> T {
+        let _turn = self.turn.lock().unwrap_or_else(PoisonError::into_inner);
+        Python::attach(call)
+    }
+
     fn fail(&self, py: Python<'_>, error: PyErr) -> AgentError {
         self.stop.store(true, Ordering::Relaxed);
         let why = error.value(py).to_string();
@@ -188,7 +212,7 @@ impl Agent for PythonAgent {
     }
 
     fn reset(&mut self, seed: u64) {
-        Python::attach(|py| {
+        self.call(|py| {
             if let Err(error) = self.act.call1(py, (py.None(), seed)) {
                 self.fail(py, error);
             }
@@ -196,7 +220,7 @@ impl Agent for PythonAgent {
     }
 
     fn act(&mut self, observation: &Observation) -> Result<Control, AgentError> {
-        Python::attach(|py| {
+        self.call(|py| {
             let raw = self.mode == ObservationMode::RawOnly;
             let numbers = if raw { observation.raw.to_vec() } else { observation.concat() };
             let numbers = PyArray1::from_vec(py, numbers);
@@ -230,6 +254,7 @@ struct Drivers {
     encoder: String,
     /// Of external agents.
     limits: Limits,
+    turn: Turn,
     raised: Raised,
     stop: Arc<AtomicBool>,
 }
@@ -249,6 +274,7 @@ impl Drivers {
             mode,
             encoder: encoder.to_string(),
             limits,
+            turn: Turn::default(),
             raised: Raised::default(),
             stop: Arc::new(AtomicBool::new(false)),
         })
@@ -262,8 +288,14 @@ impl Drivers {
         let Some(act) = &self.act else {
             return Made::open(spec, None, &CameraConfig::default(), self.limits);
         };
-        let (act, raised, stop) = (Arc::clone(act), Arc::clone(&self.raised), Arc::clone(&self.stop));
-        let agent = PythonAgent { name: spec.to_string(), act, mode: self.mode, raised, stop };
+        let agent = PythonAgent {
+            name: spec.to_string(),
+            act: Arc::clone(act),
+            mode: self.mode,
+            turn: Arc::clone(&self.turn),
+            raised: Arc::clone(&self.raised),
+            stop: Arc::clone(&self.stop),
+        };
         let encoder = if self.mode.encodes() { &self.encoder } else { "pooled" };
         let encoder = find_encoder(encoder).map_err(EyesError::from)?;
         let id = format!("of Python, {spec}, encoder {}", encoder.hash());

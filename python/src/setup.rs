@@ -9,7 +9,6 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 use wad_cosim::agent::policy::find_encoder;
 use wad_cosim::assets::Assets;
-use wad_cosim::bridge::DEFAULT_TICK_MS;
 use wad_cosim::camera::{CameraConfig, Preset};
 use wad_cosim::env::{EnvOptions, ObservationMode};
 use wad_cosim::eval::Suite;
@@ -182,10 +181,7 @@ impl Tasks {
         let (mut spec, mut weathers) = match (setup.task, assets.scenario()) {
             (Some(kind), _) => (TaskSpec::new(kind), vec![Preset::ClearNoon]),
             (None, Some(scenario)) => {
-                let mut spec = TaskSpec::new(scenario.task);
-                spec.traffic = Some(scenario.traffic);
-                spec.tick_limit = Some(scenario.tick_limit(DEFAULT_TICK_MS / 1000.0));
-                (spec, vec![scenario.weather])
+                (scenario.task_spec(setup.options.tick_ms / 1000.0), vec![scenario.weather])
             }
             (None, None) => {
                 let kinds: Vec<_> = TaskKind::ALL.iter().map(|kind| kind.name()).collect();
@@ -211,11 +207,6 @@ impl Tasks {
             None => Vec::new(),
         };
         Ok(Self { assets, spec, weathers, routes })
-    }
-
-    /// The tasks of several egos, in turns: one for each weather.
-    pub fn all(&self) -> Vec<TaskSpec> {
-        self.weathers.iter().map(|weather| self.spec.clone().in_weather(*weather)).collect()
     }
 
     /// The episode of `seed`: its weather, and its route, unless that of number `route` is asked for.

@@ -266,7 +266,7 @@ pub struct Driver {
     first: usize,
     shared: Arc<Shared>,
     seats: Seats,
-    /// It was never reset, or its last job failed.
+    /// It was never reset, or its last reset or step failed.
     waits: bool,
 }
 
@@ -290,7 +290,7 @@ impl Driver {
         let caller = Arc::clone(&shared);
         let is_given_up = move || std::thread::current().id() != own && caller.hears_a_signal();
         let seats = if setup.egos > 1 {
-            let mut egos = Egos::new(tasks, setup, shared.autoreset == Autoreset::NextStep)?;
+            let mut egos = Egos::new(Arc::clone(tasks), setup, shared.autoreset == Autoreset::NextStep)?;
             egos.give_up_when(is_given_up);
             Seats::Many(Box::new(egos))
         } else {
@@ -321,6 +321,7 @@ impl Driver {
 
     /// The same with observations and numbers written to `now`.
     pub fn drive_into(&mut self, job: Job, now: &Arrays) -> Option<Job> {
+        let asks = matches!(job, Job::Expert | Job::Picture);
         let done = guarded(|| {
             let place = Place { first: self.first, shared: &self.shared, now };
             if self.waits && !matches!(job, Job::Reset(..)) {
@@ -331,7 +332,9 @@ impl Driver {
                 Seats::Many(egos) => drive_all(egos, place, job).map(|()| None),
             }
         });
-        self.waits = done.is_err();
+        if !asks {
+            self.waits = done.is_err();
+        }
         done.unwrap_or_else(|failure| {
             lock(&self.shared.answers[self.first]).failure = Some(failure);
             None
@@ -395,6 +398,10 @@ impl One {
                 if let Some(last) = &shared.last {
                     last.copy_outcome(index, place.now);
                 }
+            }
+            // The next step begins an episode, whatever the action.
+            Job::Expert if self.over && shared.autoreset == Autoreset::NextStep => {
+                place.answer(0).action = Action::default();
             }
             Job::Expert => place.answer(0).action = self.episodes.expert()?,
             Job::Picture => place.answer(0).picture = self.episodes.picture()?.to_vec(),

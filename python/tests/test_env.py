@@ -142,6 +142,16 @@ def test_scenarios_and_configurations_drive(make, tmp_path):
     assert env.step(GO)[4]["vehicles"] > 0
 
 
+def test_a_scenarios_time_limit_holds_at_every_tick_length(make):
+    env = make("Scenario", town="accident_ahead", observation="vector", options={"tick_ms": 1000})
+    env.reset(seed=1)
+    ticks, over = 0, False
+    while not over:
+        _, _, terminated, truncated, info = env.step(np.float32([0, 0, 1]))
+        ticks, over = ticks + 1, terminated or truncated
+    assert (ticks, info["end"]) == (68, "timeout")
+
+
 def test_a_reward_of_ones_own(make):
     def progress(observation, action, info):
         assert observation.shape == (15,) and action.shape == (3,)
@@ -242,9 +252,16 @@ def test_learned_eyes_see_without_libtorch(make):
     assert observation.std() > 0 and not np.array_equal(first, observation)
 
 
-def test_detectors_that_cannot_be_are_refused(make):
-    with pytest.raises(wad_cosim.InputError, match="eyes:missing"):
-        make("Composite", observation="transformed", detector="eyes:missing").reset(seed=1)
+@pytest.mark.parametrize(
+    ("kwargs", "text"),
+    [
+        ({"observation": "transformed", "detector": "eyes:missing"}, "eyes:missing"),
+        ({"observation": "latent", "options": {"camera": {"fov_deg": 60}}}, "encoder: .*fov 90.*fov 60"),
+    ],
+)
+def test_eyes_that_cannot_be_are_refused(make, kwargs, text):
+    with pytest.raises(wad_cosim.InputError, match=text):
+        make("Composite", **kwargs).reset(seed=1)
 
 
 def test_the_sumo_is_the_packages_own(make):

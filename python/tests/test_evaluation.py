@@ -3,6 +3,7 @@
 import json
 import pathlib
 import subprocess
+import time
 
 import numpy as np
 import pytest
@@ -75,6 +76,21 @@ def test_a_policy_that_predicts_is_judged():
     policy = Policy()
     table = rows(wad_cosim.evaluate("tasks", policy, action="discrete", detector="outlines", **PART))
     assert table[0]["agent"] == "Policy" and policy.begun == 2
+    with pytest.raises(wad_cosim.InputError, match="jobs=2: the agent has a method `reset`"):
+        wad_cosim.evaluate("tasks", policy, action="discrete", detector="outlines", **PART, jobs=2)
+
+
+def test_several_jobs_call_the_agent_one_at_a_time():
+    inside = []
+
+    def slow(_):
+        inside.append(True)
+        time.sleep(0.002)
+        assert len(inside) == 1
+        inside.pop()
+        return [0, 0.3, 0]
+
+    assert rows(wad_cosim.evaluate("tasks", slow, detector="outlines", **PART, jobs=2))[0]["episodes"] == 2
 
 
 def test_an_exception_of_the_agent_comes_through():
@@ -110,6 +126,9 @@ def test_bundled_agents_act_without_libtorch():
     assert action.shape == (3,) and -1 <= action[0] <= 1 and (action[1:] >= 0).all() and (action[1:] <= 1).all()
     with pytest.raises(wad_cosim.InputError, match="expected 215"):
         agent.act(np.zeros(15))
+    for kwargs, text in (({"observation": "raw"}, "needs 'latent'"), ({"encoder": "pooled"}, "trained with the encoder")):
+        with pytest.raises(wad_cosim.InputError, match=text):
+            wad_cosim.evaluate("tasks", agent, **PART, **kwargs)
     for name in ("wad-z", __file__):
         with pytest.raises(wad_cosim.InputError):
             wad_cosim.load_agent(name)
@@ -140,8 +159,7 @@ def test_a_bundled_agent_drives_as_from_the_command_line(tmp_path):
     part = {**PART, "task": "straight", "weather": "WetCloudyNoon"}
     agent = wad_cosim.load_agent("wad-t")
     wad_cosim.evaluate("tasks", "wad-t", **part, out=tmp_path / "named", keep="none")
-    sight = {"observation": "latent", "encoder": agent.encoder}
-    called = wad_cosim.evaluate("tasks", agent, **sight, **part, out=tmp_path / "called")
+    called = wad_cosim.evaluate("tasks", agent, **part, out=tmp_path / "called")
     assert rows(called)[0]["successes"] == 2
 
     def drives(name):

@@ -6,6 +6,7 @@ import pathlib
 import random
 import signal
 import time
+import types
 
 import pytest
 from conftest import until
@@ -272,8 +273,38 @@ def test_python_asks_for_ray(cluster, nodes, one_machine, tmp_path):
     def broken(_):
         raise ZeroDivisionError("by hand")
 
-    with pytest.raises(ZeroDivisionError, match="by hand"):
-        wad_cosim.evaluate("tasks", broken, detector="outlines", **PART, ray=cluster.address)
+    import ray
+    from ray.util.placement_group import placement_group_table
+
+    # In a session of the user's own: nothing of it stays.
+    ray.init(cluster.address, log_to_driver=False)
+    try:
+        with pytest.raises(ZeroDivisionError, match="by hand"):
+            wad_cosim.evaluate("tasks", broken, detector="outlines", **PART, ray=cluster.address)
+        assert until(lambda: {group["state"] for group in placement_group_table().values()} == {"REMOVED"}), "a core is kept"
+    finally:
+        ray.shutdown()
+
+
+def test_what_waits_for_its_turn_is_not_late(monkeypatch):
+    from wad_cosim.ray import cluster
+
+    now, ended = [0.0], []
+    monkeypatch.setattr(cluster, "time", types.SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr(cluster, "placement_group_table", lambda: {"00": {"state": "CREATED"}})
+    monkeypatch.setattr(cluster.ray, "kill", lambda actor, no_restart: ended.append(actor))
+    actors = cluster.Actors(10)
+    actors._cores["learner"] = types.SimpleNamespace(id=b"\0")
+    for ref in "abcd":
+        actors.begin(ref, "learner")
+    for ref in "abc":
+        now[0] += 8
+        actors.look()
+        actors.end(ref)
+    assert not ended, "each has taken 8 of its 10 seconds"
+    now[0] += 10
+    actors.look()
+    assert ended == ["learner"]
 
 
 def test_an_episode_counts_once_and_is_driven_by_the_same_build(tmp_path):

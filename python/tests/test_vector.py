@@ -104,6 +104,18 @@ def test_discrete_actions_and_pictures():
     env.close()
 
 
+def test_the_expert_drives_on_after_an_episodes_end():
+    env = wad_cosim.DrivingVectorEnv(2, task="straight", tick_limit=2)
+    env.reset(seed=1)
+    ticks = []
+    for _ in range(5):
+        actions = env.expert_actions()
+        ticks.append(env.step(actions)[4]["tick"].tolist())
+        assert (actions == 0).all() == (ticks[-1] == [0, 0])
+    assert ticks == [[1, 1], [2, 2], [0, 0], [1, 1], [2, 2]]
+    env.close()
+
+
 def test_without_copies_the_arrays_stay_the_same():
     env = wad_cosim.DrivingVectorEnv(2, task="straight", copy=False)
     first, _ = env.reset(seed=1)
@@ -185,6 +197,51 @@ def test_egos_share_a_sumo():
         assert (after[1][over] == 0).all() and not (after[2] | after[3])[over].any()
         assert (after[4]["tick"][~over] >= before[4]["tick"][~over]).all()
     same(first, fleet(4))
+
+
+def test_egos_that_left_are_paid_nothing():
+    env = wad_cosim.DrivingVectorEnv(
+        2,
+        AutoresetMode.DISABLED,
+        egos=2,
+        task="straight",
+        traffic="empty",
+        tick_limit=2,
+        reward=lambda *_: 1.0,
+    )
+    env.reset(seed=1)
+    go = np.tile(np.float32([0, 0.5, 0]), (2, 1))
+    assert env.step(go)[1].tolist() == [1, 1]
+    # What egos in one SUMO do not have is refused, and they drive on.
+    with pytest.raises(wad_cosim.InputError, match="route 3"):
+        env.reset(options={"route": 3})
+    with pytest.raises(wad_cosim.InputError, match="none of this"):
+        env.expert_actions()
+    assert [env.step(go)[1].tolist() for _ in range(3)] == [[1, 1], [0, 0], [0, 0]]
+    env.close()
+
+
+def test_each_episode_of_egos_in_one_sumo_draws_its_weather():
+    def drive(weather):
+        env = wad_cosim.DrivingVectorEnv(
+            2,
+            egos=2,
+            task="straight",
+            observation="transformed",
+            traffic="empty",
+            weather=weather,
+            mode="training",
+            tick_limit=1,
+        )
+        found = [env.reset(seed=2)[0]]
+        for _ in range(12):
+            found.append(env.step(np.zeros((2, 3), np.float32))[0])
+        env.close()
+        return np.stack(found)
+
+    clear, drawn = drive("ClearNoon"), drive(["ClearNoon", "HardRainSunset"])
+    is_clear = (drawn == clear).all(axis=(2, 3, 4))
+    assert is_clear.any(axis=0).all() and not is_clear.all(axis=0).any()
 
 
 @pytest.mark.parametrize(

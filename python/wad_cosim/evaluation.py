@@ -24,10 +24,10 @@ def evaluate(
     agent: Any = "autopilot",
     *,
     name: str | None = None,
-    observation: str = "raw",
+    observation: str | None = None,
     action: Any = "continuous",
     detector: str | None = None,
-    encoder: str | os.PathLike[str] = "default",
+    encoder: str | os.PathLike[str] | None = None,
     agent_timeout: float = 10.0,
     condition: str | Iterable[str] = (),
     task: str | Iterable[str] = (),
@@ -53,18 +53,20 @@ def evaluate(
             ``constant:THROTTLE,STEER,BRAKE``, ``wad-t``, ``wad-s``, or the file
             of a trained agent, which bring their encoder, or ``exec:COMMAND``, a program over a pipe (docs/evaluate.md). If it has a method ``reset``, that is called at an episode's begin.
         name: Its name in tables. Default: the function's or the class's.
-        observation: What it gets: ``raw``, ``vector`` or ``latent``, as :class:`DrivingEnv` has them.
+        observation: What it gets: ``raw``, ``vector`` or ``latent``, as :class:`DrivingEnv` has them. Default: for what
+            :func:`load_agent` gave what it needs, else ``raw``.
         action: What it gives, as :class:`DrivingEnv`'s ``action``.
         detector: As the command line's ``--detector``. Default: for a driver by name and for what
             :func:`load_agent` gave the command line's, ``eyes``, which needs ``wad-cosim[eyes]``; for a policy that of
             :class:`DrivingEnv` with this observation.
-        encoder: What makes the latent of ``observation="latent"``.
+        encoder: What makes the latent of ``observation="latent"``. Default: for what :func:`load_agent` gave that of its
+            training, else ``default``.
         agent_timeout: Seconds for each answer of an ``exec:`` agent.
         condition, task, town, weather, traffic, seed: Only these of the suite; one or several.
         weathers_in_turn: Take the weathers in turn, episode by episode, instead of driving all episodes in each of them.
         episodes: Episodes per task, town and weather (per task and town with ``weathers_in_turn``). Default: the suite's.
-        jobs: Environments in parallel. Several call the agent from as many threads, one at a time. Default: 1; with
-            ``ray`` as many as the cluster has cores.
+        jobs: Environments in parallel. Several call the agent from as many threads, one at a time; one with a method ``reset``
+            needs ``ray`` for several. Default: 1; with ``ray`` as many as the cluster has cores.
         out: A folder for config.json, episodes.jsonl, summary.json and recordings.
         resume: Go on with the evaluation in ``out``.
         keep: Which episodes to record in ``out``: ``none``, ``failures`` or ``all``.
@@ -80,8 +82,20 @@ def evaluate(
         InputError: An argument is wrong, or ``out`` holds other results.
         SumoError: SUMO failed.
     """
+    if isinstance(agent, TrainedAgent):
+        if observation not in (None, agent.observation):
+            raise InputError(f"observation={observation!r}: this agent needs {agent.observation!r}; leave observation out")
+        observation = agent.observation
+        encoder = agent.encoder if encoder is None else encoder
+        agent.check_encoder(encoder)
+    observation = "raw" if observation is None else observation
     if observation not in _MODES:
         raise InputError(f"observation={observation!r}: expected one of {', '.join(_MODES)}")
+    if jobs is not None and jobs > 1 and not ray and callable(getattr(agent, "reset", None)):
+        raise InputError(
+            f"jobs={jobs}: the agent has a method `reset`, and one agent cannot drive several episodes at once; use jobs=1, or "
+            'ray="local", where each worker has a copy'
+        )
     act: Callable[[Any, int], Any] | None = None
     is_ours = isinstance(agent, str | TrainedAgent)
     detector = detector or (_native.DEFAULT_DETECTOR if is_ours else observations.found_by(observation))
@@ -103,7 +117,7 @@ def evaluate(
         episodes=episodes,
         observation=observation,
         detector=detector,
-        encoder=encoder,
+        encoder="default" if encoder is None else encoder,
         agent_timeout=agent_timeout,
         jobs=jobs,
         out=out,
@@ -178,6 +192,14 @@ class TrainedAgent:
         self.observation = self._native.observation
         #: The encoder that made the latents of its training.
         self.encoder = self._native.encoder
+
+    def check_encoder(self, name: str | os.PathLike[str]) -> None:
+        """Refuses an encoder whose latents are not those of its training.
+
+        Raises:
+            InputError: It is another one, or there is none of this name.
+        """
+        self._native.check_encoder(os.fspath(name))
 
     def act(self, observation: Any) -> NDArray[np.float32]:
         """Steering, throttle and brake for an observation."""

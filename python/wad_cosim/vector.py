@@ -68,7 +68,6 @@ class DrivingVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._all = np.ones(num_envs, np.bool_)
-        self._over = np.zeros(num_envs, np.bool_)
         self._generators = [seeding.np_random()[0] for _ in range(num_envs)]
         # The seeds of the next episodes, drawn before they are needed.
         self._seeds = [self._drawn(i) for i in range(num_envs)]
@@ -105,7 +104,6 @@ class DrivingVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
                 wanted[i] = own % 2**64
             self._seeds[i] = self._drawn(int(i))
         self._sumos.reset(wanted, route_of(options))
-        self._over &= ~chosen
         return self._arrays.all(self._copy), infos.of_all(self._arrays.numbers, chosen)
 
     def step(
@@ -130,18 +128,18 @@ class DrivingVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         observations = self._arrays.all(self._copy)
         if self._setup.reward is not None:
             self._rewarded(rewards, actions, info, news)
-        self._over = terminated | truncated
         return observations, rewards, terminated, truncated, info
 
     def _rewarded(self, rewards: NDArray[np.float64], actions: Any, info: dict[str, Any], news: list[Any]) -> None:
         """A reward of Python's is computed for each environment in turn."""
         assert self._setup.reward is not None
-        told = {i: (began, events, ending) for i, began, events, ending in news}
+        told = {i: (events, ending) for i, _, events, ending in news}
         for i in range(self.num_envs):
-            began, events, ending = told.get(i, (False, [], None))
-            if began and ending is None:
+            events, ending = told.get(i, ([], None))
+            if info["tick"][i] == 0 and ending is None:
+                # Its episode begins, or it has none.
                 continue
-            arrays = self._last if began and self._last is not None else self._arrays
+            arrays = self._arrays if ending is None or self._last is None else self._last
             own = infos.of(arrays.numbers[i])
             infos.add_news(own, events, ending)
             rewards[i] = self._setup.reward(arrays.one(i), actions[i], own)
@@ -153,7 +151,8 @@ class DrivingVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         return tuple(self._sumos.picture(i) for i in range(self.num_envs))
 
     def expert_actions(self) -> NDArray[np.float32]:
-        """The rule-based experts' actions for this tick, (num_envs, 3); see :meth:`DrivingEnv.expert_action`."""
+        """The rule-based experts' actions for this tick, (num_envs, 3); see :meth:`DrivingEnv.expert_action`. Zeros for an
+        environment whose next step begins an episode and ignores the action."""
         return np.array(self._sumos.expert(), dtype=np.float32)
 
     @property

@@ -120,8 +120,12 @@ class Actors:
         self._asked[ref] = _Asked(actor, now if actor in self._warm else now + self._limit)
 
     def end(self, ref: Any) -> None:
-        """``ref`` is there."""
-        self._warm.add(self._asked.pop(ref).actor)
+        """``ref`` is there: its actor begins the next one."""
+        now, actor = time.monotonic(), self._asked.pop(ref).actor
+        self._warm.add(actor)
+        for asked in self._asked.values():
+            if asked.actor == actor:
+                asked.since = now
 
     def look(self) -> None:
         """Ends processes whose time is over.
@@ -251,27 +255,30 @@ def share(
         doing[ref] = number, task
         actors.begin(ref, made[number])
 
-    while waiting or doing:
-        if progress.is_due():
-            progress.show()
-            actors.look()
-            # Nodes may join: then there are more cores.
-            cores = workers or int(ray.cluster_resources().get("CPU", 1))
-            while waiting and len(made) < cores:
-                made.append(start())
-                give(len(made) - 1, waiting.popleft())
-        for ref in ray.wait(list(doing), num_returns=1, timeout=0.5)[0] if doing else ():
-            number, task = doing.pop(ref)
-            actors.end(ref)
-            if actors.lost(made[number]):
-                made[number] = start()
-                give(number, task)
-                continue
-            with contextlib.suppress(ray.exceptions.ObjectLostError), failures():
-                where, result = ray.get(ref)
-                progress.came_from(number, where)
-                progress.done = take(result)
-            if waiting:
-                give(number, waiting.popleft())
-            else:
-                actors.stop(made[number])
+    try:
+        while waiting or doing:
+            if progress.is_due():
+                progress.show()
+                actors.look()
+                # Nodes may join: then there are more cores.
+                cores = workers or int(ray.cluster_resources().get("CPU", 1))
+                while waiting and len(made) < cores:
+                    made.append(start())
+                    give(len(made) - 1, waiting.popleft())
+            for ref in ray.wait(list(doing), num_returns=1, timeout=0.5)[0] if doing else ():
+                number, task = doing.pop(ref)
+                actors.end(ref)
+                if actors.lost(made[number]):
+                    made[number] = start()
+                    give(number, task)
+                    continue
+                with contextlib.suppress(ray.exceptions.ObjectLostError), failures():
+                    where, result = ray.get(ref)
+                    progress.came_from(number, where)
+                    progress.done = take(result)
+                if waiting:
+                    give(number, waiting.popleft())
+                else:
+                    actors.stop(made[number])
+    finally:
+        actors.stop_all()

@@ -277,7 +277,7 @@ class _Run:
 
     def _collector(self, number: int) -> Any:
         # A dead one comes back, here or on another node, and drives its turn again.
-        return self._actors.start(Collector, number, self._settings, max_restarts=-1, max_task_retries=-1)
+        return self._actors.start(Collector, number, self._settings, self._state.steps, max_restarts=-1, max_task_retries=-1)
 
     def _drive(self, number: int) -> None:
         if self._actors.lost(self._collectors[number]):
