@@ -101,8 +101,10 @@ fn the_table_is_the_same_killed_and_resumed_in_parallel_or_in_shards() {
 #[test]
 fn egos_that_share_a_sumo_drive_the_same_in_any_order_and_are_verified() {
     let small = Small::new(40, 5);
-    let egos = ["--egos", "3", "--keep", "all"];
-    let with = |more: &[&'static str]| [&egos, more].concat();
+    // Weathers in turn, as in the suites of composites: each ego has its own.
+    let asked = ["--weathers-in-turn", "--weather", "WetNoon", "--weather", "ClearNoon", "--keep", "all"];
+    let egos = [&asked[..], &["--egos", "3"]].concat();
+    let with = |more: &[&'static str]| [&egos[..], more].concat();
     let whole = json(&ok(&mut small.eval("whole", &egos)));
     assert_eq!((whole["episodes"].as_u64(), whole["planned"].as_u64()), (Some(5), Some(5)));
     assert_eq!(whole["rows"][0]["success_rate"], 1.0, "alive after 40 ticks: {}", whole["rows"][0]);
@@ -128,7 +130,7 @@ fn egos_that_share_a_sumo_drive_the_same_in_any_order_and_are_verified() {
     assert_eq!((resumed["driven"].as_u64(), resumed["episodes"].as_u64()), (Some(4), Some(5)));
     assert_eq!(lines("whole"), lines("jobs"));
     // Alone they would drive otherwise: the numbers are not mixed.
-    let alone = small.eval("whole", &["--keep", "all", "--resume"]).output().unwrap();
+    let alone = small.eval("whole", &[&asked[..], &["--resume"]].concat()).output().unwrap();
     assert_eq!(alone.status.code(), Some(2));
     assert!(stderr(&alone).contains("egos: expected 3, found"), "{}", stderr(&alone));
     // Another than the first of a group is driven again among its fellows.
@@ -136,7 +138,9 @@ fn egos_that_share_a_sumo_drive_the_same_in_any_order_and_are_verified() {
         std::fs::read_dir(small.out("whole").join("episodes")).unwrap().map(|e| e.unwrap().path()).collect();
     kept.sort();
     assert_eq!(kept.len(), 5);
-    for episode in [&kept[1], &kept[4]] {
+    // By weather: the episodes 1, 3, then 0, 2, 4.
+    for (episode, together) in [(&kept[0], 3), (&kept[4], 2)] {
+        assert_eq!(Kept::open(episode).unwrap().0.group.len(), together);
         let answer = json(&ok(wad(&["replay", "--verify", "--json"]).arg(episode)));
         assert_eq!(answer["verify"]["same"], true, "{answer}");
         assert_eq!(answer["verify"]["ticks"], 41, "{answer}");

@@ -71,13 +71,15 @@ impl Case {
         seeds::derive(self.seed, &format!("{} {} {} {}", self.suite, self.town, self.task, self.episode))
     }
 
-    /// Whether both differ in the episode's number, and in nothing else but the places that follow from it.
-    fn is_of_the_row_of(&self, other: &Self) -> bool {
-        let row = |case: &Self| {
-            let spec = TaskSpec { placement: None, tick_limit: None, ..case.spec.clone() };
-            Self { spec, episode: 0, ..case.clone() }
+    /// Whether it comes after `other` in the same episodes: the number is higher, and nothing else differs but what
+    /// follows from the number, the places and the weathers in turn.
+    fn follows(&self, other: &Self) -> bool {
+        let alike = |case: &Self| {
+            let weather = self.spec.weather;
+            let spec = TaskSpec { placement: None, tick_limit: None, weather, ..case.spec.clone() };
+            Self { spec, condition: String::new(), episode: 0, ..case.clone() }
         };
-        row(self) == row(other)
+        self.episode > other.episode && alike(self) == alike(other)
     }
 
     /// A unique name for the episode's folder.
@@ -138,13 +140,17 @@ impl fmt::Display for Shard {
     }
 }
 
-/// The cases of `plan` that drive in one SUMO each, of `shard` alone: up to `egos` of one row of the table, in the plan's
-/// order.
+/// The cases of `plan` that drive in one SUMO each, of `shard` alone: up to `egos` of the same task, town, traffic and
+/// seed, in the plan's order.
 pub(super) fn groups(plan: Vec<Case>, egos: usize, shard: Option<Shard>) -> Vec<Vec<Case>> {
     let mut groups: Vec<Vec<Case>> = Vec::new();
     for case in plan {
         match groups.last_mut() {
-            Some(group) if group.len() < egos.max(1) && group[0].is_of_the_row_of(&case) => group.push(case),
+            Some(group)
+                if group.len() < egos.max(1) && group.last().is_some_and(|last| case.follows(last)) =>
+            {
+                group.push(case);
+            }
             _ => groups.push(vec![case]),
         }
     }
@@ -404,6 +410,22 @@ mod tests {
         names.dedup();
         assert_eq!(names.len(), 12, "each has a name of its own");
         assert!(plan.iter().all(|case| case.spec.kind == TaskKind::Navigation && case.town == "town5"));
+    }
+
+    #[test]
+    fn egos_that_share_a_sumo_have_weathers_in_turn_each_its_own_and_else_one() {
+        let composite = plan(&Selection::default(), "composite");
+        let whole = groups(composite.clone(), 10, None);
+        assert_eq!(whole.concat(), composite);
+        assert!(whole.iter().all(|group| group[0].spec.weather != group[1].spec.weather), "in turn");
+        assert!(whole.iter().all(|group| group.iter().all(|case| case.town == group[0].town)));
+        assert_eq!(whole.len(), 30);
+        let each = groups(plan(&Selection::default(), "nocrash"), 10, None);
+        assert!(each.iter().all(|group| group.iter().all(|c| c.spec.weather == group[0].spec.weather)));
+        assert_eq!(each.len(), 30 * 3);
+        // The same places in each weather.
+        let one = Selection { episodes: Some(1), ..Selection::default() };
+        assert!(groups(plan(&one, "nocrash"), 10, None).iter().all(|group| group.len() == 1));
     }
 
     #[test]

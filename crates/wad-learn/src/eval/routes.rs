@@ -9,6 +9,7 @@ use sumo_network::seeds;
 use wad_see::latent::PooledEncoder;
 use wad_sim::bundled;
 use wad_sim::tasks::{Placement, TaskError, TaskKind, TaskSpec};
+use wad_sim::telemetry::write_whole;
 use wad_sim::traffic::TrafficSpec;
 
 /// The routes of one town, in sets by kind of task.
@@ -164,7 +165,7 @@ impl Routes {
     /// Writes the file, one route per line.
     ///
     /// # Errors
-    /// It cannot be written.
+    /// It cannot be written; an earlier file stays.
     pub fn save(&self, path: &Path) -> Result<(), RouteError> {
         let failed = |source| RouteError::File { what: "write", path: path.to_path_buf(), source };
         let json = |value: serde_json::Result<String>| value.map_err(|e| failed(e.into()));
@@ -184,7 +185,7 @@ impl Routes {
         if !self.missing.is_empty() {
             text += &format!(",\n  \"missing\": {}", json(serde_json::to_string(&self.missing))?);
         }
-        std::fs::write(path, text + "\n}\n").map_err(failed)
+        write_whole(path, (text + "\n}\n").as_bytes()).map_err(|error| failed(error.source))
     }
 }
 

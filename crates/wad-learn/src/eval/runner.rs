@@ -94,7 +94,7 @@ pub struct Evaluation<'a> {
     pub options: EnvOptions,
     /// SUMOs in parallel.
     pub jobs: usize,
-    /// Egos in each, which drive the episodes of one row of the table and see each other.
+    /// Egos in each, which drive episodes of the same task, town and traffic and see each other.
     pub egos: usize,
     /// Makes trained and external agents.
     pub make_agent: &'a MakeAgent<'a>,
