@@ -166,6 +166,22 @@ fn a_fleet_begins_in_the_largest_traffic_of_its_tasks() {
     fleet.close();
 }
 
+/// A task's traffic was once ignored there.
+#[test]
+fn a_fleet_that_began_in_the_configs_own_traffic_gets_a_later_tasks() {
+    let mut fleet = fleet("town3", vector(), 2);
+    let own = TaskSpec { traffic: Some(TrafficSpec::AsIs), ..composite(0, 0) };
+    fleet.reset(&[own], 1).unwrap();
+    let brake = Act::Control(Control { brake: 1.0, ..Control::default() });
+    let vehicles = |fleet: &mut Fleet| fleet.step(&[brake; 2]).unwrap().infos[0].traffic.0;
+    let own: Vec<usize> = (0..90).map(|_| vehicles(&mut fleet)).collect();
+    assert!(own[89] > 2, "{own:?}");
+    fleet.set_next(0, composite(0, 0), 2);
+    fleet.give_up(0);
+    assert!((0..10).any(|_| vehicles(&mut fleet) == 0), "the config's vehicles leave");
+    fleet.close();
+}
+
 /// A light's own program was asked for while SUMO still called it `online`, and that was restored.
 #[test]
 fn a_light_that_is_held_again_and_by_another_ego_gets_its_own_program_back() {
@@ -246,6 +262,14 @@ fn both_egos_of_a_crash_are_told() {
     fleet.close();
 }
 
+/// The id of the process that is gone.
+fn kill_sumo(fleet: &Fleet) -> u32 {
+    let pid = fleet.sumo_pid().unwrap();
+    // SAFETY: a signal to a child process of this test.
+    unsafe { libc::kill(pid as i32, libc::SIGKILL) };
+    pid
+}
+
 /// A SUMO that is killed costs every ego its episode, with a reason; the fleet comes back with a new one.
 #[test]
 fn a_killed_sumo_truncates_every_episode_and_the_fleet_comes_back() {
@@ -253,9 +277,7 @@ fn a_killed_sumo_truncates_every_episode_and_the_fleet_comes_back() {
     fleet.reset(&[composite(5, 5)], 4).unwrap();
     let acts = [Act::Expert; 3];
     fleet.step(&acts).unwrap();
-    let pid = fleet.sumo_pid().unwrap();
-    // SAFETY: a signal to a child process of this test.
-    unsafe { libc::kill(pid as i32, libc::SIGKILL) };
+    let pid = kill_sumo(&fleet);
     let step = fleet.step(&acts).unwrap();
     assert_eq!((&step.truncated, &step.terminated), (&vec![true; 3], &vec![false; 3]));
     for info in &step.infos {
@@ -268,6 +290,49 @@ fn a_killed_sumo_truncates_every_episode_and_the_fleet_comes_back() {
     for _ in 0..10 {
         assert!(fleet.step(&acts).unwrap().infos.iter().all(|info| info.ending.is_none() && info.tick > 0));
     }
+    fleet.close();
+}
+
+/// It was once an error of this step and of all that followed.
+#[test]
+fn a_sumo_that_is_dead_when_an_ego_begins_again_truncates_the_others_episodes() {
+    let mut fleet = fleet("town3", vector(), 3);
+    let short = TaskSpec { tick_limit: Some(1), ..composite(5, 5) };
+    fleet.reset(&[composite(5, 5), short, composite(5, 5)], 4).unwrap();
+    let acts = [Act::Expert; 3];
+    assert!(fleet.step(&acts).unwrap().is_over(1));
+    kill_sumo(&fleet);
+    let step = fleet.step(&acts).unwrap();
+    assert_eq!((&step.truncated, &step.began), (&vec![true, false, true], &vec![false; 3]));
+    let ending = step.infos[0].ending.as_ref().unwrap();
+    assert!(ending.end == End::Error && ending.cause.contains("SUMO"), "{ending:?}");
+    assert_eq!(fleet.step(&acts).unwrap().began, [true; 3]);
+    fleet.close();
+}
+
+/// Each once stayed where its episode had ended, on the other's start, and waited for ever.
+#[test]
+fn egos_that_stand_on_each_others_starts_both_begin_again() {
+    let mut fleet = fleet("town3", vector(), 2);
+    let task = |s: f64| {
+        let [from, to] =
+            [("nw1-gate_1", s), ("fast-ne1_1", 250.0)].map(|(lane, s)| Spot { lane: lane.into(), s });
+        let placement = Placement { from, to, via: Vec::new(), obstacle: None };
+        TaskSpec { placement: Some(placement), tick_limit: Some(3), ..composite(0, 0) }
+    };
+    fleet.reset(&[task(10.0), task(45.0)], 1).unwrap();
+    fleet.set_next(0, task(45.0), 2);
+    fleet.set_next(1, task(10.0), 3);
+    let brake = Act::Control(Control { brake: 1.0, ..Control::default() });
+    for _ in 0..3 {
+        assert_eq!(fleet.step(&[brake; 2]).unwrap().began, [false; 2]);
+    }
+    assert_eq!(fleet.step(&[brake; 2]).unwrap().began, [false, true]);
+    assert!(fleet.ego(0).unwrap().is_away(), "it waits off the road");
+    assert_eq!(fleet.step(&[brake; 2]).unwrap().began, [true, false]);
+    let step = fleet.step(&[brake; 2]).unwrap();
+    assert_eq!(step.infos.iter().map(|info| info.tick).collect::<Vec<_>>(), [1, 2]);
+    assert!(!fleet.ego(0).unwrap().is_away());
     fleet.close();
 }
 

@@ -37,18 +37,6 @@ pub enum EnvError {
         /// The last error.
         source: Box<BridgeError>,
     },
-    /// Traffic leaves no free place.
-    #[error(
-        "no free place for `{task}` in {town} after {tries} draws: too much traffic; ask for fewer vehicles"
-    )]
-    Crowded {
-        /// The task.
-        task: String,
-        /// The town.
-        town: String,
-        /// Number of places tried.
-        tries: usize,
-    },
     /// The town has no room for so many egos.
     #[error(
         "{town} has room for {fit} egos at their starts, not for {egos}: they begin 25 m apart, and each task has \
@@ -80,7 +68,7 @@ impl EnvError {
     /// Whether the user's input is wrong, not SUMO.
     pub fn is_input(&self) -> bool {
         match self {
-            Self::Task(_) | Self::Crowded { .. } | Self::Full { .. } => true,
+            Self::Task(_) | Self::Full { .. } => true,
             Self::Assets(assets) => assets.is_input(),
             Self::Bridge(bridge) => bridge.is_input(),
             Self::Start { source, .. } => source.is_input(),

@@ -244,26 +244,32 @@ impl Fleet {
             return Ok(&self.step);
         }
         self.acts.copy_from_slice(acts);
+        let mut lost = None;
         for ego in 0..self.egos() {
             if self.world.is_running(ego) {
                 continue;
             }
             self.acts[ego] = Act::Stay;
-            if !self.returning {
-                if !self.world.is_away(ego) {
-                    self.world.take_away(ego);
-                }
+            let seed = self.next_seed(ego);
+            let start = self.returning.then_some((&self.tasks[ego], seed));
+            if start.is_none() && self.world.is_away(ego) {
                 continue;
             }
-            let start = (&self.tasks[ego], self.next_seed(ego));
-            // Where no place is free it waits: traffic moves on.
-            if self.runtime.block_on(self.world.begin_again(ego, start))? {
+            lost = self.runtime.block_on(self.world.go_next(ego, start))?;
+            if lost.is_some() {
+                break;
+            }
+            // Where no place is free it waits off the road: traffic moves on.
+            if self.world.is_running(ego) {
                 self.episodes[ego] += 1;
                 self.chosen[ego] = None;
                 self.step.began[ego] = true;
             }
         }
-        let outcomes = self.runtime.block_on(self.world.step(&self.acts))?;
+        let outcomes = match lost {
+            Some(outcomes) => outcomes,
+            None => self.runtime.block_on(self.world.step(&self.acts))?,
+        };
         let FleetStep { rewards, terminated, truncated, controls, infos, .. } = &mut self.step;
         rewards.clear();
         terminated.clear();

@@ -53,7 +53,7 @@ pub async fn hold(
     let unknown = states.keys().filter(|light| !programs.contains_key(*light));
     let asked: Vec<_> = unknown.map(|&light| (light, batch.get(traffic_light::PROGRAM, id(light)))).collect();
     if !asked.is_empty() {
-        let replies = bridge.client_mut().send(&batch).await?;
+        let replies = bridge.ask(&batch).await?;
         for (light, program) in asked {
             programs.insert(light, replies.get(program).map_err(sumo_traci::Error::from)?);
         }

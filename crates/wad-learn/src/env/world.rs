@@ -52,6 +52,7 @@ pub type GiveUp = Box<dyn FnMut() -> bool + Send>;
 
 /// A step that takes longer is asked whether it is given up, again and again (s).
 const LONG: Duration = Duration::from_secs(1);
+const GIVEN_UP: &str = "it was given up while SUMO did not answer";
 
 pub struct World {
     assets: Arc<Assets>,
@@ -182,19 +183,10 @@ impl World {
                 let own = |t: TrafficSpec| t == TrafficSpec::AsIs;
                 sumo.episodes < self.options.episodes_per_sumo && own(sumo.traffic) == own(traffic)
             });
-        let placements = if runs_on {
-            let mut placements = Vec::with_capacity(starts.len());
-            for index in 0..starts.len() {
-                self.leave(index, traffic);
-            }
-            for (index, (task, seed)) in starts.iter().enumerate() {
-                placements.push(self.go_on(index, task, *seed).await?);
-            }
-            let Some(sumo) = &mut self.sumo else { return Err(EnvError::NoEpisode) };
-            sumo.session.settle().await?;
-            placements
-        } else {
-            self.start(traffic, starts).await?
+        let going_on = if runs_on { self.run_on(traffic, starts).await? } else { None };
+        let placements = match going_on {
+            Some(placements) => placements,
+            None => self.start(traffic, starts).await?,
         };
         for (index, ((task, _), placement)) in starts.iter().zip(&placements).enumerate() {
             self.prepare(index, task, placement).await?;
@@ -203,6 +195,25 @@ impl World {
         // One tick at standstill: SUMO gets the new route, and actors in sight get a speed.
         sumo.session.settle().await?;
         Ok(placements)
+    }
+
+    /// Moves the egos to their starts in the SUMO that runs; None where traffic leaves one of them no free place.
+    async fn run_on(
+        &mut self,
+        traffic: TrafficSpec,
+        starts: &[Start<'_>],
+    ) -> Result<Option<Vec<Placement>>, EnvError> {
+        for index in 0..starts.len() {
+            self.leave(index, traffic).await?;
+        }
+        let mut placements = Vec::with_capacity(starts.len());
+        for (index, (task, seed)) in starts.iter().enumerate() {
+            let Some(placement) = self.go_on(index, task, *seed).await? else { return Ok(None) };
+            placements.push(placement);
+        }
+        let Some(sumo) = &mut self.sumo else { return Err(EnvError::NoEpisode) };
+        sumo.session.settle().await?;
+        Ok(Some(placements))
     }
 
     /// Lights and obstacle of an ego's task, with the next step.
@@ -243,17 +254,19 @@ impl World {
     }
 
     /// Takes away what an ego's last episode left, and brings the traffic to its next size, with the next step.
-    fn leave(&mut self, index: usize, traffic: TrafficSpec) {
-        let Some(sumo) = &mut self.sumo else { return };
+    async fn leave(&mut self, index: usize, traffic: TrafficSpec) -> Result<(), EnvError> {
+        let Some(sumo) = &mut self.sumo else { return Err(EnvError::NoEpisode) };
         let (bridge, seat) = sumo.session.bridge_and_seat(index);
         if let Some(counts) = traffic.counts(self.assets.town_name()) {
-            bridge.resize_traffic(counts);
+            bridge.set_traffic(counts).await?;
+            sumo.traffic = traffic;
         }
         let slot = &mut self.slots[index];
         if std::mem::take(&mut slot.obstacle) {
             obstacle::take_away(bridge, seat.ego_mut());
         }
         green::release(bridge, &mut slot.held);
+        Ok(())
     }
 
     fn place(&self, task: &TaskSpec, seed: u64) -> Result<(Placement, Route), EnvError> {
@@ -345,8 +358,13 @@ impl World {
     }
 
     /// Moves the ego to the begin of a route for the task where no other ego stands, and no road user that
-    /// cannot be removed. The next step brings it there.
-    async fn go_on(&mut self, index: usize, task: &TaskSpec, seed: u64) -> Result<Placement, EnvError> {
+    /// cannot be removed; None where no such place was drawn. The next step brings it there.
+    async fn go_on(
+        &mut self,
+        index: usize,
+        task: &TaskSpec,
+        seed: u64,
+    ) -> Result<Option<Placement>, EnvError> {
         let network = Arc::clone(self.assets.network());
         for again in 0..Self::draws(task) {
             let (placement, route) = self.draw(task, seed, again)?;
@@ -364,14 +382,10 @@ impl World {
                 network.lanes_near(start, None, ROOM).iter().map(|near| near.lane).filter(roads).collect();
             if bridge.clear(start, ROOM, &lanes).await? {
                 seat.place(route, 0.0, self.options.start.draw(seed));
-                return Ok(placement);
+                return Ok(Some(placement));
             }
         }
-        Err(EnvError::Crowded {
-            task: task.kind.to_string(),
-            town: self.assets.name().to_string(),
-            tries: Self::draws(task),
-        })
+        Ok(None)
     }
 
     /// One tick in which each ego does its act; the outcome of each. Where SUMO dies, every episode that ran ends
@@ -394,7 +408,7 @@ impl World {
         let ticks = match stepped {
             Some(Ok(ticks)) => ticks,
             Some(Err(error)) => return Ok(self.lost(&error.to_string())),
-            None => return Ok(self.lost("it was given up while SUMO did not answer")),
+            None => return Ok(self.lost(GIVEN_UP)),
         };
         let network = self.assets.network();
         let judge = Judge { options: &self.options, network, time, traffic };
@@ -456,36 +470,50 @@ impl World {
         self.sumo.is_some()
     }
 
-    /// Begins ego `index`'s next episode in running traffic: the next step, in which it stays, brings it to its
-    /// start. False where no place is free now.
-    pub async fn begin_again(&mut self, index: usize, start: Start<'_>) -> Result<bool, EnvError> {
-        let (task, seed) = start;
-        self.leave(index, self.shared_traffic(index, task));
-        let placement = match self.go_on(index, task, seed).await {
-            Err(EnvError::Crowded { .. }) => return Ok(false),
-            placed => placed?,
-        };
-        self.prepare(index, task, &placement).await?;
-        self.started(index, task, seed, placement)?;
-        self.stages.resets += 1;
-        Ok(true)
+    /// What follows for ego `index`, whose episode has ended: with a `start` its next one begins in running traffic.
+    /// Without one, and where no place is free now, it leaves the road. The next step, in which it stays, brings
+    /// it there. Gives the outcomes of that step where SUMO dies before it.
+    pub async fn go_next(
+        &mut self,
+        index: usize,
+        start: Option<Start<'_>>,
+    ) -> Result<Option<Vec<Outcome>>, EnvError> {
+        let mut give_up = self.give_up.take();
+        let gone = patient(self.begin_again(index, start), &mut give_up).await;
+        self.give_up = give_up;
+        match gone {
+            Some(Err(EnvError::Bridge(error))) if !error.is_input() => {
+                Ok(Some(self.lost(&error.to_string())))
+            }
+            Some(gone) => gone.map(|()| None),
+            None => Ok(Some(self.lost(GIVEN_UP))),
+        }
+    }
+
+    async fn begin_again(&mut self, index: usize, start: Option<Start<'_>>) -> Result<(), EnvError> {
+        if let Some(task) = start.map(|(task, _)| task).or(self.slots[index].task()) {
+            let traffic = self.shared_traffic(index, task);
+            self.leave(index, traffic).await?;
+        }
+        if let Some((task, seed)) = start
+            && let Some(placement) = self.go_on(index, task, seed).await?
+        {
+            self.prepare(index, task, &placement).await?;
+            self.started(index, task, seed, placement)?;
+            self.stages.resets += 1;
+            return Ok(());
+        }
+        let (corner, _) = self.assets.network().bounds;
+        let Some(sumo) = &mut self.sumo else { return Err(EnvError::NoEpisode) };
+        // Each at a place of its own, out of sight of the net and of each other.
+        let place = corner - Vector::new(AWAY, AWAY * (1 + index) as f64);
+        sumo.session.seat_mut(index).ego_mut().leave(place);
+        Ok(())
     }
 
     /// Ends the episode of ego `index` without an outcome: its driver has failed.
     pub fn give_up(&mut self, index: usize) {
         self.slots[index].give_up();
-    }
-
-    /// Takes ego `index`, whose episode has ended, off the road with the next step, in which it stays.
-    pub fn take_away(&mut self, index: usize) {
-        let Some(task) = self.slots[index].task() else { return };
-        let traffic = self.shared_traffic(index, task);
-        self.leave(index, traffic);
-        let (corner, _) = self.assets.network().bounds;
-        let Some(sumo) = &mut self.sumo else { return };
-        // Each at a place of its own, out of sight of the net and of each other.
-        let place = corner - Vector::new(AWAY, AWAY * (1 + index) as f64);
-        sumo.session.seat_mut(index).ego_mut().leave(place);
     }
 
     /// Whether ego `index` is off the road.

@@ -469,7 +469,11 @@ impl Bridge {
         Ok(replies)
     }
 
-    async fn ask(&mut self, batch: &Batch) -> Result<Replies, BridgeError> {
+    /// Sends `batch` at once, between the ticks; it must not step SUMO.
+    ///
+    /// # Errors
+    /// SUMO died, hung or sent garbage.
+    pub async fn ask(&mut self, batch: &Batch) -> Result<Replies, BridgeError> {
         match self.client.send(batch).await {
             Ok(replies) => Ok(replies),
             Err(error) => Err(self.explain(error).await),

@@ -113,8 +113,7 @@ pub fn collect(
             Err(Stop::Broken(why)) => super::TrainError::Broken(why),
             Err(Stop::Env(error)) => {
                 collector.failures += 1;
-                let hopeless = error.is_input() && !matches!(error, EnvError::Crowded { .. });
-                if !hopeless && collector.failures < PATIENCE {
+                if !error.is_input() && collector.failures < PATIENCE {
                     tracing::warn!("collector {index}: what it drove is lost: {error}");
                     (collector.env, collector.fresh) = (None, None);
                     continue;
