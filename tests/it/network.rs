@@ -325,6 +325,7 @@ fn left_hand_traffic_changes_lanes_the_other_way() {
     let nets = Nets::new();
     let (_, network) = nets.make("netgenerate", &["--grid", "--grid.length", "300", "--lefthand", "-L", "2"]);
     assert!(network.left_hand);
+    assert_eq!(network.turns_left(LinkDirection::TurnAround), Some(false), "over the opposite lanes");
     let edge = network.edge(network.edge_by_id("A0B0").unwrap());
     let (outer, inner) = (network.lane(edge.lanes[0]), network.lane(edge.lanes[1]));
     assert!(outer.shape.project(inner.shape.at(50.0).xy()).d < 0.0, "the outer lane is the left one");

@@ -205,17 +205,17 @@ impl Criteria {
     }
 
     fn red_light(&mut self, now: &Situation<'_>, events: &mut Vec<Event>) {
-        let Some(link) = now.route.next_link(now.before.front_s) else { return };
-        if now.after.front_s < link.stop_s || self.last_red_stop == Some(link.stop_s) {
-            return;
-        }
-        let Some(signal) = now.network.link(link.link).signal else { return };
-        if now.world.signal(signal).is_some_and(|state| state.is_red()) {
-            self.last_red_stop = Some(link.stop_s);
-            events.push(Event::RedLight {
-                traffic_light: now.network.traffic_light(signal.traffic_light).id.clone(),
-                speed: now.after.state.speed,
-            });
+        let driven = now.before.front_s..=now.after.front_s;
+        for link in now.route.links.iter().filter(|link| driven.contains(&link.stop_s)) {
+            let Some(signal) = now.network.link(link.link).signal else { continue };
+            let red = now.world.signal(signal).is_some_and(|state| state.is_red());
+            if red && self.last_red_stop != Some(link.stop_s) {
+                self.last_red_stop = Some(link.stop_s);
+                events.push(Event::RedLight {
+                    traffic_light: now.network.traffic_light(signal.traffic_light).id.clone(),
+                    speed: now.after.state.speed,
+                });
+            }
         }
     }
 
@@ -309,26 +309,72 @@ mod tests {
         for impulse in impulses {
             let (kind, point) = (PartnerKind::Pedestrian, Vector::new(0.0, -0.9));
             let contact = impulse.map(|impulse| Contact { kind, key: 1, impulse, point });
-            let events = criteria.check(&Situation {
-                network: &network,
-                route: &route,
-                world: &world,
-                before: place,
-                after: place,
-                contacts: contact.as_slice(),
-                static_label: &|key| key.to_string(),
-                length: ego.length,
-                width: ego.width,
-                wheelbase: ego.wheelbase,
-                track: ego.track,
-                tick: 0.2,
-            });
+            let contacts = contact.as_slice();
+            let now = situation((&network, &route, &world), &ego, (place, place), contacts);
+            let events = criteria.check(&now);
             causes.extend(events.iter().filter_map(|event| match event {
                 Event::Collision { cause, .. } => Some(*cause),
                 _ => None,
             }));
         }
         causes
+    }
+
+    fn label(key: u64) -> String {
+        key.to_string()
+    }
+
+    /// A tick of 0.2 s from one place to another.
+    fn situation<'a>(
+        (network, route, world): (&'a Network, &'a Route, &'a WorldState),
+        ego: &EgoParams,
+        (before, after): (EgoOnRoute, EgoOnRoute),
+        contacts: &'a [Contact],
+    ) -> Situation<'a> {
+        Situation {
+            network,
+            route,
+            world,
+            before,
+            after,
+            contacts,
+            static_label: &label,
+            length: ego.length,
+            width: ego.width,
+            wheelbase: ego.wheelbase,
+            track: ego.track,
+            tick: 0.2,
+        }
+    }
+
+    /// Only the first line of a tick was once looked at.
+    #[test]
+    fn a_red_light_is_run_at_the_second_stop_line_of_a_tick_too() {
+        let text = include_str!("../../../tests/data/cross.net.xml");
+        let network = Network::from_xml(Path::new("cross.net.xml"), text).unwrap();
+        let at = |lane: &str, s: f64| LanePosition { lane: network.lane_by_id(lane).unwrap(), s };
+        let route = network.route(at("FE_1", 5.0), at("CW_1", 100.0), VehicleClass::Passenger).unwrap();
+        let signal = |link: &sumo_network::network::RouteLink| network.link(link.link).signal;
+        let [first, second] = &route.links[..] else { panic!("{:?}", route.links) };
+        assert!(signal(first).is_none() && signal(second).is_some());
+        let ego = EgoParams::default();
+        let place = |front_s: f64| {
+            let s = front_s - 0.5 * ego.length;
+            let state = EgoVehicle::new(ego.clone(), route.at(s).pose, 10.0).state();
+            EgoOnRoute { state, s, d: 0.0, front_s }
+        };
+        let red = Some(Arc::from("r".repeat(20)));
+        let world =
+            WorldState { traffic_lights: vec![red; network.traffic_lights.len()], ..WorldState::default() };
+        let mut criteria = Criteria::new(CriteriaParams::default());
+        let mut red_lights = |from: f64, to: f64| {
+            let places = (place(from), place(to));
+            let events = criteria.check(&situation((&network, &route, &world), &ego, places, &[]));
+            events.iter().filter(|event| matches!(event, Event::RedLight { .. })).count()
+        };
+        assert_eq!(red_lights(first.stop_s - 1.0, second.stop_s - 1.0), 0, "no light, or not passed");
+        assert_eq!(red_lights(first.stop_s - 1.0, second.stop_s + 1.0), 1);
+        assert_eq!(red_lights(second.stop_s - 1.0, second.stop_s + 1.0), 0, "it counts once");
     }
 
     #[test]

@@ -213,13 +213,22 @@ impl Network {
         let choice = ways
             .filter(|l| l.direction != LinkDirection::TurnAround && self.lane(l.to).permissions.allows(class))
             .any(|l| self.lane(l.to).edge != self.lane(link.to).edge);
-        match link.direction {
+        match self.turns_left(link.direction) {
             _ if !choice => RoadOption::LaneFollow,
-            LinkDirection::Left | LinkDirection::PartLeft => RoadOption::Left,
-            LinkDirection::Right | LinkDirection::PartRight => RoadOption::Right,
-            LinkDirection::TurnAround if self.left_hand => RoadOption::Right,
-            LinkDirection::TurnAround => RoadOption::Left,
-            LinkDirection::Straight | LinkDirection::Invalid => RoadOption::Straight,
+            Some(true) => RoadOption::Left,
+            Some(false) => RoadOption::Right,
+            None => RoadOption::Straight,
+        }
+    }
+
+    /// Whether a link with this direction turns to the left (false: to the right); None if it does not turn. Who turns
+    /// around crosses the opposite lanes.
+    pub fn turns_left(&self, direction: LinkDirection) -> Option<bool> {
+        match direction {
+            LinkDirection::Left | LinkDirection::PartLeft => Some(true),
+            LinkDirection::Right | LinkDirection::PartRight => Some(false),
+            LinkDirection::TurnAround => Some(!self.left_hand),
+            LinkDirection::Straight | LinkDirection::Invalid => None,
         }
     }
 }

@@ -27,7 +27,7 @@ use path::Path;
 use right_of_way::{ByLane, Motion};
 use serde::{Deserialize, Serialize};
 use speed::{Pedals, follow, stop_in, time_to_cover};
-use sumo_network::network::{Link, LinkDirection, LinkId, Network, Route};
+use sumo_network::network::{Link, LinkId, Network, Route};
 use sumo_network::signal_ahead::SignalAhead;
 use sumo_network::world::{SignalState, WorldState};
 use wad_vehicle::{Control, EgoState};
@@ -541,11 +541,8 @@ impl Autopilot {
     fn turn_signal(&self, network: &Network, front_s: f64, speed: f64) -> i8 {
         let notice = 15.0 + 2.5 * speed;
         let next = self.plans.iter().find(|p| front_s < p.end_s + 1.0 && p.stop_s - front_s < notice);
-        next.map_or(0, |plan| match network.link(plan.link).direction {
-            LinkDirection::Left | LinkDirection::PartLeft | LinkDirection::TurnAround => 1,
-            LinkDirection::Right | LinkDirection::PartRight => -1,
-            LinkDirection::Straight | LinkDirection::Invalid => 0,
-        })
+        let turns_left = next.and_then(|plan| network.turns_left(network.link(plan.link).direction));
+        turns_left.map_or(0, |left| if left { 1 } else { -1 })
     }
 }
 

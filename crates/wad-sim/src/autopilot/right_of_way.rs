@@ -165,7 +165,10 @@ pub fn judge(
             for index in by_lane.on(approach.lane) {
                 let actor = &world.vehicles[index];
                 let x = actor.lane_position - lane.length - approach.beyond;
-                if approach.beyond == 0.0 && !approach.certain && turns_elsewhere(actor, conflict.direction) {
+                if approach.beyond == 0.0
+                    && !approach.certain
+                    && turns_elsewhere(network, actor, conflict.direction)
+                {
                     continue;
                 }
                 // A red or yellow light holds vehicles that can still stop.
@@ -183,15 +186,14 @@ pub fn judge(
 }
 
 /// Whether the blinkers say that the vehicle does not take a link that turns like `direction`.
-fn turns_elsewhere(actor: &Actor, direction: LinkDirection) -> bool {
+fn turns_elsewhere(network: &Network, actor: &Actor, direction: LinkDirection) -> bool {
     let right = actor.signals.has(VehicleSignals::BLINKER_RIGHT);
     let left = actor.signals.has(VehicleSignals::BLINKER_LEFT);
     let close = actor.speed < 12.0;
-    match direction {
-        LinkDirection::Straight => close && (right || left),
-        LinkDirection::Left | LinkDirection::PartLeft | LinkDirection::TurnAround => right,
-        LinkDirection::Right | LinkDirection::PartRight => left,
-        LinkDirection::Invalid => false,
+    match network.turns_left(direction) {
+        Some(true) => right,
+        Some(false) => left,
+        None => direction == LinkDirection::Straight && close && (right || left),
     }
 }
 

@@ -76,7 +76,7 @@ const REFUSALS: u32 = 3;
 /// Added to the keys of barriers and cones, which physics takes for fixed bodies.
 const OBJECT_KEYS: u64 = 1 << 40;
 
-/// Route projection window behind and ahead of the last place (m).
+/// Route projection window behind and, at least, ahead of the last place (m).
 const BACK: f64 = 10.0;
 const AHEAD: f64 = 30.0;
 
@@ -104,7 +104,7 @@ impl Ego {
             told_edges: 0,
             known_routes: HashSet::new(),
         };
-        ego.locate();
+        ego.locate(AHEAD);
         ego
     }
 
@@ -140,7 +140,7 @@ impl Ego {
         (self.world, self.previous) = Default::default();
         self.extras.clear();
         self.lamps = Lamps::default();
-        self.told_edges = 0;
+        (self.refusals, self.told_edges) = (0, 0);
         self.known_routes.clear();
     }
 
@@ -155,7 +155,7 @@ impl Ego {
         self.route = route;
         self.s = s;
         self.route_is_news = true;
-        self.locate();
+        self.locate(AHEAD);
     }
 
     /// Its route.
@@ -228,14 +228,17 @@ impl Ego {
         // Walkers start and stop at once: the last change does not predict the next tick.
         let pedestrians = self.world.pedestrians.iter().map(|actor| body(actor, PartnerKind::Pedestrian));
         let moving: Vec<MovingBody> = vehicles.chain(pedestrians).collect();
+        let before = self.vehicle.state().speed;
         let contacts = self.vehicle.tick(control, duration, &moving);
-        self.locate();
+        let fastest = before.max(self.vehicle.state().speed);
+        self.locate(AHEAD.max(fastest * duration + BACK));
         contacts
     }
 
-    fn locate(&mut self) {
+    /// Finds its place on the route, at most `ahead` (m) of the last one.
+    fn locate(&mut self, ahead: f64) {
         let pose = self.vehicle.state().pose;
-        let centre = self.route.project_near(pose.xy(), self.s, BACK, AHEAD);
+        let centre = self.route.project_near(pose.xy(), self.s, BACK, ahead);
         (self.s, self.d) = (centre.s, centre.d);
         self.vehicle.set_elevation(Some(self.route.at(self.s).pose.position.z));
         let bumper = pose.advanced(0.5 * self.params().length);
@@ -409,7 +412,9 @@ fn going_on(body: MovingBody, last: Option<&Actor>, duration: f64) -> MovingBody
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::path::Path;
     use std::sync::Arc;
+    use sumo_network::network::{LanePosition, VehicleClass};
     use sumo_network::world::{ActorKind, ActorType};
 
     fn actor(x: f64, heading: f64, speed: f64) -> Actor {
@@ -431,6 +436,22 @@ mod tests {
             lane: None,
             lane_position: 0.0,
         }
+    }
+
+    /// It was once searched 30 m ahead at most, and then taken for one that left its lane.
+    #[test]
+    fn an_ego_keeps_its_place_on_the_route_through_a_long_fast_tick() {
+        let text = include_str!("../../../../tests/data/cross.net.xml");
+        let network = Network::from_xml(Path::new("cross.net.xml"), text).unwrap();
+        let at = |lane: &str, s: f64| LanePosition { lane: network.lane_by_id(lane).unwrap(), s };
+        let route = network.route(at("WC_1", 5.0), at("EF_1", 100.0), VehicleClass::Passenger).unwrap();
+        let start = route.at(0.0).pose;
+        let mut ego = Ego::new("ego", EgoParams::default(), route, 0.0);
+        ego.vehicle.respawn(start, 45.0);
+        ego.advance(Control::default(), 1.0);
+        let driven = (ego.state().pose.xy() - start.xy()).norm();
+        let at = ego.on_route();
+        assert!(driven > 35.0 && (at.s - driven).abs() < 0.5 && at.d.abs() < 0.5, "{driven}: {at:?}");
     }
 
     /// A car that SUMO brakes (its speed changes at each tick's begin), followed tick by tick.
