@@ -8,7 +8,7 @@ use wad_cosim::bundled;
 use wad_cosim::camera::{Camera, CameraConfig, Outputs, Preset, Stages, Town, Weather};
 use wad_cosim::cpu_time;
 use wad_cosim::drive::{Drive, DriveOptions};
-use wad_cosim::stats::median;
+use wad_cosim::stats::{median, quantile};
 use wad_cosim::traffic::TrafficSpec;
 
 const EXAMPLES: &str = "\
@@ -192,8 +192,6 @@ fn report(ways: &[Way], json: bool) -> anyhow::Result<Exit> {
     ))?;
     let mut rows = Vec::new();
     for way in ways {
-        let mut sorted = way.wall.clone();
-        sorted.sort_by(f64::total_cmp);
         let row = Row {
             weather: way.weather.preset,
             width: way.camera.config().width,
@@ -202,7 +200,7 @@ fn report(ways: &[Way], json: bool) -> anyhow::Result<Exit> {
             town_times: way.times,
             median_ms: median(way.wall.clone()),
             median_cpu_ms: median(way.cpu.clone()),
-            p95_ms: sorted.get(sorted.len() * 95 / 100).copied().unwrap_or(f64::NAN),
+            p95_ms: quantile(way.wall.clone(), 0.95),
             stages: stages(&way.stages),
             frames: way.wall.len(),
         };

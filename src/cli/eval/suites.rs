@@ -72,7 +72,7 @@ pub struct Args {
     /// SUMOs in parallel; each takes a core.
     #[arg(long, value_name = "N", default_value_t = 1)]
     jobs: usize,
-    /// Egos in each SUMO: they drive episodes of one row of the table at the same time, see each other and hit each other;
+    /// Egos in each SUMO: they drive episodes of the same task, town and traffic at the same time, see each other and hit each other;
     /// fewer where places lie too near. The tables then tell collisions between egos apart.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..=1000))]
     egos: usize,
@@ -277,20 +277,22 @@ fn failure(record: &EpisodeRecord) -> String {
 /// The totals as text.
 fn table(summary: &Summary) -> String {
     let named = |total: &eval::Total| {
-        [&*eval::report::short(&total.agent), &total.condition, &total.town, &total.task].map(str::to_string)
+        let traffic = total.traffic.to_string();
+        [&*eval::report::short(&total.agent), &total.condition, &total.town, &total.task, &traffic]
+            .map(str::to_string)
     };
-    let names: Vec<[String; 4]> = summary.totals.iter().map(named).collect();
+    let names: Vec<[String; 5]> = summary.totals.iter().map(named).collect();
     // As wide as the longest name, so that columns stay columns.
-    let mut widths = [10, 9, 7, 18];
+    let mut widths = [10, 9, 7, 18, 7];
     for (column, width) in widths.iter_mut().enumerate() {
         let longest = names.iter().map(|row| row[column].chars().count()).max();
         *width = longest.unwrap_or(0).max(*width);
     }
-    let row = |cells: [&str; 4]| {
+    let row = |cells: [&str; 5]| {
         let cells = cells.iter().zip(widths).map(|(cell, width)| format!("{cell:width$} "));
         cells.collect::<String>()
     };
-    let mut text = row(["agent", "condition", "town", "task"]);
+    let mut text = row(["agent", "condition", "town", "task", "traffic"]);
     text += &format!("{:>9}  {:>14}  {:>5}  {:>6}  ends\n", "success", "95 %", "km/h", "return");
     for (total, names) in summary.totals.iter().zip(&names) {
         let score = &total.score;
@@ -325,6 +327,7 @@ mod tests {
             condition: "new".to_string(),
             town: town.to_string(),
             task: task.to_string(),
+            traffic: Default::default(),
             score: eval::Score::of(&[]),
         };
         let totals = vec![total("short", "town3"), total("a task with a very long name", "my_own_long_town")];

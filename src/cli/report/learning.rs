@@ -1,7 +1,7 @@
 //! `wad-cosim report learning`: learning curves of trainings, with their seeds as a band.
 
 use crate::cli::{Exit, print};
-use anyhow::{Context, anyhow};
+use anyhow::Context;
 use clap::ValueHint;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -53,7 +53,7 @@ pub fn run(args: &Args) -> anyhow::Result<Exit> {
         };
         write(&args.out.join(format!("learning-{name}.svg")), &chart.svg())?;
     }
-    write(&args.out.join("learning.md"), &markdown(&[table(&curves)?]))?;
+    write(&args.out.join("learning.md"), &markdown(&tables(&curves)))?;
     Ok(Exit::Done)
 }
 
@@ -137,20 +137,31 @@ fn at(curve: &[(f64, f64)], step: f64) -> Option<f64> {
     Some(a.1 + share.clamp(0.0, 1.0) * (b.1 - a.1))
 }
 
-/// When each stage was passed.
-fn table(curves: &[Curve]) -> anyhow::Result<Table> {
-    let longest =
-        curves.iter().max_by_key(|curve| curve.tasks.len()).ok_or_else(|| anyhow!("no training"))?;
+/// When each stage was passed: a table for each list of stages.
+fn tables(curves: &[Curve]) -> Vec<Table> {
+    let mut alike: Vec<Vec<&Curve>> = Vec::new();
+    for curve in curves {
+        match alike.iter_mut().find(|group| group[0].tasks == curve.tasks) {
+            Some(group) => group.push(curve),
+            None => alike.push(vec![curve]),
+        }
+    }
+    alike.iter().map(|group| table(group)).collect()
+}
+
+/// Of curves with the same stages.
+fn table(curves: &[&Curve]) -> Table {
+    let tasks = &curves[0].tasks;
     let mut head = vec!["training".to_string(), "seed".to_string(), "steps".to_string(), "hours".to_string()];
-    head.extend(longest.tasks.iter().cloned());
-    let row = |curve: &Curve| {
+    head.extend(tasks.iter().cloned());
+    let row = |curve: &&Curve| {
         let mut row = vec![
             curve.name.clone(),
             curve.seed.to_string(),
             curve.steps.to_string(),
             format!("{:.2}", curve.hours),
         ];
-        row.extend((0..longest.tasks.len()).map(|stage| {
+        row.extend((0..tasks.len()).map(|stage| {
             curve.passed.iter().find(|pass| pass.stage == stage).map_or("-".to_string(), |pass| {
                 let how = if pass.threshold { "" } else { " (its steps were spent)" };
                 format!("{} steps, {:.2} h{how}", pass.step, pass.hours)
@@ -158,12 +169,12 @@ fn table(curves: &[Curve]) -> anyhow::Result<Table> {
         }));
         row
     };
-    Ok(Table {
+    Table {
         title: "Step and hour at which each stage's threshold was passed".to_string(),
         head,
         rows: curves.iter().map(row).collect(),
         ..Table::default()
-    })
+    }
 }
 
 #[cfg(test)]

@@ -65,14 +65,14 @@ pub struct Score {
     pub mean_ticks: f64,
     /// Mean simulated time per episode (s).
     pub mean_seconds: f64,
-    /// Mean share of the route that was driven.
-    pub mean_route_completion: f64,
+    /// Mean share of the route that was driven; None for endless routes.
+    pub mean_route_completion: Option<f64>,
     /// Mean sum of rewards per episode; None for drivers that do not look: their reward has no vehicle in
     /// front, so it cannot be compared.
     pub mean_return: Option<f64>,
-    /// Root mean square acceleration (m/s2).
+    /// Root mean square acceleration over all ticks (m/s2).
     pub rms_acceleration: f64,
-    /// Root mean square of the steering's change per tick (share of full lock).
+    /// Root mean square of the steering's change per tick, over all ticks (share of full lock).
     pub rms_steer_change: f64,
     /// Events by kind.
     pub events: EventCounts,
@@ -157,6 +157,10 @@ impl Score {
             }
         }
         let ticks = sum(&|e| e.ticks as f64).max(1.0);
+        let over_ticks = |value: &dyn Fn(&EpisodeRecord) -> f64| sum(&|e| value(e) * e.ticks as f64) / ticks;
+        let routed: Vec<&&EpisodeRecord> = counting.iter().filter(|e| !e.case.spec.endless).collect();
+        let share = |e: &EpisodeRecord| (e.driven_m / e.route_length_m.max(1.0)).clamp(0.0, 1.0);
+        let done: f64 = routed.iter().map(|e| share(e)).sum();
         Self {
             episodes: n,
             lost: group.len() as u64 - n,
@@ -167,15 +171,15 @@ impl Score {
             agent_failures: counting.iter().filter(|e| e.fault == Some(Fault::Agent)).count() as u64,
             distance_km: sum(&|e| e.distance_m) / 1000.0,
             mean_distance_m: mean(&|e| e.distance_m),
-            mean_speed_mps: sum(&|e| e.mean_speed_mps * e.ticks as f64) / ticks,
+            mean_speed_mps: over_ticks(&|e| e.mean_speed_mps),
             mean_top_speed_mps: mean(&|e| e.top_speed_mps),
             top_speed_mps: counting.iter().map(|e| e.top_speed_mps).fold(0.0, f64::max),
             mean_ticks: mean(&|e| e.ticks as f64),
             mean_seconds: mean(&|e| e.ticks as f64 * e.tick_s),
-            mean_route_completion: mean(&|e| (e.driven_m / e.route_length_m.max(1.0)).clamp(0.0, 1.0)),
+            mean_route_completion: (!routed.is_empty()).then(|| done / routed.len() as f64),
             mean_return: group.iter().all(|e| e.case.agent.looks()).then(|| mean(&|e| e.episodic_return)),
-            rms_acceleration: mean(&|e| e.rms_acceleration.powi(2)).sqrt(),
-            rms_steer_change: mean(&|e| e.rms_steer_change.powi(2)).sqrt(),
+            rms_acceleration: over_ticks(&|e| e.rms_acceleration.powi(2)).sqrt(),
+            rms_steer_change: over_ticks(&|e| e.rms_steer_change.powi(2)).sqrt(),
             events,
             speeds,
             gaps,
@@ -201,6 +205,22 @@ pub fn wilson(successes: u64, n: u64) -> (f64, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::eval::{Selection, Suite};
+
+    #[test]
+    fn accelerations_count_by_ticks_as_speeds_do() {
+        let selection = Selection { episodes: Some(1), ..Selection::default() };
+        let case = selection.cases(&Suite::find("composite").unwrap()).unwrap().remove(0).0;
+        let episode = |ticks: u64, rms: f64| EpisodeRecord {
+            ticks,
+            mean_speed_mps: rms,
+            rms_acceleration: rms,
+            rms_steer_change: rms,
+            ..EpisodeRecord::of_a_tick(case.clone())
+        };
+        let score = Score::of(&[&episode(1, 2.0), &episode(3, 0.0)]);
+        assert_eq!((score.mean_speed_mps, score.rms_acceleration, score.rms_steer_change), (0.5, 1.0, 1.0));
+    }
 
     #[test]
     fn wilson_as_in_its_tables() {

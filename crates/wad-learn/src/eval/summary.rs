@@ -2,6 +2,7 @@
 
 use super::{EpisodeRecord, Row, Score, grouped, rows};
 use serde::Serialize;
+use wad_sim::traffic::TrafficSpec;
 
 /// `summary.json`: independent of when, where and in which order the episodes were driven.
 #[derive(Clone, Debug, Serialize)]
@@ -12,13 +13,13 @@ pub struct Summary {
     pub episodes: u64,
     /// Episodes planned.
     pub planned: u64,
-    /// By agent, condition, town and task.
+    /// By agent, condition, town, task and traffic.
     pub totals: Vec<Total>,
     /// By weather and seed too.
     pub rows: Vec<Row>,
 }
 
-/// A task of one agent in one condition, over all weathers and seeds.
+/// A task of one agent in one condition and traffic, over all weathers and seeds.
 #[derive(Clone, Debug, Serialize)]
 pub struct Total {
     /// The driver's name.
@@ -29,6 +30,8 @@ pub struct Total {
     pub town: String,
     /// The suite's name for the task.
     pub task: String,
+    /// The background traffic.
+    pub traffic: TrafficSpec,
     /// How it was done.
     #[serde(flatten)]
     pub score: Score,
@@ -48,6 +51,7 @@ impl Summary {
                 condition: case.condition.clone(),
                 town: case.town.clone(),
                 task: case.task.clone(),
+                traffic: case.spec.traffic(),
                 score: Score::of(&group),
             }
         });

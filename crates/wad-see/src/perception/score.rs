@@ -232,7 +232,7 @@ pub struct BySureness {
 /// A part of it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Sureness {
-    /// The least score; None: [`LeastScore::Usual`], by which agents drive.
+    /// The least score; None: [`LeastScore::Usual`] by height, without its rule of free road.
     pub least: Option<f32>,
     /// Share of the objects that are found; None without any.
     pub recall: Option<f64>,

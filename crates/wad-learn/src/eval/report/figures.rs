@@ -28,15 +28,15 @@ fn colour(end: End) -> &'static str {
 pub fn ends(section: &Section) -> String {
     let mut rows = Vec::new();
     for condition in section.conditions() {
-        for task in &section.suite.tasks {
+        for task in section.tasks() {
             for driver in &section.drivers {
-                let group = section.by(driver, |e| e.case.condition == condition && e.case.task == task.name);
+                let group = section.by(driver, |e| e.condition == condition && e.task == task);
                 if group.is_empty() {
                     continue;
                 }
                 let score = Score::of(&group);
                 let counts = End::ALL.map(|end| score.ends.get(&end).copied().unwrap_or(0));
-                rows.push((format!("{}, {}, {driver}", task.name, condition), counts.to_vec()));
+                rows.push((format!("{task}, {condition}, {driver}"), counts.to_vec()));
             }
         }
     }

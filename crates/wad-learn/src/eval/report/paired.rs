@@ -5,8 +5,10 @@ use super::table::columns;
 use super::{Section, Table};
 use crate::driver::DriverSpec;
 use crate::eval::store::key;
-use crate::eval::{Case, EpisodeRecord, Fault};
+use crate::eval::{Case, EpisodeRecord};
 use std::collections::HashMap;
+use wad_camera::Preset;
+use wad_sim::tasks::TaskSpec;
 
 /// A driver's episodes beside the autopilot's of the same routes.
 #[derive(Debug, Default, PartialEq)]
@@ -46,15 +48,20 @@ impl Pairs {
     }
 }
 
+/// What the blind drive alike: a case without its driver, its weather and the condition that follows from that.
+pub(super) fn route(case: &Case) -> String {
+    let spec = TaskSpec { weather: Preset::ClearNoon, ..case.spec.clone() };
+    key(&Case { agent: DriverSpec::Autopilot, condition: String::new(), spec, ..case.clone() })
+}
+
 /// The table; None where the autopilot did not drive, or nobody who looks on its routes.
 pub(super) fn beside_autopilot(section: &Section) -> Option<Table> {
-    let counts = |e: &EpisodeRecord| e.fault != Some(Fault::Simulator);
-    let route = |e: &EpisodeRecord| key(&Case { agent: DriverSpec::Autopilot, ..e.case.clone() });
-    let autopilot = section.of(|e| counts(e) && e.case.agent == DriverSpec::Autopilot);
-    let autopilot: HashMap<String, &EpisodeRecord> = autopilot.into_iter().map(|e| (route(e), e)).collect();
+    let all = section.episodes.iter().map(|e| &e.record);
+    let autopilot = all.filter(|e| e.case.agent == DriverSpec::Autopilot);
+    let autopilot: HashMap<String, &EpisodeRecord> = autopilot.map(|e| (route(&e.case), e)).collect();
     let row = |(mut cells, group): (Vec<String>, Vec<&EpisodeRecord>)| {
-        let own = group.into_iter().filter(|e| counts(e) && e.case.agent.looks());
-        let pairs: Vec<_> = own.filter_map(|e| Some((e, *autopilot.get(&route(e))?))).collect();
+        let own = group.into_iter().filter(|e| e.case.agent.looks());
+        let pairs: Vec<_> = own.filter_map(|e| Some((e, *autopilot.get(&route(&e.case))?))).collect();
         let found = Pairs::of(&pairs);
         cells.extend([pairs.len(), found.both, found.alone, found.autopilot_alone].map(|n| n.to_string()));
         cells.push(found.time.map_or("-".to_string(), |share| format!("{:+.1} %", 100.0 * (share - 1.0))));
@@ -67,8 +74,8 @@ pub(super) fn beside_autopilot(section: &Section) -> Option<Table> {
         head: columns(&["routes", "both succeed", "only it", "only the autopilot", "time", "quicker"]),
         rows,
         notes: vec![
-            "The same routes, weathers and traffic. Time for each kilometre where both succeed, against the autopilot's: \
-             below 0 is time saved; and in how many of these it needs less."
+            "The same routes and traffic; the autopilot drives the same in every weather. Time for each kilometre where \
+             both succeed, against the autopilot's: below 0 is time saved; and in how many of these it needs less."
                 .to_string(),
         ],
         ..Table::default()

@@ -25,9 +25,6 @@ pub struct PublishedTable {
     pub figures: Vec<Figure>,
     #[serde(default)]
     pub remark: Option<String>,
-    #[serde(default)]
-    #[allow(dead_code, reason = "says how `text` is to be read")]
-    pub spread: bool,
 }
 
 /// Success rates of a task, 0..1; None where the paper gives none.

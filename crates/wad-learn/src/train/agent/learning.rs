@@ -363,9 +363,9 @@ impl<'a> Learning<'a> {
 
     fn begin_rate(&mut self, clock: Instant) {
         if self.rate.began.is_none() {
-            self.rate.began = Some(clock);
-            (self.rate.steps, self.rate.updates) = (self.steps, self.learner.updates());
-            self.rate.last = (self.steps, self.learner.updates());
+            let (steps, updates) = (self.steps, self.learner.updates());
+            self.rate =
+                Rate { began: Some(clock), steps, updates, last: (steps, updates), ..Rate::default() };
             self.figures_at = clock;
         }
     }

@@ -182,7 +182,7 @@ pub struct Progress<'a> {
     pub stages: usize,
     /// Success rate of the stage's last episodes.
     pub success_rate: f64,
-    /// Mean return of the stage's last episodes.
+    /// Mean return of the agent's last 20 training episodes, of any stage.
     pub mean_return: f64,
     /// A validation is running.
     pub validating: bool,

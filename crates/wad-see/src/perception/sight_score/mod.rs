@@ -14,6 +14,7 @@ pub use limit::LimitCounts;
 pub use road::{RoadReport, RoadScore};
 
 use serde::{Deserialize, Serialize};
+use wad_sim::stats::quantile;
 
 /// The middle and the 90th percentile of absolute errors.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -29,13 +30,11 @@ pub struct Spread {
 impl Spread {
     /// Of errors, signs aside.
     pub fn of(errors: &[f64]) -> Self {
-        let mut sorted: Vec<f64> = errors.iter().map(|e| e.abs()).collect();
-        sorted.sort_by(f64::total_cmp);
         let at = |share: f64| {
-            let last = sorted.len().checked_sub(1)?;
-            sorted.get((share * last as f64).round() as usize).copied()
+            let sizes = errors.iter().map(|e| e.abs()).collect();
+            (!errors.is_empty()).then(|| quantile(sizes, share))
         };
-        Self { median: at(0.5), p90: at(0.9), n: sorted.len() }
+        Self { median: at(0.5), p90: at(0.9), n: errors.len() }
     }
 }
 
@@ -52,6 +51,7 @@ mod tests {
     fn the_spread_of_errors() {
         let errors: Vec<f64> = (0..=10).map(|i| f64::from(i) * if i % 2 == 0 { 1.0 } else { -1.0 }).collect();
         assert_eq!(Spread::of(&errors), Spread { median: Some(5.0), p90: Some(9.0), n: 11 });
+        assert!((Spread::of(&[0.1, -0.9]).median.unwrap() - 0.5).abs() < 1e-12);
         assert_eq!(Spread::of(&[]).median, None);
         assert_eq!((share(1, 4), share(0, 0)), (Some(0.25), None));
     }
