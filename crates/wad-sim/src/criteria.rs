@@ -205,8 +205,9 @@ impl Criteria {
     }
 
     fn red_light(&mut self, now: &Situation<'_>, events: &mut Vec<Event>) {
-        let driven = now.before.front_s..=now.after.front_s;
-        for link in now.route.links.iter().filter(|link| driven.contains(&link.stop_s)) {
+        let links = &now.route.links;
+        let next = links.partition_point(|link| link.stop_s < now.before.front_s);
+        for link in links[next..].iter().take_while(|link| link.stop_s <= now.after.front_s) {
             let Some(signal) = now.network.link(link.link).signal else { continue };
             let red = now.world.signal(signal).is_some_and(|state| state.is_red());
             if red && self.last_red_stop != Some(link.stop_s) {
