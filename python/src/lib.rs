@@ -15,12 +15,15 @@ mod info;
 mod setup;
 mod worker;
 
+use numpy::{PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
 
 /// The module.
 #[pymodule]
 fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     wad_cosim::register_bundled();
+    // NumPy's interface is looked up at its first use, where Ctrl-C would be a panic: here, not in a training's save.
+    PyArray1::<f32>::zeros(module.py(), 0, false).readonly();
     errors::add(module)?;
     module.add("VERSION", wad_cosim::program::version())?;
     module.add("DEFAULT_DETECTOR", wad_cosim::perception::DEFAULT_DETECTOR)?;
