@@ -33,7 +33,7 @@ pub const LIGHT_NEARNESS: usize = 14;
 pub struct RawState {
     /// Speed (m/s).
     pub speed: f64,
-    /// Speed limit here (m/s).
+    /// Speed limit here (m/s); at most [`crate::perception::BY_SIGHT`] where the camera sees the lights.
     pub speed_limit: f64,
     /// Distance from the lane's centre (m), left positive.
     pub lateral: f64,

@@ -449,7 +449,8 @@ impl World {
         let raw = self.slots[index].eyes().raw();
         let lead = raw.lead.filter(|_| self.options.told_lead);
         sumo.session.bridge_and_seat(index).1.tell(Told {
-            light: self.options.told_expert.then_some(ToldLight { stop: raw.stop_light }),
+            light: (self.options.told_expert)
+                .then_some(ToldLight { stop: raw.stop_light, limit: raw.speed_limit }),
             lead: lead.map(|lead| Leader { gap_m: lead.gap, speed_mps: lead.speed(raw.speed) }),
         });
         Ok(sumo.session.plan(index).control)

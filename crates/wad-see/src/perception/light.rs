@@ -46,6 +46,10 @@ impl LightAhead {
     }
 }
 
+/// The fastest speed limit (m/s) that an ego is told whose lights the camera sees: it shows a signal head from 60 m on, and who
+/// drives faster cannot stop for the red of one that has just come into sight.
+pub const BY_SIGHT: f64 = 70.0 / 3.6;
+
 /// Deceleration (m/s2) up to which a yellow light is obeyed, and the delay until a decision acts (s).
 const YELLOW: f64 = 3.0;
 const DELAY: f64 = 0.2;

@@ -43,7 +43,7 @@ pub use ground::GroundPlane;
 pub use image::{ImageKind, TRANSFORMED_SIZE, TransformedImage};
 pub use lanes::{LaneBoundary, LaneDetector, LaneEstimate};
 pub use least_score::LeastScore;
-pub use light::{AT_INTERSECTION, LightAhead, SeenLights, StopLight};
+pub use light::{AT_INTERSECTION, BY_SIGHT, LightAhead, SeenLights, StopLight};
 #[cfg(feature = "vision")]
 pub use onnx::OnnxDetector;
 pub use pipeline::{Percept, Perception};

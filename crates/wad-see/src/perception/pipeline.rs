@@ -217,9 +217,14 @@ impl Perception {
         );
         let lead = lead.into_iter().chain(crossing).chain(beside).min_by(|a, b| a.gap.total_cmp(&b.gap));
         let speed = facts.on_route.state.speed;
-        let early = if self.detector.seen().is_some() { light::STAND } else { 0.0 };
+        let (early, fastest) = if self.detector.seen().is_some() {
+            (light::STAND, light::BY_SIGHT)
+        } else {
+            (0.0, f64::INFINITY)
+        };
         let stop_light = self.stop_light.update(light.as_ref(), early, speed).filter(|d| *d <= lead::SIGHT);
-        self.percept.raw = RawState::of(facts.route, &facts.on_route, lead, stop_light);
+        let raw = RawState::of(facts.route, &facts.on_route, lead, stop_light);
+        self.percept.raw = RawState { speed_limit: raw.speed_limit.min(fastest), ..raw };
     }
 
     /// Last stage: the transformed image.
@@ -316,6 +321,21 @@ mod tests {
         // Less the room before the line.
         assert_eq!(green.2.map(|light| light.distance), Some(6.0));
         assert_eq!(green.3.stop_light, Some(6.0));
+    }
+
+    #[test]
+    fn who_sees_the_lights_is_told_no_faster_limit_than_he_can_stop_from() {
+        let camera = CameraConfig::default();
+        let told = |detector: Box<dyn Detector>, limit: f64| {
+            let mut road = Road::new("GGG");
+            road.route.sections.iter_mut().for_each(|section| section.speed_limit = limit);
+            let mut perception = Perception::new(detector, camera);
+            perception.judge(&road.facts(30.0, 0.0, 0.0, 10.0));
+            perception.percept().raw.speed_limit
+        };
+        let sees = || Box::new(Sees(Seen::default()));
+        assert_eq!((told(sees(), 25.0), told(sees(), 15.0)), (light::BY_SIGHT, 15.0));
+        assert_eq!(told(Box::new(TruthDetector::new()), 25.0), 25.0);
     }
 
     #[test]

@@ -144,6 +144,8 @@ pub struct Told {
 pub struct ToldLight {
     /// The line at which to stop, from the front bumper (m); None: nothing to stop for.
     pub stop: Option<f64>,
+    /// The speed limit that is told with it (m/s).
+    pub limit: f64,
 }
 
 /// The rule-based driver of one ego.
@@ -409,6 +411,9 @@ impl Autopilot {
         let by_lane = ByLane::new(now.world);
         let mut yielding_at = None;
         let told_stop = self.told.light.and_then(|light| light.stop);
+        if let Some(ToldLight { limit, .. }) = self.told.light {
+            choice.offer(speed::track(now.speed, limit).max(-3.0), Reason::Limit);
+        }
         if let Some(distance) = told_stop {
             let a = self.stop(now.speed, distance - self.params.stop_margin, now.latency);
             choice.offer(a, Reason::RedLight { distance });

@@ -54,7 +54,7 @@ fn a_light_out_of_sight_is_not_passed() {
 }
 
 fn light(stop: Option<f64>) -> Told {
-    Told { light: Some(ToldLight { stop }), lead: None }
+    Told { light: Some(ToldLight { stop, limit: 13.89 }), lead: None }
 }
 
 #[test]
@@ -88,6 +88,17 @@ fn it_goes_by_the_light_that_it_is_told() {
     setup.told = Some(|_| light(None));
     let report = setup.run();
     assert!(report.red_runs == 1 && report.seconds < 50.0, "nobody told it of the red light: {report:?}");
+}
+
+#[test]
+fn it_drives_no_faster_than_the_limit_that_it_is_told() {
+    let network = net();
+    let mut setup = Setup::new(&network, ("WC_1", 5.0), ("EF_1", 150.0), 10.0);
+    setup.told = Some(|_| Told { light: Some(ToldLight { stop: None, limit: 8.0 }), lead: None });
+    setup.seconds = 8.0;
+    let report = setup.run();
+    assert!((report.speed - 8.0).abs() < 0.5, "{report:?}");
+    assert!(matches!(report.last.unwrap().reason, Reason::Limit), "{report:?}");
 }
 
 /// Oncoming cars every `period` s at 13 m/s, from `first` s on, until 60 s.
