@@ -239,9 +239,11 @@ fn failure(error: EvalError) -> Failure {
         EvalError::Store(StoreError::File { .. } | StoreError::Lock(LockError::Make { .. })) => {
             Failure::Other(text)
         }
-        EvalError::Suite(_) | EvalError::Store(_) | EvalError::Driver(_) | EvalError::Elsewhere { .. } => {
-            Failure::Input(text)
-        }
+        EvalError::Suite(_)
+        | EvalError::Detector(_)
+        | EvalError::Store(_)
+        | EvalError::Driver(_)
+        | EvalError::Elsewhere { .. } => Failure::Input(text),
         _ => Failure::Other(text),
     }
 }

@@ -112,6 +112,7 @@ def test_an_exception_of_the_agent_comes_through():
         ("tasks", {"keep": "some"}, "failures"),
         ("tasks", {"agent": 3}, "predict"),
         ("tasks", {"observation": "lidar"}, "raw, vector, latent"),
+        ("tasks", {"detector": "lidar"}, "no detector has this name"),
     ],
 )
 def test_wrong_arguments_say_what_is_expected(suite, kwargs, text):

@@ -343,6 +343,7 @@ fn a_fleet_trains_on_the_surroundings_is_validated_and_goes_on() {
         (["--egos", "2", "--record", "records"], "--egos is 2"),
         (["--inputs", "vector", "--record", "records"], "--inputs vector"),
         (["--inputs", "vector", "--recorded", "records"], "--inputs vector"),
+        (["--inputs", "raw", "--detector", "nothing"], "no detector has this name"),
     ] {
         let output = train(&dir.path().join("no"), &["--algo", "td3"]).args(args).output().unwrap();
         assert_eq!(output.status.code(), Some(2), "{args:?}: {}", stderr(&output));

@@ -93,7 +93,7 @@ fn the_table_is_the_same_killed_and_resumed_in_parallel_or_in_shards() {
     let mixed = merge(&["one", "other"], "mixed");
     assert_eq!(mixed.status.code(), Some(2));
     assert!(stderr(&mixed).contains("selection.seeds"), "{}", stderr(&mixed));
-    let mixed = small.eval("whole", &with(&["--resume", "--detector", "light"])).output().unwrap();
+    let mixed = small.eval("whole", &with(&["--resume", "--detector", "truth"])).output().unwrap();
     assert_eq!(mixed.status.code(), Some(2));
     assert!(stderr(&mixed).contains("options.detector"), "{}", stderr(&mixed));
 }
@@ -329,6 +329,15 @@ fn detectors_have_lines_of_their_own_and_a_pool_has_one() {
         "{}",
         stderr(&output)
     );
+}
+
+#[test]
+fn a_detector_that_does_not_exist_is_refused_before_the_folder_is_made() {
+    let small = Small::new(10, 1);
+    let output = small.eval("no", &["--agent", "wad-t", "--detector", "nothing"]).output().unwrap();
+    assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
+    assert!(stderr(&output).contains("detector nothing: no detector has this name"), "{}", stderr(&output));
+    assert!(!small.out("no").exists(), "its folder stays free");
 }
 
 /// A SUMO that dies says nothing about the recording: before, the verdict was that the episode "ended earlier".

@@ -244,7 +244,7 @@ pub fn with_exit(error: EvalError) -> anyhow::Error {
         EvalError::Env(env) => Exit::of_env(env),
         EvalError::Assets(assets) => Exit::of_assets(assets),
         EvalError::Sumo(_) => Exit::Sumo,
-        EvalError::Suite(_) => Exit::Input,
+        EvalError::Suite(_) | EvalError::Detector(_) => Exit::Input,
         EvalError::Driver(
             DriverError::Unknown { .. } | DriverError::Constant { .. } | DriverError::Manual,
         ) => Exit::Input,

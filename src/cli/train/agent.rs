@@ -490,6 +490,7 @@ pub fn with_exit(error: TrainError) -> anyhow::Error {
         TrainError::Policy(PolicyError::File { what: "write", .. }) => Exit::Other,
         TrainError::Buffer(_)
         | TrainError::Policy(_)
+        | TrainError::Detector(_)
         | TrainError::Config(_)
         | TrainError::Lock(LockError::Busy { .. })
         | TrainError::ConfigFile { .. }

@@ -88,9 +88,10 @@ impl Ledger {
     /// Opens the folder of `order` and takes its lock; gives the plan's towns too.
     ///
     /// # Errors
-    /// A town or an agent cannot be opened, or the folder holds other results or is in use.
+    /// A town or an agent cannot be opened, there is no such detector, or the folder holds other results or is in use.
     pub fn open(order: &Order<'_>) -> Result<(Self, Towns), EvalError> {
         let Order { suite, selection, shard, out, resume, evaluation } = order;
+        wad_see::perception::check(&evaluation.options.detector)?;
         let (plan, towns) = plan(suite, selection)?;
         let groups = groups(plan, evaluation.egos, *shard);
         let plan = groups.concat();

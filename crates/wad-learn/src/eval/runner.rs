@@ -11,7 +11,7 @@ use std::str::FromStr;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, mpsc};
 use wad_see::latent::{Encoder, PooledEncoder};
-use wad_see::perception::Perception;
+use wad_see::perception::{Perception, PerceptionError};
 use wad_sim::assets::AssetsError;
 use wad_sim::bridge::Ego;
 use wad_sim::replay::{Moment, Recorder};
@@ -36,6 +36,9 @@ pub enum EvalError {
     /// A driver cannot be made.
     #[error(transparent)]
     Driver(#[from] DriverError),
+    /// There is no such detector.
+    #[error(transparent)]
+    Detector(#[from] PerceptionError),
     /// Results cannot be stored.
     #[error(transparent)]
     Store(#[from] super::StoreError),

@@ -21,8 +21,7 @@ pub const DEFAULT_DETECTOR: &str = "eyes";
 /// # Errors
 /// The name is unknown, its file or weights cannot be used, or this build lacks a feature that it needs.
 pub fn detector(name: &str, least: LeastScore) -> Result<Box<dyn Detector>, PerceptionError> {
-    let unknown = || failed(name, format!("no detector has this name. Known: {DETECTORS}"));
-    let (kind, file) = name.split_once(':').map_or((name, None), |(kind, file)| (kind, Some(file)));
+    let (kind, file) = kind(name);
     match kind {
         "truth" | "outlines" if matches!(file, None | Some("faulty")) => {
             let faults = if file.is_some() { Faults::HONEST } else { Faults::NONE };
@@ -31,8 +30,28 @@ pub fn detector(name: &str, least: LeastScore) -> Result<Box<dyn Detector>, Perc
         }
         "centernet" | "eyes" => centernet(name, least),
         "onnx" => onnx(name, file, least),
-        _ => Err(unknown()),
+        _ => Err(unknown(name)),
     }
+}
+
+/// Checks that there is a detector called `name` and that its weights can be read, without making it.
+///
+/// # Errors
+/// The name is unknown, or its file cannot be used.
+pub fn check(name: &str) -> Result<(), PerceptionError> {
+    match kind(name) {
+        ("truth" | "outlines", None | Some("faulty")) | ("onnx", _) => Ok(()),
+        ("centernet" | "eyes", _) => centernet_weights(name).map(drop),
+        _ => Err(unknown(name)),
+    }
+}
+
+fn kind(name: &str) -> (&str, Option<&str>) {
+    name.split_once(':').map_or((name, None), |(kind, file)| (kind, Some(file)))
+}
+
+fn unknown(name: &str) -> PerceptionError {
+    failed(name, format!("no detector has this name. Known: {DETECTORS}"))
 }
 
 /// Whether the detector called `name` sees lane and light, which others are told.
@@ -56,7 +75,7 @@ fn centernet(name: &str, least: LeastScore) -> Result<Box<dyn Detector>, Percept
 /// # Errors
 /// Another name, no such file, or none travel with this build.
 pub fn centernet_weights(name: &str) -> Result<(Weights, Sees), PerceptionError> {
-    match name.split_once(':').map_or((name, None), |(kind, file)| (kind, Some(file))) {
+    match kind(name) {
         ("centernet", file) => Ok((weights(name, file, bundled("centernet"))?, Sees::Objects)),
         ("eyes", file) => Ok((weights(name, file, bundled("eyes"))?, Sees::Road)),
         _ => Err(failed(name, "expected centernet, centernet:FILE or eyes:FILE".to_string())),

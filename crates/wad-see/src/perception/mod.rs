@@ -37,7 +37,9 @@ pub(crate) mod testing;
 mod truth;
 
 pub use area::DrivableArea;
-pub use choice::{DEFAULT_DETECTOR, DETECTORS, centernet_weights, detector, sees_the_road, weights_hash};
+pub use choice::{
+    DEFAULT_DETECTOR, DETECTORS, centernet_weights, check, detector, sees_the_road, weights_hash,
+};
 pub use facts::{EgoFacts, NearGaps};
 pub use ground::GroundPlane;
 pub use image::{ImageKind, TRANSFORMED_SIZE, TransformedImage};

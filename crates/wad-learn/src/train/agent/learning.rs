@@ -56,6 +56,7 @@ pub fn train(
     if let Some(problem) = config.problem().or_else(|| limits.problem(config)) {
         return Err(TrainError::Config(problem));
     }
+    wad_see::perception::check(&config.env.detector)?;
     if let Some(folder) = &limits.record {
         let failed = |source| TrainError::Write { path: folder.clone(), source };
         std::fs::create_dir_all(folder).map_err(failed)?;

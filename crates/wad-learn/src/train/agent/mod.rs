@@ -42,6 +42,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use tch::Device;
 use wad_see::latent::Encoder;
+use wad_see::perception::PerceptionError;
 use wad_sim::telemetry::WriteError;
 
 /// Time, workers and folder of a call of a training.
@@ -88,6 +89,9 @@ pub enum TrainError {
     /// An environment cannot be made.
     #[error(transparent)]
     Env(#[from] EnvError),
+    /// There is no such detector.
+    #[error(transparent)]
+    Detector(#[from] PerceptionError),
     /// The replay buffer cannot be made.
     #[error(transparent)]
     Buffer(#[from] BufferError),
