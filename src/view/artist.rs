@@ -2,12 +2,12 @@
 
 use super::hub::{Hub, Packet, Shot};
 use super::protocol;
-use crate::camera::{Camera, CameraConfig, CameraError, Frame, Outputs, Town, Weather};
+use crate::camera::{Camera, CameraConfig, CameraError, Frame, Outputs, Picture, Town, Weather};
 use crate::eyes::Eyes;
 use crate::geometry::Point;
 use crate::latent::Decoder;
 use crate::network::Network;
-use crate::perception::{DrivableArea, EgoFacts, GroundPlane, Percept, TRANSFORMED_SIZE, TransformedImage};
+use crate::perception::{DrivableArea, EgoFacts, GroundPlane, Percept, stages};
 use bytes::Bytes;
 use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
 use serde_json::{Value, json};
@@ -15,6 +15,8 @@ use std::sync::Arc;
 
 /// Size of the view from behind (pixels).
 const CHASE: (usize, usize) = (720, 540);
+/// Side of a mirror's picture (pixels).
+const MIRROR: usize = 256;
 /// JPEG quality: of the cameras, and of the stages, whose few colours must stay what they are.
 const QUALITY: u8 = 80;
 const STAGE_QUALITY: u8 = 92;
@@ -101,6 +103,10 @@ impl Artist {
         let percept = match &shot.look {
             Some(look) => {
                 images.push(("front", jpeg(&look.frame)));
+                if let Some(mirror) = &look.mirror {
+                    more["mirror"] = json!(if mirror.left { "left" } else { "right" });
+                    images.push(("mirror", small(&mirror.picture.scaled(MIRROR, MIRROR))));
+                }
                 stages.then(|| look.percept.clone())
             }
             None => {
@@ -158,10 +164,10 @@ impl Artist {
 
     /// What was made of a picture.
     fn stages_of(&mut self, percept: &Percept) -> (Value, Named) {
-        let mut images = vec![("transformed", small(&percept.transformed))];
+        let mut images = vec![("transformed", small(&stages::transformed(&percept.transformed)))];
         if let Some(decoder) = &mut self.decoder {
             match decoder.reconstruct(&percept.transformed) {
-                Ok(image) => images.push(("reconstruction", small(&image))),
+                Ok(image) => images.push(("reconstruction", small(&stages::transformed(&image)))),
                 Err(error) => tracing::debug!("no reconstruction in the view: {error}"),
             }
         }
@@ -199,8 +205,8 @@ fn passed(last: (f64, Point), here: (f64, Point)) -> Option<f64> {
     ((0.0..=IDLE).contains(&passed) && driven <= 1.0 + FASTEST * passed).then_some(passed)
 }
 
-fn small(image: &TransformedImage) -> Vec<u8> {
-    encode(image.bytes(), TRANSFORMED_SIZE, TRANSFORMED_SIZE, STAGE_QUALITY, SamplingFactor::F_1_1)
+fn small(picture: &Picture) -> Vec<u8> {
+    encode(&picture.rgb, picture.width, picture.height, STAGE_QUALITY, SamplingFactor::F_1_1)
 }
 
 fn jpeg(frame: &Frame) -> Vec<u8> {

@@ -3,13 +3,14 @@
 use super::program::{json, stderr, wad};
 use std::sync::Arc;
 use wad_cosim::assets::Assets;
-use wad_cosim::camera::{CameraConfig, Preset};
+use wad_cosim::camera::{CameraConfig, Outputs, Preset};
 use wad_cosim::criteria::EgoOnRoute;
 use wad_cosim::env::EnvOptions;
 use wad_cosim::eyes::Eyes;
 use wad_cosim::geometry::{Vector, direction};
 use wad_cosim::network::{LaneId, LanePosition, LinkDirection, Network, RoadOption, Route, VehicleClass};
 use wad_cosim::observation::LeadState;
+use wad_cosim::perception::paint::BLUE;
 use wad_cosim::perception::{self, EgoFacts, LeastScore};
 use wad_cosim::vehicle::EgoState;
 use wad_cosim::world::{Actor, ActorKind, ActorType, VehicleSignals, WorldState};
@@ -68,17 +69,12 @@ fn facts<'a>(
     EgoFacts { network, route, on_route, length: LENGTH, signals, tick: TICK }
 }
 
-/// Who keeps the ego back, and who is in front in the raw states, after eight ticks beside a car that is `back` (m) behind it on
+/// The eyes after eight ticks beside a car that is `back` (m) behind it on
 /// the lane to the side `left` (m).
-fn told(
-    assets: &Assets,
-    mirrors: bool,
-    (route, start): &(Route, f64),
-    car: Option<[f64; 2]>,
-) -> [Option<LeadState>; 2] {
+fn looked(assets: &Assets, mirrors: bool, (route, start): &(Route, f64), car: Option<[f64; 2]>) -> Eyes {
     let detector = perception::detector("truth", LeastScore::Usual).unwrap();
     let eyes = Eyes::new(assets.town(), CameraConfig::default(), detector).unwrap();
-    let mut eyes = eyes.with_mirrors(mirrors).unwrap();
+    let mut eyes = eyes.with_mirrors(mirrors).unwrap().with_outputs(Outputs::RGB);
     eyes.reset(Preset::ClearNoon, 1);
     let network = assets.network();
     let signals = vec![None; network.traffic_lights.len()];
@@ -113,6 +109,11 @@ fn told(
         eyes.follow(&world);
         eyes.look(&facts).unwrap();
     }
+    eyes
+}
+
+/// Who keeps the ego back, and who is in front in the raw states.
+fn told(eyes: &Eyes) -> [Option<LeadState>; 2] {
     [eyes.percept().unwrap().beside, eyes.raw().lead]
 }
 
@@ -121,17 +122,20 @@ fn who_is_beside_the_ego_before_a_change_of_lane_is_seen_in_the_mirror_alone() {
     let assets = Assets::load("town5").unwrap();
     for (option, left) in [(RoadOption::ChangeLaneLeft, 3.3), (RoadOption::ChangeLaneRight, -3.3)] {
         let (way, beside) = (changing(assets.network(), option), Some([5.0, left]));
-        let [kept, lead] = told(&assets, true, &way, beside);
+        let eyes = looked(&assets, true, &way, beside);
+        let mirror = eyes.mirror().expect("what a film shows");
+        assert_eq!(mirror.left, left > 0.0, "{option:?}");
+        let is_boxed = mirror.picture.rgb.chunks_exact(3).any(|pixel| pixel == BLUE);
+        assert!(is_boxed, "{option:?}: who is beside has a box");
+        let [kept, lead] = told(&eyes);
         let kept = kept.unwrap_or_else(|| panic!("{option:?}: nobody is seen"));
         assert!((5.0..30.0).contains(&kept.gap) && kept.closing_speed == SPEED, "{option:?}: {kept:?}");
         assert_eq!(lead, Some(kept), "{option:?}: it counts as the vehicle in front");
-        assert_eq!(told(&assets, false, &way, beside), [None, None], "{option:?}: without mirrors");
-        assert_eq!(told(&assets, true, &way, None), [None, None], "{option:?}: nobody is there");
-        assert_eq!(
-            told(&assets, true, &way, Some([5.0, -left])),
-            [None, None],
-            "{option:?}: on the other side"
-        );
+        let blind = looked(&assets, false, &way, beside);
+        assert!(told(&blind) == [None, None] && blind.mirror().is_none(), "{option:?}: without mirrors");
+        assert_eq!(told(&looked(&assets, true, &way, None)), [None, None], "{option:?}: nobody is there");
+        let other = looked(&assets, true, &way, Some([5.0, -left]));
+        assert_eq!(told(&other), [None, None], "{option:?}: on the other side");
     }
 }
 

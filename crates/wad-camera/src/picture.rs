@@ -174,6 +174,14 @@ impl Picture {
         }
     }
 
+    /// As a mirror shows it: left and right swapped.
+    #[must_use]
+    pub fn mirrored(&self) -> Self {
+        let rows = self.rgb.chunks_exact(3 * self.width);
+        let rgb = rows.flat_map(|row| row.rchunks_exact(3).flatten().copied()).collect();
+        Self { rgb, ..*self }
+    }
+
     /// Puts another picture on this one with a light frame round it.
     pub fn inset(&mut self, other: &Self, x: usize, y: usize) {
         self.paste(other, x, y);
@@ -365,6 +373,15 @@ mod tests {
         for wrong in ["p.bmp", "p", "new", "new/p.png/q.png"] {
             assert!(Picture::can_save(&folder.path().join(wrong)).is_err(), "{wrong}");
         }
+    }
+
+    #[test]
+    fn a_mirror_swaps_left_and_right() {
+        let mut picture = Picture::new(3, 2);
+        picture.set(0, 1, [9, 8, 7]);
+        let mut swapped = Picture::new(3, 2);
+        swapped.set(2, 1, [9, 8, 7]);
+        assert_eq!(picture.mirrored(), swapped);
     }
 
     #[test]

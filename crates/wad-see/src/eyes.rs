@@ -97,6 +97,8 @@ pub struct Look {
     pub frame: Frame,
     /// What was perceived in it.
     pub percept: Percept,
+    /// What was seen in a mirror at the same time.
+    pub mirror: Option<stages::MirrorView>,
 }
 
 /// The eyes of one ego.
@@ -124,7 +126,9 @@ struct Sight {
     perception: Option<Perception>,
     /// Looks back where the route changes lanes.
     mirror: Option<Camera>,
-    /// The camera's outputs beside perception's.
+    /// Whether the last look went into the left mirror; None: into no mirror.
+    left: Option<bool>,
+    /// The cameras' outputs beside perception's.
     outputs: Outputs,
     weather: Weather,
 }
@@ -159,6 +163,7 @@ impl Eyes {
             camera: Camera::new(config)?,
             perception: None,
             mirror: None,
+            left: None,
             outputs: Outputs::NONE,
             weather: Weather::from(weather),
         };
@@ -246,13 +251,14 @@ impl Eyes {
         perception.map_or(ImageKind::Transformed, Perception::image_kind)
     }
 
-    /// Also shows what the latent of each transformed image holds.
+    /// Also shows what the latent of each image holds; without an encoder, of the image that `decoder` was trained on.
     #[must_use]
     pub fn with_decoder(self, decoder: Box<dyn Decoder>) -> Self {
-        Self { decoder: Some(decoder), ..self }
+        let eyes = if self.encoder.is_none() { self.with_image(decoder.image_kind()) } else { self };
+        Self { decoder: Some(decoder), ..eyes }
     }
 
-    /// The camera also makes `outputs`.
+    /// The cameras also make `outputs`.
     #[must_use]
     pub fn with_outputs(mut self, outputs: Outputs) -> Self {
         if let Some(sight) = &mut self.sight {
@@ -270,6 +276,7 @@ impl Eyes {
         }
         if let Some(sight) = &mut self.sight {
             sight.town = sight.town.share();
+            sight.left = None;
             if let Some(perception) = &mut sight.perception {
                 perception.reset(seeds::derive(seed, "detector"));
             }
@@ -328,6 +335,8 @@ impl Eyes {
         let behind = sight.render_behind(facts);
         self.times.camera = lap();
         let Some(perception) = &mut sight.perception else { return Ok(()) };
+        let ego = &facts.on_route.state.pose;
+        sight.left = behind.map(|mirror| ego.to_local(mirror.xy()).y > 0.0);
         if let (Some(pose), Some(mirror)) = (behind, &sight.mirror) {
             perception.detect_behind(mirror.frame(), &pose, facts.tick)?;
         }
@@ -451,7 +460,17 @@ impl Eyes {
     pub fn last_look(&self) -> Option<Look> {
         // Before the first look, and where the boxes alone were rendered, there is no picture.
         let frame = self.frame().filter(|frame| !frame.rgb.is_empty())?;
-        Some(Look { frame: frame.clone(), percept: self.percept()?.clone() })
+        Some(Look { frame: frame.clone(), percept: self.percept()?.clone(), mirror: self.mirror() })
+    }
+
+    /// What the last look saw in a mirror; None where it went into none, or the detector needs no picture.
+    pub fn mirror(&self) -> Option<stages::MirrorView> {
+        let Sight { mirror, perception, left, .. } = self.sight.as_ref()?;
+        let (left, perception) = ((*left)?, perception.as_ref()?);
+        let frame = mirror.as_ref()?.frame();
+        let has_picture = !frame.rgb.is_empty();
+        let picture = || stages::detections(frame, perception.behind()).mirrored();
+        has_picture.then(|| stages::MirrorView { left, picture: picture() })
     }
 
     /// Wall time of the last look, by part.
@@ -468,11 +487,18 @@ impl Eyes {
         }
     }
 
-    /// The stages side by side, `side` pixels each: camera, what was seen, transformed, reconstruction. None
-    /// where there is no perception.
+    /// The stages side by side, `side` pixels each: camera, what was seen (in a mirror too), transformed, reconstruction.
+    /// None where there is no perception.
     pub fn strip(&self, side: usize) -> Option<Picture> {
         let ground = self.perception()?.ground();
-        Some(stages::strip(self.frame()?, self.percept()?, ground, self.reconstruction(), side))
+        Some(stages::strip(
+            self.frame()?,
+            self.percept()?,
+            ground,
+            self.mirror().as_ref(),
+            self.reconstruction(),
+            side,
+        ))
     }
 }
 
@@ -488,7 +514,8 @@ impl Sight {
     fn render_behind(&mut self, facts: &EgoFacts<'_>) -> Option<Pose> {
         let (mirror, needs) = (self.mirror.as_mut()?, self.perception.as_ref()?.needs());
         let pose = mirrors::pose(facts)?;
-        mirror.render(self.town.scene(), self.town.actors(), &pose, &self.weather, needs);
+        let outputs = self.outputs.with(needs);
+        mirror.render(self.town.scene(), self.town.actors(), &pose, &self.weather, outputs);
         Some(pose)
     }
 }

@@ -217,6 +217,9 @@ impl Recorder {
                 };
                 put(&front, "front camera", right, 16);
                 put(&bird, "from above", right, low);
+                if let Some(mirror) = eyes.and_then(Eyes::mirror) {
+                    put(&mirror.picture, if mirror.left { "left mirror" } else { "right mirror" }, 16, 16);
+                }
                 if let Some(image) = eyes.and_then(Eyes::image) {
                     put(&stages::transformed(image), "what the agent sees", 16, low);
                 }

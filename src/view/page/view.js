@@ -226,6 +226,12 @@ function paintPictures(drawn) {
       if (canvas.width !== bitmap.width || canvas.height !== bitmap.height) [canvas.width, canvas.height] = [bitmap.width, bitmap.height];
       cameraContext.drawImage(bitmap, 0, 0);
       if (name === "front" && state.sees && $("boxes").checked) overlay();
+    } else if (name === "mirror" && look === "front") {
+      const side = 170, x = state.mirror === "left" ? 2 : 510 - side, y = 510 - side;
+      cameraContext.drawImage(bitmap, x, y, side, side);
+      cameraContext.strokeStyle = "#ebebeb";
+      cameraContext.lineWidth = 2;
+      cameraContext.strokeRect(x - 1, y - 1, side + 2, side + 2);
     } else if (name === "transformed" || name === "reconstruction") {
       $(name).getContext("2d").drawImage(bitmap, 0, 0, 128, 128);
     }

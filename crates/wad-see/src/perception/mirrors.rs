@@ -148,6 +148,11 @@ impl Mirrors {
         Ok(())
     }
 
+    /// What the detector found in the last frame.
+    pub fn detections(&self) -> &[Detection] {
+        &self.detections
+    }
+
     /// Who keeps the ego from the change of lane that is due, seen in the mirror or, among `others`, ahead: as a vehicle that
     /// stands where the ego has to wait.
     pub fn keeps_back(&mut self, others: &RoadUsers, facts: &EgoFacts<'_>) -> Option<LeadState> {

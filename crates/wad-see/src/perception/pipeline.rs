@@ -169,6 +169,11 @@ impl Perception {
         mirrors.look(&mut *self.detector, frame, pose, tick)
     }
 
+    /// What the detector found in the [mirror](super::mirrors) that was looked into last; nothing where there is none.
+    pub fn behind(&self) -> &[Detection] {
+        self.mirrors.as_ref().map_or(&[], Mirrors::detections)
+    }
+
     /// Second stage: the lane boundaries.
     pub fn find_lanes(&mut self, frame: &Frame, facts: &EgoFacts<'_>) {
         self.percept.lanes = match self.detector.seen() {

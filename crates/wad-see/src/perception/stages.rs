@@ -114,12 +114,31 @@ pub fn transformed(image: &TransformedImage) -> Picture {
     Picture { width: TRANSFORMED_SIZE, height: TRANSFORMED_SIZE, rgb: image.bytes().to_vec() }
 }
 
-/// Camera, what was seen in its picture (boxes, boundaries, light, signs, what is road), transformed image and, where there is one,
+/// What was seen in a [mirror](super::mirrors), for display.
+#[derive(Clone, Debug)]
+pub struct MirrorView {
+    /// Whether it is the left one.
+    pub left: bool,
+    /// As a driver sees it, left and right swapped, with the detections' boxes.
+    pub picture: Picture,
+}
+
+impl MirrorView {
+    /// Puts it where a driver looks for it: at the foot of the picture from behind the windscreen, a third as wide, on its side.
+    pub fn put_on(&self, front: &mut Picture) {
+        let side = front.width / 3;
+        let x = if self.left { 1 } else { front.width - side - 1 };
+        front.inset(&self.picture.scaled(side, side), x, front.height - side - 1);
+    }
+}
+
+/// Camera, what was seen in its picture (boxes, boundaries, light, signs, what is road) and in a mirror, transformed image and, where there is one,
 /// reconstruction, side by side, `side` pixels each.
 pub fn strip(
     frame: &Frame,
     percept: &Percept,
     ground: &GroundPlane,
+    mirror: Option<&MirrorView>,
     reconstruction: Option<&TransformedImage>,
     side: usize,
 ) -> Picture {
@@ -127,6 +146,9 @@ pub fn strip(
     draw_boxes(&mut seen, &percept.detections);
     label_light(&mut seen, percept);
     label_signs(&mut seen, percept);
+    if let Some(mirror) = mirror {
+        mirror.put_on(&mut seen);
+    }
     let mut pictures = vec![Picture::rgb(frame), seen, transformed(&percept.transformed)];
     pictures.extend(reconstruction.map(transformed));
     let mut strip = Picture::new(side * pictures.len(), side);
