@@ -160,6 +160,7 @@ struct Wanted {
     /// What a driver of Python's gets.
     observation: ObservationMode,
     detector: String,
+    mirrors: bool,
     encoder: String,
     /// Seconds for each answer of an external agent.
     agent_timeout: f64,
@@ -327,6 +328,7 @@ impl Wanted {
         let options = EnvOptions {
             termination: suite.termination,
             detector: self.detector,
+            mirrors: self.mirrors,
             observation: self.observation,
             ..EnvOptions::evaluation()
         };

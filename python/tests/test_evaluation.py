@@ -23,8 +23,8 @@ def test_the_same_bytes_as_the_command_line(tmp_path):
     if not PROGRAM.exists():
         pytest.skip("the program is not built: cargo build --release")
     constant = "constant:0.3,0,0"
-    wad_cosim.evaluate("tasks", constant, **PART, out=tmp_path / "python", keep="none")
-    command = [PROGRAM, "eval", "tasks", "--agent", constant, "--out", tmp_path / "program", "--keep", "none"]
+    wad_cosim.evaluate("tasks", constant, **PART, mirrors=True, out=tmp_path / "python", keep="none")
+    command = [PROGRAM, "eval", "tasks", "--agent", constant, "--mirrors", "--out", tmp_path / "program", "--keep", "none"]
     for option, value in PART.items():
         command += [f"--{option}", str(value)]
     done = subprocess.run(command, capture_output=True, text=True)
@@ -32,6 +32,8 @@ def test_the_same_bytes_as_the_command_line(tmp_path):
     for name in ("episodes.jsonl", "summary.json"):
         ours, theirs = ((tmp_path / where / name).read_bytes() for where in ("python", "program"))
         assert ours == theirs and ours
+    ours, theirs = (json.loads((tmp_path / where / "config.json").read_bytes())["options"] for where in ("python", "program"))
+    assert ours == theirs and ours["mirrors"]
 
 
 @pytest.mark.parametrize("observation", ["raw", "vector"])

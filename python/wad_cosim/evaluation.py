@@ -27,6 +27,7 @@ def evaluate(
     observation: str | None = None,
     action: Any = "continuous",
     detector: str | None = None,
+    mirrors: bool = False,
     encoder: str | os.PathLike[str] | None = None,
     agent_timeout: float = 10.0,
     condition: str | Iterable[str] = (),
@@ -59,6 +60,7 @@ def evaluate(
         detector: As the command line's ``--detector``. Default: for a driver by name and for what
             :func:`load_agent` gave the command line's, ``eyes``, which needs ``wad-cosim[eyes]``; for a policy that of
             :class:`DrivingEnv` with this observation.
+        mirrors: Cameras in place of the door mirrors look back before a change of lane (docs/perception.md).
         encoder: What makes the latent of ``observation="latent"``. Default: for what :func:`load_agent` gave that of its
             training, else ``default``.
         agent_timeout: Seconds for each answer of an ``exec:`` agent.
@@ -117,6 +119,7 @@ def evaluate(
         episodes=episodes,
         observation=observation,
         detector=detector,
+        mirrors=mirrors,
         encoder="default" if encoder is None else encoder,
         agent_timeout=agent_timeout,
         jobs=jobs,
@@ -154,6 +157,7 @@ def wanted_by(
     keep: str,
     weathers_in_turn: bool = False,
     observation: str = "raw",
+    mirrors: bool = False,
     encoder: str | os.PathLike[str] = "default",
     agent_timeout: float = 10.0,
     jobs: int | None = None,
@@ -174,6 +178,7 @@ def wanted_by(
         "traffic": _list(traffic),
         "observation": _MODES[observation],
         "detector": detector,
+        "mirrors": mirrors,
         "encoder": os.fspath(encoder),
         "agent_timeout": agent_timeout,
         "jobs": jobs or 1,

@@ -28,6 +28,7 @@ def _parser() -> argparse.ArgumentParser:
     drive.add_argument("--weathers-in-turn", action="store_true", help="episode by episode, instead of all episodes in each")
     drive.add_argument("--episodes", type=int, metavar="N", help="per task, town and weather")
     drive.add_argument("--detector", default=_native.DEFAULT_DETECTOR, metavar="NAME", help=f"[{_native.DEFAULT_DETECTOR}]")
+    drive.add_argument("--mirrors", action="store_true", help="look back before a change of lane, by cameras as door mirrors")
     drive.add_argument("--agent-timeout", type=float, default=10, metavar="SECONDS", help="for each answer of an exec: agent [10]")
     drive.add_argument("--keep", default="failures", choices=("none", "failures", "all"), help="which to record")
     drive.add_argument("--resume", action="store_true", help="continue the evaluation in --out")
@@ -123,6 +124,7 @@ def _eval(asked: argparse.Namespace) -> int:
         seed=asked.seed,
         episodes=asked.episodes,
         detector=asked.detector,
+        mirrors=asked.mirrors,
         agent_timeout=asked.agent_timeout,
         out=asked.out,
         resume=asked.resume,
