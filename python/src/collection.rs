@@ -8,10 +8,8 @@ use serde::Deserialize;
 use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
 use wad_cosim::assets::{Assets, AssetsError};
-use wad_cosim::bridge::BridgeError;
 use wad_cosim::camera::Preset;
 use wad_cosim::dataset::{self, CollectOptions, DatasetError, Segment};
-use wad_cosim::folder_lock::LockError;
 
 /// A dataset as Python describes it, in JSON.
 #[derive(Deserialize)]
@@ -56,14 +54,9 @@ impl Wanted {
 fn failure(error: DatasetError) -> Failure {
     let text = error.to_string();
     match error {
-        DatasetError::Bridge(bridge) if bridge.is_input() => Failure::Input(text),
-        DatasetError::Bridge(BridgeError::Folder { .. })
-        | DatasetError::Io { .. }
-        | DatasetError::Lock(LockError::Make { .. })
-        | DatasetError::DiskFull { .. }
-        | DatasetError::System { .. } => Failure::Other(text),
-        DatasetError::Bridge(_) => Failure::Sumo(text),
-        _ => Failure::Input(text),
+        _ if error.is_input() => Failure::Input(text),
+        _ if error.is_sumo() => Failure::Sumo(text),
+        _ => Failure::Other(text),
     }
 }
 

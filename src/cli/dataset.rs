@@ -9,10 +9,9 @@ use wad_cosim::camera::Preset;
 use wad_cosim::camera::model::ObjectClass;
 use wad_cosim::camera::variety::Varied;
 use wad_cosim::dataset::{
-    CollectOptions, Collected, Dataset, DatasetError, NoiseParams, Progress, RecordedRun, Role,
-    TRAINING_WEATHERS, collect,
+    CollectOptions, Collected, Dataset, DatasetError, NoiseParams, Progress, RecordedRun, Role, ShardReader,
+    collect,
 };
-use wad_cosim::folder_lock::LockError;
 use wad_cosim::perception::ImageKind;
 use wad_cosim::perception::coco::{CLASSES, class_name};
 
@@ -44,7 +43,8 @@ Examples:
   wad-cosim dataset collect --frames 5000 --camera --near --showing person --out data/people
   wad-cosim dataset collect --from runs/mine --from runs/yours --out data/runs       (frames of recorded runs)
 
-Run the same command again to continue an interrupted collection. Frames of town5 are test data: `train` refuses them.";
+Run the same command again to continue an interrupted collection. Frames of town5 and town7, scenarios in them
+too, are test data: `train` refuses them.";
 
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
@@ -129,17 +129,7 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
 
 /// The exit code of a dataset's error.
 pub fn with_exit(error: DatasetError) -> anyhow::Error {
-    let exit = match &error {
-        DatasetError::Bridge(bridge) => Exit::of_bridge(bridge),
-        DatasetError::Drive(drive) => Exit::of_drive(drive),
-        DatasetError::Assets(assets) => Exit::of_assets(assets),
-        DatasetError::Io { .. }
-        | DatasetError::Lock(LockError::Make { .. })
-        | DatasetError::DiskFull { .. }
-        | DatasetError::System { .. } => Exit::Other,
-        _ => Exit::Input,
-    };
-    exit.because(error)
+    Exit::of_dataset(&error).because(error)
 }
 
 /// A class by its COCO name.
@@ -185,9 +175,6 @@ fn run_collect(args: &CollectArgs) -> anyhow::Result<Exit> {
     }
     let runs = args.from.iter().map(|folder| RecordedRun::open(folder)).collect::<Result<_, _>>();
     options.runs = runs.map_err(with_exit)?;
-    if options.weathers.iter().any(|w| !TRAINING_WEATHERS.contains(w)) && !args.town.contains("town5") {
-        tracing::warn!("networks trained on this dataset also know weathers beyond the three of training");
-    }
     let interrupt = crate::cli::interrupt()?.flag();
     let bar = Bar::new(args.frames as u64, "frames");
     let result = collect(&options, &interrupt, |Progress { frames, wanted }| {
@@ -224,8 +211,7 @@ fn info(args: &InfoArgs) -> anyhow::Result<Exit> {
     let m = &dataset.manifest;
     let (mut red, mut lead, mut pedestrian, mut disturbed, mut boxes, mut frames) = (0, 0, 0, 0, 0, 0);
     for shard in 0..dataset.shards.len() {
-        let mut reader = dataset.reader(shard).map_err(with_exit)?;
-        while let Some(frame) = reader.next_frame().map_err(with_exit)? {
+        for frame in dataset.read(shard, ShardReader::next_frame).map_err(with_exit)? {
             let r = &frame.record;
             frames += 1;
             red += usize::from(r.labels.red);

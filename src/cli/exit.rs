@@ -3,10 +3,9 @@
 use std::fmt;
 use std::process::ExitCode;
 use wad_cosim::assets::AssetsError;
-use wad_cosim::bridge::BridgeError;
+use wad_cosim::dataset::DatasetError;
 use wad_cosim::drive::DriveError;
 use wad_cosim::env::EnvError;
-use wad_cosim::telemetry::FolderError;
 
 /// The process's exit codes. The numbers are part of the interface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,37 +34,26 @@ impl Exit {
         if error.is_input() { Self::Input } else { Self::Sumo }
     }
 
-    /// The code of a bridge's error.
-    pub fn of_bridge(error: &BridgeError) -> Self {
-        match error {
-            BridgeError::Folder { .. } => Self::Other,
-            error if error.is_input() => Self::Input,
-            _ => Self::Sumo,
-        }
-    }
-
     /// The code of an environment's error.
     pub fn of_env(error: &EnvError) -> Self {
-        match error {
-            error if error.is_input() => Self::Input,
-            error if error.is_sumo() => Self::Sumo,
-            _ => Self::Other,
-        }
+        Self::blamed(error.is_input(), error.is_sumo())
     }
 
     /// The code of a drive's error.
     pub fn of_drive(error: &DriveError) -> Self {
-        match error {
-            DriveError::Bridge(bridge) => Self::of_bridge(bridge),
-            DriveError::Assets(assets) => Self::of_assets(assets),
-            DriveError::Destination(_)
-            | DriveError::Crowded { .. }
-            | DriveError::Scenario { .. }
-            | DriveError::Folder(FolderError::Taken { .. }) => Self::Input,
-            DriveError::Folder(FolderError::Write(_))
-            | DriveError::Write(_)
-            | DriveError::Agent(_)
-            | DriveError::Eyes(_) => Self::Other,
+        Self::blamed(error.is_input(), error.is_sumo())
+    }
+
+    /// The code of a dataset's error.
+    pub fn of_dataset(error: &DatasetError) -> Self {
+        Self::blamed(error.is_input(), error.is_sumo())
+    }
+
+    fn blamed(is_input: bool, is_sumo: bool) -> Self {
+        match (is_input, is_sumo) {
+            (true, _) => Self::Input,
+            (_, true) => Self::Sumo,
+            _ => Self::Other,
         }
     }
 

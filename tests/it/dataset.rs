@@ -3,8 +3,11 @@
 use serde_json::Value;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
+use std::sync::atomic::AtomicBool;
 use wad_cosim::camera::model::ObjectClass;
-use wad_cosim::dataset::{BoxRecord, Dataset, FrameRecord};
+use wad_cosim::dataset::{
+    BoxRecord, CollectOptions, Dataset, FrameRecord, Manifest, NoiseParams, Role, collect as collect_frames,
+};
 use wad_cosim::world::SignalState;
 
 fn wad(args: &[&str], folder: &Path) -> Output {
@@ -37,28 +40,65 @@ fn shards(folder: &Path) -> Vec<(String, Vec<u8>)> {
     shards
 }
 
-/// What a shard lost or torn costs is only itself, and collecting goes on with the very same bytes,
-/// whatever the number of jobs.
+/// What a shard lost, torn or damaged costs is only itself, and collecting goes on with the very same bytes,
+/// whatever the number of jobs. More frames than before make the last shard longer.
 #[test]
 fn collecting_goes_on_where_it_stopped() {
     let folder = tempfile::tempdir().unwrap();
-    let args = ["--town", "town5", "--frames", "24", "--per-shard", "8", "--seed", "3"];
+    let args = |frames| ["--town", "town5", "--per-shard", "8", "--seed", "3", "--frames", frames];
     let first = folder.path().join("first");
-    let result = collect(&first, &[&args[..], &["--jobs", "2"]].concat());
-    assert_eq!((result["frames"].as_u64(), result["complete"].as_bool()), (Some(24), Some(true)));
+    let result = collect(&first, &[&args("28")[..], &["--jobs", "2"]].concat());
+    assert_eq!((result["frames"].as_u64(), result["complete"].as_bool()), (Some(28), Some(true)));
     let whole = shards(&first);
-    assert_eq!(whole.len(), 3);
+    assert_eq!(whole.len(), 4);
+    let mut flipped = whole[0].1.clone();
+    let middle = flipped.len() / 2;
+    flipped[middle] ^= 4;
+    std::fs::write(first.join("shard-00000.wads"), flipped).unwrap();
     std::fs::remove_file(first.join("shard-00001.wads")).unwrap();
     std::fs::write(first.join("shard-00002.wads"), &whole[2].1[..500]).unwrap();
-    let result = collect(&first, &args);
-    assert_eq!(result["frames_before"].as_u64(), Some(8));
+    let result = collect(&first, &args("28"));
+    assert_eq!(result["frames_before"].as_u64(), Some(4));
     assert!(shards(&first) == whole, "shards differ");
+    let result = collect(&first, &args("32"));
+    assert_eq!((result["frames_before"].as_u64(), result["frames"].as_u64()), (Some(24), Some(32)));
+    assert!(shards(&first)[..3] == whole[..3], "shards differ");
     // Another seed is another dataset.
     let output =
-        wad(&["dataset", "collect", "--town", "town5", "--frames", "24", "--per-shard", "8"], &first);
+        wad(&["dataset", "collect", "--town", "town5", "--frames", "32", "--per-shard", "8"], &first);
     let error = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(2));
     assert!(error.contains("the seed") && error.contains('3'), "{error}");
+}
+
+/// A scenario's town is its net: frames of scenarios in town5 are never trained on.
+#[test]
+fn frames_of_a_scenario_belong_to_its_town() {
+    let folder = tempfile::tempdir().unwrap();
+    let result = collect(folder.path(), &["--town", "obstacle", "--frames", "8", "--max-minutes", "0"]);
+    assert_eq!(result["town"], "town5");
+    let manifest = Manifest::load(folder.path()).unwrap().unwrap();
+    assert_eq!((manifest.town.as_str(), manifest.role), ("town5", Role::Test));
+}
+
+/// In the tick in which the ego is moved, the world around its new place is not known yet.
+#[test]
+fn no_frame_is_taken_in_the_tick_in_which_the_ego_is_moved() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut options = CollectOptions::new("town3", 300, folder.path());
+    // A frame in every tick, and pushes off the road.
+    (options.seed, options.per_segment, options.every) = (3, 300, 0.1);
+    options.noise =
+        NoiseParams { pause: 1.0, duration: [3.0, 5.0], lateral: [8.0, 9.0], ..NoiseParams::default() };
+    collect_frames(&options, &AtomicBool::new(false), |_| {}).unwrap();
+    let frames = records(folder.path());
+    let moves: Vec<f64> = frames
+        .windows(2)
+        .filter(|pair| (pair[1].ego.pose.xy() - pair[0].ego.pose.xy()).norm() > 10.0)
+        .map(|pair| pair[1].time - pair[0].time)
+        .collect();
+    // A tick is 0.167 s.
+    assert!(!moves.is_empty() && moves.iter().all(|seconds| *seconds > 0.25), "{moves:?}");
 }
 
 /// With random signals the traffic is the same, and so is all that a frame shows but the lamps and what follows from them.

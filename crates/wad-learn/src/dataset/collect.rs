@@ -2,9 +2,9 @@
 
 use super::drive::SegmentDrive;
 use super::error::DatasetError;
-use super::folder::{FORMAT_VERSION, Manifest, State, shard_path};
+use super::folder::{FORMAT_VERSION, Manifest, Role, State, shard_path};
 use super::image_codec::CameraCodec;
-use super::options::CollectOptions;
+use super::options::{CollectOptions, TRAINING_WEATHERS};
 use super::plan::{Segment, plan};
 use super::record::{BoxRecord, FrameRecord};
 use super::recorded::RecordedRun;
@@ -97,7 +97,7 @@ pub struct Collection {
 }
 
 impl Collection {
-    /// Opens the folder of `options`, and takes its lock.
+    /// Opens the folder of `options`, takes its lock, and removes damaged shards.
     ///
     /// # Errors
     /// The folder holds another dataset or is in use, or the town cannot be opened.
@@ -107,28 +107,39 @@ impl Collection {
             Some(run) => run.options.bridge.config.clone(),
             None => bundled::resolve(&options.town)?,
         };
-        let file = config.file_name().map(|f| f.to_string_lossy().into_owned()).unwrap_or_default();
-        let town = file.split('.').next().unwrap_or("net").to_string();
-        if let Some(other) = options.runs.iter().map(RecordedRun::town).find(|other| *other != town) {
-            return Err(DatasetError::Towns { first: town, other });
+        let assets = Assets::open(&config, false)?;
+        let town = assets.town_name().to_string();
+        for run in &options.runs {
+            let other = run.town()?;
+            if other != town {
+                return Err(DatasetError::Towns { first: town, other });
+            }
         }
-        let lock = FolderLock::take(&options.out)?;
-        let manifest = Manifest::new(options, &town);
-        if let Some(found) = Manifest::load(&options.out)? {
-            found.check_same(&manifest, &options.out)?;
-        }
-        manifest.save(&options.out)?;
         let segments = if options.runs.is_empty() {
             let dense = TrafficSpec::Dense.counts(&town).unwrap_or_default();
             plan(options.frames, options.per_segment, &options.weathers, dense, options.seed)
         } else {
-            RecordedRun::segments(&options.runs, &options.weathers, options.every)
+            RecordedRun::segments(&options.runs, &town, &options.weathers, options.every, options.seed)
         };
+        let mut manifest = Manifest::new(options, &town);
+        manifest.frames_wanted = segments.iter().map(|segment| segment.frames).sum();
+        let others = options.weathers.iter().any(|weather| !TRAINING_WEATHERS.contains(weather));
+        if others && manifest.role == Role::Training {
+            tracing::warn!(
+                "networks trained on this dataset also know weathers beyond the three of training"
+            );
+        }
+        let lock = FolderLock::take(&options.out)?;
+        if let Some(found) = Manifest::load(&options.out)? {
+            found.check_same(&manifest, &options.out)?;
+        }
+        manifest.save(&options.out)?;
+        remove_damaged(&options.out, &segments)?;
         let (_, frames_before) = missing_segments(&options.out, &segments)?;
         Ok(Self {
             options: options.clone(),
             town,
-            assets: Assets::open(&config, false)?,
+            assets,
             segments,
             manifest,
             frames_before,
@@ -160,10 +171,10 @@ impl Collection {
     /// # Errors
     /// It is not the shard of that segment, or cannot be written.
     pub fn put(&self, segment: &Segment, shard: &[u8]) -> Result<bool, DatasetError> {
-        let path = shard_path(&self.options.out, segment);
-        if ShardReader::open(&path).is_ok() {
+        if frames_of(&self.options.out, segment)?.is_some() {
             return Ok(false);
         }
+        let path = shard_path(&self.options.out, segment);
         let staging = path.with_extension("part");
         let placed = std::fs::write(&staging, shard)
             .and_then(|()| std::fs::File::open(&staging)?.sync_data())
@@ -300,17 +311,37 @@ pub fn collect(
     Ok(collected)
 }
 
-/// Segments without a complete shard, and the number of frames in complete shards. A torn shard is missing.
+/// Removes the shards of `segments` that are damaged, so that they are driven again.
+fn remove_damaged(folder: &Path, segments: &[Segment]) -> Result<(), DatasetError> {
+    for path in segments.iter().map(|segment| shard_path(folder, segment)) {
+        let read = ShardReader::open(&path).and_then(ShardReader::verify);
+        if let Err(error @ DatasetError::Torn { .. }) = read {
+            tracing::warn!("{error}; it is driven again");
+            std::fs::remove_file(&path).map_err(DatasetError::io("remove", &path))?;
+        }
+    }
+    Ok(())
+}
+
+/// Segments without a complete shard, and the number of frames in complete shards.
 fn missing_segments(folder: &Path, segments: &[Segment]) -> Result<(Vec<Segment>, usize), DatasetError> {
     let (mut missing, mut frames) = (Vec::new(), 0);
     for segment in segments {
-        match ShardReader::open(&shard_path(folder, segment)) {
-            Ok(reader) => frames += reader.frames(),
-            Err(error @ DatasetError::Version { .. }) => return Err(error),
-            Err(_) => missing.push(*segment),
+        match frames_of(folder, segment)? {
+            Some(found) => frames += found,
+            None => missing.push(*segment),
         }
     }
     Ok((missing, frames))
+}
+
+/// Frames in the segment's shard; None where it is missing, torn, or of another segment: a shorter one, say.
+fn frames_of(folder: &Path, segment: &Segment) -> Result<Option<usize>, DatasetError> {
+    match ShardReader::open(&shard_path(folder, segment)) {
+        Ok(reader) => Ok((reader.header().segment == *segment).then(|| reader.frames())),
+        Err(error @ DatasetError::Version { .. }) => Err(error),
+        Err(_) => Ok(None),
+    }
 }
 
 /// One thread: takes segment after segment.

@@ -89,8 +89,9 @@ impl<'a> SegmentDrive<'a> {
     /// SUMO fails, or the picture cannot be encoded.
     pub async fn next_frame(&mut self) -> Result<Frame, DatasetError> {
         loop {
-            self.tick().await?;
-            self.since_frame += self.session.bridge().tick();
+            // The world around a new place is known after the next tick.
+            let moved = self.tick().await?;
+            self.since_frame = if moved { 0.0 } else { self.since_frame + self.session.bridge().tick() };
             let due = due(self.standing, self.options.every);
             if self.session.bridge().time() >= WARM_UP && self.since_frame >= due - 1e-6 {
                 break;
@@ -110,7 +111,8 @@ impl<'a> SegmentDrive<'a> {
         Ok(frame)
     }
 
-    async fn tick(&mut self) -> Result<(), DatasetError> {
+    /// True: the ego is at another place now.
+    async fn tick(&mut self) -> Result<bool, DatasetError> {
         let tick = self.session.bridge().tick();
         let wanted = self.session.plan(EGO).control;
         let ego = self.session.ego(EGO);
@@ -129,8 +131,8 @@ impl<'a> SegmentDrive<'a> {
         self.go_on().await
     }
 
-    /// A new destination on arrival; another place after a crash, when stuck, lost or too long about.
-    async fn go_on(&mut self) -> Result<(), DatasetError> {
+    /// A new destination on arrival; another place (then it is true) after a crash, when stuck, lost or too long about.
+    async fn go_on(&mut self) -> Result<bool, DatasetError> {
         let ego = self.session.ego(EGO);
         let at = ego.on_route();
         let over = self.crashed.is_some_and(|since| since > AFTER_CRASH)
@@ -139,12 +141,12 @@ impl<'a> SegmentDrive<'a> {
             || self.stay > LONGEST_STAY;
         let arrived = ego.route().length() - at.s <= ARRIVED;
         if !over && (!arrived || self.itinerary.go_on(&mut self.session, EGO)) {
-            return Ok(());
+            return Ok(false);
         }
         self.itinerary.start_elsewhere(&mut self.session, EGO).await?;
         self.eye.reset();
         (self.crashed, self.stay, self.standing) = (None, 0.0, 0.0);
-        Ok(())
+        Ok(true)
     }
 
     /// Ends SUMO.

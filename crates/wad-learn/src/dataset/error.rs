@@ -200,6 +200,30 @@ impl From<wad_sim::session::ItineraryError> for DatasetError {
 }
 
 impl DatasetError {
+    /// Whether the user's input is wrong, not this machine or SUMO.
+    pub fn is_input(&self) -> bool {
+        match self {
+            Self::Bridge(error) => error.is_input(),
+            Self::Drive(error) => error.is_input(),
+            Self::Assets(error) => error.is_input(),
+            Self::Io { .. }
+            | Self::Lock(LockError::Make { .. })
+            | Self::DiskFull { .. }
+            | Self::System { .. } => false,
+            _ => true,
+        }
+    }
+
+    /// Whether SUMO failed.
+    pub fn is_sumo(&self) -> bool {
+        match self {
+            Self::Bridge(error) => error.is_sumo(),
+            Self::Drive(error) => error.is_sumo(),
+            Self::Assets(error) => !error.is_input(),
+            _ => false,
+        }
+    }
+
     /// An I/O error at `path`; a full disk has its own error.
     pub fn io(what: &'static str, path: impl Into<PathBuf>) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.into();
@@ -209,5 +233,27 @@ impl DatasetError {
             }
             _ => Self::Io { what, path, source },
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::drive::DriveError;
+    use std::io::ErrorKind;
+    use wad_sim::assets::AssetsError;
+    use wad_sim::bridge::BridgeError;
+
+    #[test]
+    fn an_error_is_the_inputs_or_sumos_or_this_machines() {
+        let install = || sumo_traci::process::InstallError::NotFound { looked: Vec::new() };
+        let kinds = |error: DatasetError| (error.is_input(), error.is_sumo());
+        let torn = DatasetError::Torn { path: PathBuf::new(), why: String::new() };
+        assert_eq!(kinds(torn), (true, false));
+        let denied = DatasetError::io("read", "shard")(ErrorKind::PermissionDenied.into());
+        assert_eq!(kinds(denied), (false, false));
+        assert_eq!(kinds(BridgeError::from(install()).into()), (false, true));
+        assert_eq!(kinds(AssetsError::from(install()).into()), (false, true));
+        assert_eq!(kinds(DriveError::from(AssetsError::from(install())).into()), (false, true));
     }
 }

@@ -60,9 +60,9 @@ pub struct Manifest {
     pub role: Role,
     /// The town's name.
     pub town: String,
-    /// Frames wanted, and there when complete.
+    /// Frames of the plan; of recorded runs an upper limit until they are collected.
     pub frames_wanted: usize,
-    /// Frames wanted.
+    /// Frames in complete shards when collecting last ended; 0 before.
     pub frames: usize,
     /// Frames to a segment.
     pub per_segment: usize,
@@ -77,6 +77,12 @@ pub struct Manifest {
     /// The image for the encoder.
     #[serde(default)]
     pub image: ImageKind,
+    /// Simulation time between frames (s); None in datasets that were collected before this was kept.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub every: Option<f64>,
+    /// Mean time between disturbances (s), 0: none; None in datasets that were collected before this was kept.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub noise_pause: Option<f64>,
     /// Whether the camera's pictures are kept.
     pub keeps_camera: bool,
     /// The version of the program that collected it.
@@ -113,6 +119,8 @@ impl Manifest {
             camera: CameraConfig::default().hash(),
             detector: "truth".to_string(),
             image: options.image,
+            every: Some(options.every),
+            noise_pause: Some(options.noise.pause),
             keeps_camera: options.camera,
             program: wad_sim::program::version().to_string(),
             runs: options.runs.iter().map(|run| run.folder.clone()).collect(),
@@ -148,13 +156,17 @@ impl Manifest {
         telemetry::write_json(&path, self).map_err(|e| DatasetError::io("write", e.path)(e.source))
     }
 
-    /// Refuses to continue in a folder with another dataset.
+    /// Refuses to continue in a folder with another dataset. More frames than before continue it.
     pub(super) fn check_same(&self, asked: &Self, folder: &Path) -> Result<(), DatasetError> {
+        let seconds = |kept: Option<f64>, asked: Option<f64>| kept.or(asked).unwrap_or_default().to_string();
         let text = |m: &Self| {
             [
                 ("the town", m.town.clone()),
                 ("the seed", m.seed.to_string()),
                 ("frames per shard", m.per_segment.to_string()),
+                ("the number of frames", m.frames_wanted.max(asked.frames_wanted).to_string()),
+                ("the seconds between frames", seconds(m.every, asked.every)),
+                ("the seconds between disturbances", seconds(m.noise_pause, asked.noise_pause)),
                 ("the weathers", m.weathers.iter().map(|w| w.name()).collect::<Vec<_>>().join(",")),
                 (
                     "the recorded runs",
@@ -300,13 +312,31 @@ impl Dataset {
         ShardReader::open(path)
     }
 
+    /// What `next` reads of the shard at this index, frame by frame. A damaged frame ends its shard with a warning.
+    ///
+    /// # Errors
+    /// The shard cannot be opened.
+    pub fn read<T>(
+        &self,
+        shard: usize,
+        mut next: impl FnMut(&mut ShardReader) -> Result<Option<T>, DatasetError>,
+    ) -> Result<impl Iterator<Item = T>, DatasetError> {
+        let mut reader = self.reader(shard)?;
+        Ok(std::iter::from_fn(move || {
+            next(&mut reader).unwrap_or_else(|error| {
+                tracing::warn!("{error}; the rest of the shard is left out");
+                None
+            })
+        }))
+    }
+
     /// The transformed images of a shard, one after the other, in `bytes` (emptied first). A damaged
     /// frame ends its shard with a warning.
     ///
     /// # Errors
     /// The shard cannot be opened.
     pub fn images(&self, shard: usize, bytes: &mut Vec<u8>) -> Result<usize, DatasetError> {
-        self.read(shard, bytes, |reader, image| reader.next_image(image))
+        self.fill(shard, bytes, |reader, image| reader.next_image(image))
     }
 
     /// The same, and passes each image's record to `take`.
@@ -319,7 +349,7 @@ impl Dataset {
         bytes: &mut Vec<u8>,
         mut take: impl FnMut(FrameRecord),
     ) -> Result<usize, DatasetError> {
-        self.read(shard, bytes, |reader, image| {
+        self.fill(shard, bytes, |reader, image| {
             let Some(frame) = reader.next_frame()? else { return Ok(false) };
             image.copy_from_slice(frame.transformed.bytes());
             take(frame.record);
@@ -328,27 +358,23 @@ impl Dataset {
     }
 
     /// Fills `bytes` image by image with what `next` reads, until it says false or fails.
-    fn read(
+    fn fill(
         &self,
         shard: usize,
         bytes: &mut Vec<u8>,
         mut next: impl FnMut(&mut ShardReader, &mut [u8]) -> Result<bool, DatasetError>,
     ) -> Result<usize, DatasetError> {
-        let mut reader = self.reader(shard)?;
         bytes.clear();
-        for frame in 0..reader.frames() {
-            let at = frame * TransformedImage::BYTES;
+        let images = self.read(shard, |reader| {
+            let at = bytes.len();
             bytes.resize(at + TransformedImage::BYTES, 0);
-            let read = next(&mut reader, &mut bytes[at..]).unwrap_or_else(|error| {
-                tracing::warn!("{error}; the rest of the shard is left out");
-                false
-            });
-            if !read {
+            let read = next(reader, &mut bytes[at..]);
+            if !matches!(read, Ok(true)) {
                 bytes.truncate(at);
-                break;
             }
-        }
-        Ok(bytes.len() / TransformedImage::BYTES)
+            Ok(read?.then_some(()))
+        })?;
+        Ok(images.count())
     }
 }
 
@@ -400,6 +426,30 @@ mod tests {
         let dataset = Dataset::open(folder.path(), false).unwrap();
         assert_eq!((dataset.frames(), dataset.torn.len()), (6, 1));
         assert!(dataset.torn[0].contains("shard-00002"), "{:?}", dataset.torn);
+    }
+
+    #[test]
+    fn another_pace_or_fewer_frames_are_another_dataset() {
+        let asked = |frames, every, pause| {
+            let mut options = CollectOptions::new("town3", frames, Path::new("data"));
+            (options.per_segment, options.every, options.noise.pause) = (10, every, pause);
+            Manifest::new(&options, "town3")
+        };
+        let found = asked(100, 0.5, 7.0);
+        let differs =
+            |asked: &Manifest| found.check_same(asked, Path::new("data")).err().map(|e| e.to_string());
+        for (asked, what) in [
+            (asked(100, 1.0, 7.0), "expected the seconds between frames 1, found 0.5"),
+            (asked(100, 0.5, 0.0), "expected the seconds between disturbances 0, found 7"),
+            (asked(90, 0.5, 7.0), "expected the number of frames 90, found 100"),
+        ] {
+            let error = differs(&asked).unwrap();
+            assert!(error.contains(what), "{error}");
+        }
+        assert_eq!([100, 200].map(|frames| differs(&asked(frames, 0.5, 7.0))), [None, None]);
+        // It was not kept before.
+        let old = Manifest { every: None, noise_pause: None, ..found.clone() };
+        old.check_same(&asked(100, 1.0, 0.0), Path::new("data")).unwrap();
     }
 
     #[test]

@@ -53,7 +53,7 @@ pub fn plan(
             let share = |count: usize| count * DENSITY[index % DENSITY.len()] / 100;
             Segment {
                 index,
-                seed: seeds::derive(seed, &format!("segment {index}")),
+                seed: seed_of(seed, index),
                 weather: weathers.get(index % weathers.len().max(1)).copied().unwrap_or_default(),
                 traffic: Counts::new(share(dense.vehicles), share(dense.pedestrians)),
                 frames: per_segment.min(frames - index * per_segment),
@@ -62,12 +62,17 @@ pub fn plan(
         .collect()
 }
 
-/// Time between frames at standstill (s).
+/// The own seed of the segment `index` of a dataset with this `seed`.
+pub(super) fn seed_of(seed: u64, index: usize) -> u64 {
+    seeds::derive(seed, &format!("segment {index}"))
+}
+
+/// Time between frames at standstill (s), at the least.
 const STANDING_EVERY: f64 = 2.5;
 
 /// Time from a frame to the next one, if the ego has stood for `standing` (all s).
 pub(super) fn due(standing: f64, every: f64) -> f64 {
-    if standing > 1.0 { STANDING_EVERY } else { every }
+    if standing > 1.0 { every.max(STANDING_EVERY) } else { every }
 }
 
 #[cfg(test)]
@@ -85,6 +90,12 @@ mod tests {
         assert_eq!(pairs.len(), 3 * 4);
         let seeds: HashSet<_> = segments.iter().map(|s| s.seed).collect();
         assert_eq!(seeds.len(), segments.len());
+    }
+
+    #[test]
+    fn who_stands_is_never_recorded_more_often() {
+        assert_eq!([0.5, 4.0].map(|every| due(0.0, every)), [0.5, 4.0]);
+        assert_eq!([0.5, 4.0].map(|every| due(3.0, every)), [2.5, 4.0]);
     }
 
     #[test]

@@ -1,10 +1,13 @@
 //! A recorded run as the source of data: its options and its telemetry.
 
 use super::error::DatasetError;
-use super::plan::Segment;
+use super::plan::{Segment, seed_of};
 use crate::drive::DriveOptions;
 use std::path::{Path, PathBuf};
+use sumo_traci::process::SumoInstall;
 use wad_camera::Preset;
+use wad_sim::assets::AssetsError;
+use wad_sim::sumo_config::{OptionSchema, SumoConfig};
 use wad_sim::telemetry::TickRecord;
 
 /// A run folder, read back.
@@ -54,10 +57,13 @@ impl RecordedRun {
         Ok(Self { folder: folder.to_path_buf(), options, ticks })
     }
 
-    /// The town's name, from the config's.
-    pub fn town(&self) -> String {
-        let file = self.options.bridge.config.file_name().unwrap_or_default().to_string_lossy();
-        file.split('.').next().unwrap_or("net").to_string()
+    /// The name of its net: a scenario's town.
+    ///
+    /// # Errors
+    /// SUMO is not installed, or the config cannot be read.
+    pub fn town(&self) -> Result<String, AssetsError> {
+        let schema = OptionSchema::cached(&SumoInstall::find()?, false)?;
+        Ok(SumoConfig::load(&self.options.bridge.config, &schema)?.town())
     }
 
     /// Simulation time from its first tick to its last (s).
@@ -65,18 +71,45 @@ impl RecordedRun {
         self.ticks.last().map_or(0.0, |last| last.time) - self.ticks.first().map_or(0.0, |first| first.time)
     }
 
-    /// Segments for these runs in each of these weathers, with the weathers of a run side by side. The
+    /// Segments for these runs of `town` in each of these weathers, with the weathers of a run side by side. The
     /// number of frames is an upper limit.
-    pub fn segments(runs: &[Self], weathers: &[Preset], every: f64) -> Vec<Segment> {
+    pub fn segments(runs: &[Self], town: &str, weathers: &[Preset], every: f64, seed: u64) -> Vec<Segment> {
         let of = |run: &Self| (run.seconds() / every) as usize + 1;
         let all = runs.iter().flat_map(|run| weathers.iter().map(move |&weather| (run, weather)));
         let segment = |(index, (run, weather)): (usize, (&Self, Preset))| Segment {
             index,
-            seed: run.options.bridge.seed,
+            seed: seed_of(seed, index),
             weather,
-            traffic: run.options.bridge.traffic.counts(&run.town()).unwrap_or_default(),
+            traffic: run.options.bridge.traffic.counts(town).unwrap_or_default(),
             frames: of(run),
         };
         all.enumerate().map(segment).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use wad_sim::bundled;
+    use wad_sim::traffic::{Counts, TrafficSpec};
+
+    fn run() -> RecordedRun {
+        let config = bundled::resolve("obstacle").unwrap();
+        let options = DriveOptions::passing(config, 5, TrafficSpec::Dense, Path::new("scratch"));
+        RecordedRun { folder: PathBuf::from("run"), options, ticks: Vec::new() }
+    }
+
+    #[test]
+    fn the_town_of_a_scenario_is_its_net() {
+        assert_eq!(run().town().unwrap(), "town5");
+    }
+
+    #[test]
+    fn each_segment_of_a_run_has_a_seed_of_its_own_from_the_seed_asked_for() {
+        let weathers = [Preset::ClearNoon, Preset::CloudyNoon];
+        let segments = |seed| RecordedRun::segments(&[run()], "town5", &weathers, 0.5, seed);
+        let seeds: Vec<u64> = [1, 2].into_iter().flat_map(segments).map(|one| one.seed).collect();
+        assert!((0..4).all(|i| !seeds[..i].contains(&seeds[i])), "{seeds:?}");
+        assert_eq!(segments(1)[0].traffic, Counts::new(70, 150));
     }
 }

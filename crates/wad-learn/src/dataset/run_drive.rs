@@ -63,9 +63,13 @@ impl<'a> RunDrive<'a> {
             self.drive.tick_with(Some(recorded.control)).await?;
             self.eye.follow(self.drive.ego());
             let state = self.drive.ego().state();
+            let tick = self.drive.bridge().tick();
+            self.since_frame += tick;
             let moved = self.drive.respawns();
             if moved != self.respawns {
                 self.respawns = moved;
+                // The world around a new place is known after the next tick.
+                self.since_frame = 0.0;
                 self.eye.reset();
             } else {
                 // Telemetry has the ego before it was moved to another place.
@@ -75,8 +79,6 @@ impl<'a> RunDrive<'a> {
                     return Err(DatasetError::Drifted { path, tick: recorded.tick, off });
                 }
             }
-            let tick = self.drive.bridge().tick();
-            self.since_frame += tick;
             self.standing = if state.speed.abs() < 0.3 { self.standing + tick } else { 0.0 };
             if recorded.time - begin < WARM_UP || self.since_frame < due(self.standing, self.every) - 1e-6 {
                 continue;

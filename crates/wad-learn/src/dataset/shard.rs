@@ -259,6 +259,19 @@ impl ShardReader {
         self.frames
     }
 
+    /// Reads all frames, to the shard's last byte.
+    ///
+    /// # Errors
+    /// One is damaged.
+    pub fn verify(mut self) -> Result<(), DatasetError> {
+        while self.next_parts()?.is_some() {}
+        if self.at == self.end {
+            return Ok(());
+        }
+        let why = format!("its last bytes claim {} frames, and it has more", self.frames);
+        Err(DatasetError::Torn { path: self.path.to_path_buf(), why })
+    }
+
     /// The next frame's parts: JSON, PNG, camera picture. None at the end.
     fn next_parts(&mut self) -> Result<Option<[&[u8]; 3]>, DatasetError> {
         if self.read == self.frames {

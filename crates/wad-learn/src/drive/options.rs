@@ -101,6 +101,30 @@ pub enum DriveError {
     },
 }
 
+impl DriveError {
+    /// Whether the user's input is wrong, not this machine or SUMO.
+    pub fn is_input(&self) -> bool {
+        match self {
+            Self::Bridge(error) => error.is_input(),
+            Self::Assets(error) => error.is_input(),
+            Self::Destination(_)
+            | Self::Crowded { .. }
+            | Self::Scenario { .. }
+            | Self::Folder(FolderError::Taken { .. }) => true,
+            _ => false,
+        }
+    }
+
+    /// Whether SUMO failed.
+    pub fn is_sumo(&self) -> bool {
+        match self {
+            Self::Bridge(error) => error.is_sumo(),
+            Self::Assets(error) => !error.is_input(),
+            _ => false,
+        }
+    }
+}
+
 impl From<ItineraryError> for DriveError {
     fn from(error: ItineraryError) -> Self {
         match error {

@@ -3,7 +3,7 @@
 use super::probe::{Probe, Regression, auc, explained};
 use super::score::{ObjectScore, psnr, ssim};
 use super::told::Told;
-use crate::dataset::{Dataset, DatasetError, FrameRecord};
+use crate::dataset::{Dataset, DatasetError, FrameRecord, ShardReader};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use tch::Device;
@@ -330,8 +330,7 @@ fn each(
         Ok::<(), JudgeError>(())
     };
     for shard in 0..dataset.shards.len() {
-        let mut reader = dataset.reader(shard)?;
-        while let Some(frame) = reader.next_frame()? {
+        for frame in dataset.read(shard, ShardReader::next_frame)? {
             // Evenly: frame n is taken when n * frames / total grows.
             let due = frames >= total || (number + 1) * frames / total > number * frames / total;
             number += 1;

@@ -79,12 +79,11 @@ impl EnvError {
 
     /// Whether SUMO failed.
     pub fn is_sumo(&self) -> bool {
-        let bridge: &BridgeError = match self {
-            Self::Assets(assets) => return !assets.is_input(),
-            Self::Bridge(bridge) => bridge,
-            Self::Start { source, .. } => source,
-            _ => return false,
-        };
-        !matches!(bridge, BridgeError::Folder { .. }) && !bridge.is_input()
+        match self {
+            Self::Assets(assets) => !assets.is_input(),
+            Self::Bridge(bridge) => bridge.is_sumo(),
+            Self::Start { source, .. } => source.is_sumo(),
+            _ => false,
+        }
     }
 }

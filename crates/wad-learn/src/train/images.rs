@@ -1,7 +1,7 @@
 //! Transformed images of a dataset, resident on a device as bytes, and their labels.
 
 use super::encoder::heads::{self, LABELS};
-use crate::dataset::{Dataset, DatasetError};
+use crate::dataset::{Dataset, DatasetError, ShardReader};
 use crate::encoder_score::told::Told;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc;
@@ -160,9 +160,7 @@ fn rows(labels: &[f32], device: Device) -> Result<Tensor, TchError> {
 pub fn labels(dataset: &Dataset, shards: &[usize], device: Device) -> Result<Tensor, ImagesError> {
     let mut labels: Vec<f32> = Vec::new();
     for &shard in shards {
-        let mut reader = dataset.reader(shard)?;
-        // A damaged frame ends its shard, as for the images, which say so.
-        while let Ok(Some(record)) = reader.next_record() {
+        for record in dataset.read(shard, ShardReader::next_record)? {
             labels.extend(heads::labels(&Told::of(&record)));
         }
     }

@@ -112,10 +112,9 @@ impl TrainError {
     /// Whether the user's input is wrong, not this machine.
     pub fn is_input(&self) -> bool {
         match self {
-            Self::Dataset(_)
-            | Self::Lock(LockError::Busy { .. })
+            Self::Dataset(error) | Self::Images(ImagesError::Dataset(error)) => error.is_input(),
+            Self::Lock(LockError::Busy { .. })
             | Self::Perception(PerceptionError::Detector { .. })
-            | Self::Images(ImagesError::Dataset(_))
             | Self::Taken { .. }
             | Self::NothingToResume { .. }
             | Self::ConfigFile { .. }

@@ -74,4 +74,9 @@ impl BridgeError {
             Self::Config(_) | Self::Network(_) | Self::Ego(_) | Self::Tick { .. } | Self::AttachedTick { .. }
         )
     }
+
+    /// True where SUMO failed.
+    pub fn is_sumo(&self) -> bool {
+        !self.is_input() && !matches!(self, Self::Folder { .. })
+    }
 }

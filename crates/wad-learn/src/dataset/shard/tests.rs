@@ -91,6 +91,22 @@ fn a_flipped_bit_is_found() {
     assert!(reader.next_frame().unwrap().is_some());
     let error = reader.next_frame().unwrap_err().to_string();
     assert!(error.contains("frame 1 is damaged"), "{error}");
+    let error = ShardReader::open(&path).unwrap().verify().unwrap_err().to_string();
+    assert!(error.contains("frame 1 is damaged"), "{error}");
+}
+
+#[test]
+fn a_trailer_that_claims_fewer_frames_is_damage() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("shard.wads");
+    write(&path);
+    ShardReader::open(&path).unwrap().verify().unwrap();
+    let mut bytes = std::fs::read(&path).unwrap();
+    let count = bytes.len() - 4;
+    bytes[count..].copy_from_slice(&1_u32.to_le_bytes());
+    std::fs::write(&path, bytes).unwrap();
+    let error = ShardReader::open(&path).unwrap().verify().unwrap_err().to_string();
+    assert!(error.contains("claim 1 frames, and it has more"), "{error}");
 }
 
 #[test]
