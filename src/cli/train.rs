@@ -33,6 +33,7 @@ enum Command {
     Detector(Box<detector::Args>),
     /// Train a detector that also sees the ego's lane and light, on pictures of a dataset.
     #[cfg(feature = "learn")]
+    #[command(after_help = detector::EYES_EXAMPLES)]
     Eyes(Box<detector::Args>),
     /// Train the encoder-decoder on the transformed images of a dataset.
     #[cfg(feature = "learn")]
@@ -47,6 +48,16 @@ enum Command {
 fn with_exit(error: TrainError) -> anyhow::Error {
     let exit = if error.is_input() { Exit::Input } else { Exit::Other };
     exit.because(error)
+}
+
+/// A training's `report`; where it was interrupted, how to go on.
+#[cfg(feature = "learn")]
+fn ended(report: String, epochs: u64, interrupted: bool) -> String {
+    match (interrupted, epochs) {
+        (false, _) => report,
+        (true, 0) => "interrupted in the first epoch: nothing is kept; begin anew, without --resume\n".into(),
+        (true, _) => report + "interrupted; --resume continues from the last epoch\n",
+    }
 }
 
 /// Shows a training's progress, in the `words` of its network; each epoch's end on its own line.
@@ -71,5 +82,18 @@ pub fn run(args: Args) -> anyhow::Result<Exit> {
         Command::Encoder(args) => encoder::run(*args),
         #[cfg(feature = "learn")]
         Command::Agent(args) => agent::run(*args),
+    }
+}
+
+#[cfg(all(test, feature = "learn"))]
+mod tests {
+    use super::ended;
+
+    #[test]
+    fn what_was_interrupted_in_its_first_epoch_cannot_be_resumed() {
+        let text = |epochs, interrupted| ended("best after epoch 1\n".to_string(), epochs, interrupted);
+        assert_eq!(text(2, false), "best after epoch 1\n");
+        assert!(text(1, true).contains("best after epoch 1\ninterrupted; --resume continues"));
+        assert!(!text(0, true).contains("best") && text(0, true).contains("nothing is kept"));
     }
 }

@@ -171,6 +171,10 @@ pub fn artist(
         perception::detector(detector, perception::LeastScore::Usual).map_err(|e| Exit::Input.because(e))?;
     let eyes = Eyes::new(assets.town(), CameraConfig::default(), detector)?;
     let decoder = agents::decoder(encoder.unwrap_or("default"));
+    let eyes = match &decoder {
+        Some(decoder) => eyes.with_image(decoder.image_kind()),
+        None => eyes,
+    };
     Ok(Artist::new(assets.town(), eyes, seed, Arc::clone(assets.network()), length, decoder)?)
 }
 

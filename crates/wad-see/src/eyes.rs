@@ -560,6 +560,10 @@ mod tests {
             "weighty"
         }
 
+        fn image_kind(&self) -> ImageKind {
+            ImageKind::Plain
+        }
+
         fn camera(&self) -> Option<CameraConfig> {
             Some(CameraConfig::default())
         }
@@ -612,5 +616,17 @@ mod tests {
         eyes.look(&road.facts(60.0, 0.0, 0.0, 5.0)).unwrap();
         assert_eq!(images.load(Ordering::Relaxed), 1);
         assert!(eyes.reconstruction().is_some());
+    }
+
+    #[test]
+    fn a_decoder_alone_is_shown_the_image_that_it_was_trained_on() {
+        let eyes = || {
+            let town = town(&Road::new("GGG"));
+            Eyes::new(town, CameraConfig::default(), Box::new(TruthDetector::new())).unwrap()
+        };
+        let decoded = |eyes: Eyes| eyes.with_decoder(Box::new(Weighty::default())).image_kind();
+        assert_eq!(decoded(eyes()), ImageKind::Plain);
+        // An encoder's latents are what a driver drives by.
+        assert_eq!(decoded(eyes().with_encoder(Box::new(PooledEncoder)).unwrap()), ImageKind::Transformed);
     }
 }

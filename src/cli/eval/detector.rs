@@ -14,8 +14,8 @@ use wad_cosim::camera::{Camera, CameraConfig, Frame, Outputs, Picture, Preset, W
 use wad_cosim::dataset::TRAINING_WEATHERS;
 use wad_cosim::drive::DriveOptions;
 use wad_cosim::perception::score::{
-    BELIEVED, BySureness, FALSE_ALARM_GOAL, GROUPS, LEAST_VISIBLE, Precision, Realism, View, precision,
-    realism, sureness, visible_share,
+    self, BELIEVED, BySureness, FALSE_ALARM_GOAL, GROUPS, Precision, Realism, View, precision, realism,
+    sureness,
 };
 use wad_cosim::perception::sight_score::{RoadReport, RoadScore};
 use wad_cosim::perception::{
@@ -32,9 +32,15 @@ Examples:
   wad-cosim eval detector --detector centernet --frames 1400
   wad-cosim eval detector --detector truth:faulty
   wad-cosim eval detector --detector onnx --frames 500 --weather ClearNoon --json
-  wad-cosim eval eyes --detector eyes:runs/eyes/detector.safetensors --frames 3000
-  wad-cosim eval eyes --detector centernet                                      (lanes by Canny and Hough)
   wad-cosim eval detector --detector onnx --frames 28 --pictures boxes/";
+
+/// Examples of `eval eyes`.
+pub const EYES_EXAMPLES: &str = "\
+Examples:
+  wad-cosim eval eyes --detector eyes                                              the bundled one
+  wad-cosim eval eyes --detector eyes:runs/eyes/detector.safetensors --frames 3000
+  wad-cosim eval eyes --detector centernet                                         lanes by Canny and Hough
+  wad-cosim eval eyes --detector eyes --weather HardRainNoon --json";
 
 /// What is scored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -129,7 +135,7 @@ impl Roads {
         let signs = &tour.town().scene().signs;
         let truth = truth.with_frame(signs, camera, &facts.on_route.state.pose, frame);
         let objects = frame.objects.iter().map(|one| {
-            let hidden = visible_share(one.class, one.visible_pixels, one.full_box) < LEAST_VISIBLE;
+            let hidden = score::truth(one.class, one.visible_pixels, one.visible_box, one.full_box).ignored;
             (one.id, one.visible_box.map(|v| v as f32), hidden)
         });
         let light = LightAhead::find(&facts).map(|light| (light.state, light.distance));

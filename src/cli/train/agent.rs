@@ -109,7 +109,7 @@ pub struct Args {
     /// [default: --init's, or `default`].
     #[arg(long, value_name = "NAME")]
     encoder: Option<String>,
-    /// The detector [default: truth; with --inputs raw: outlines, which draws nothing; with --inputs camera: eyes].
+    /// The detector [default: truth; with --inputs raw or vector: outlines, which draws nothing; with --inputs camera: eyes].
     #[arg(long, value_name = "NAME")]
     detector: Option<String>,
     /// Updates per environment step.

@@ -1,7 +1,7 @@
 //! `wad-cosim train detector`.
 
 use super::encoder::Device;
-use super::{show, with_exit};
+use super::{ended, show, with_exit};
 use crate::cli::progress::Bar;
 use crate::cli::{Exit, answer, dataset};
 use clap::{ValueEnum, ValueHint};
@@ -23,7 +23,15 @@ Examples:
   wad-cosim train detector --data data/detector --init centernet --epochs 0 --out runs/ranges
   wad-cosim train detector --data data/detector --out runs/paper --backbone resnet50_v2 --device cuda
   wad-cosim eval detector --detector centernet:runs/detector/detector.safetensors
-  wad-cosim train eyes --data data/detector --init centernet --batch 8 --out runs/eyes
+
+The best network by validation is DIR/detector.safetensors; losses are in DIR/metrics.jsonl and for TensorBoard.";
+
+/// Examples of `train eyes`.
+pub const EYES_EXAMPLES: &str = "\
+Examples:
+  wad-cosim dataset collect --frames 8000 --every 1.5 --camera --vary all --out data/road
+  wad-cosim train eyes --data data/road --init centernet --batch 8 --out runs/eyes
+  wad-cosim train eyes --out runs/eyes --epochs 20 --resume
   wad-cosim eval eyes --detector eyes:runs/eyes/detector.safetensors
 
 The best network by validation is DIR/detector.safetensors; losses are in DIR/metrics.jsonl and for TensorBoard.";
@@ -32,7 +40,7 @@ The best network by validation is DIR/detector.safetensors; losses are in DIR/me
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
-    /// The feature extractor [default: light].
+    /// The feature extractor; `train eyes` has light alone [default: light].
     #[arg(long, value_enum)]
     backbone: Option<Backbone>,
     /// The dataset's folder (`wad-cosim dataset collect --camera`); if given several times, all are mixed.
@@ -208,6 +216,13 @@ fn options(args: &Args, sees: Sees) -> anyhow::Result<TrainOptions> {
             "--epochs (without --init), --batch, --learning-rate and --collect must be more than 0, --weight-decay 0 or more"
         )));
     }
+    if !sees.backbones().contains(&options.backbone) {
+        return Err(Exit::Input.because(anyhow::anyhow!(
+            "--backbone {}: expected light, since the heads of `train eyes` fit no other; leave the option out, or use \
+             `train detector`",
+            options.backbone.name()
+        )));
+    }
     if options.only.is_some() && (sees != Sees::Road || options.window.is_some()) {
         return Err(Exit::Input.because(anyhow::anyhow!(
             "--only is for `train eyes` on whole pictures (--window 0): no other network has these heads"
@@ -253,9 +268,9 @@ fn words(p: &Progress) -> String {
 }
 
 fn report(t: &Trained) -> String {
-    format!(
+    let text = format!(
         "{}: {} epochs, {} steps on {} frames in {:.0} s\n\
-         best after epoch {}: mAP@0.5 {:.3} of boxes 24 px high or more, {:.3} of 12 to 24 px, on {} frames\n{}",
+         best after epoch {}: mAP@0.5 {:.3} of boxes 24 px high or more, {:.3} of 12 to 24 px, on {} frames\n",
         t.detector.display(),
         t.epochs,
         t.steps,
@@ -265,8 +280,8 @@ fn report(t: &Trained) -> String {
         t.best.map50,
         t.best.map50_small,
         t.validation_frames,
-        if t.interrupted { "interrupted; --resume continues from the last epoch\n" } else { "" },
-    )
+    );
+    ended(text, t.epochs, t.interrupted)
 }
 
 #[cfg(test)]
@@ -283,6 +298,15 @@ mod tests {
     fn asked(out: &str, words: &[&str]) -> TrainOptions {
         let line = Line::parse_from([&["eyes", "--out", out][..], words].concat());
         options(&line.args, Sees::Road).unwrap()
+    }
+
+    #[test]
+    fn eyes_have_no_other_backbone_than_light() {
+        let line = ["train", "--out", "out", "--data", "data", "--backbone", "resnet50_v2"];
+        let args = Line::parse_from(line).args;
+        assert!(options(&args, Sees::Objects).is_ok());
+        let error = options(&args, Sees::Road).unwrap_err().to_string();
+        assert!(error.contains("--backbone resnet50_v2: expected light"), "{error}");
     }
 
     #[test]

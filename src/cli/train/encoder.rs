@@ -1,6 +1,6 @@
 //! `wad-cosim train encoder`.
 
-use super::{show, with_exit};
+use super::{ended, show, with_exit};
 use crate::cli::progress::Bar;
 use crate::cli::{Exit, answer, dataset};
 use clap::{ValueEnum, ValueHint};
@@ -77,7 +77,8 @@ pub struct Args {
     /// Threads of libtorch on the CPU.
     #[arg(long, value_name = "N", default_value_t = 1)]
     threads: i32,
-    /// Memory for images (GB); if there are more, they take turns [default: 6 on the CPU, 40 on a GPU].
+    /// Memory for images (GB), for one shard or more; if there are more, they take turns [default: 6 on the CPU, 40 on a
+    /// GPU].
     #[arg(long, value_name = "GB")]
     resident_gb: Option<f64>,
     /// Continue the training in --out with its options; only --epochs, --max-minutes, --device, --threads and
@@ -199,9 +200,9 @@ fn words(p: &Progress) -> String {
 }
 
 fn report(t: &Trained) -> String {
-    format!(
+    let text = format!(
         "{}: {} epochs, {} steps on {} images in {:.0} s ({:.0} images/s)\n\
-         best after epoch {}: validation loss {:.5}, PSNR {:.2} dB, painted IoU {:.3} on {} images\n{}",
+         best after epoch {}: validation loss {:.5}, PSNR {:.2} dB, painted IoU {:.3} on {} images\n",
         t.encoder.display(),
         t.epochs,
         t.steps,
@@ -213,8 +214,8 @@ fn report(t: &Trained) -> String {
         t.best.psnr,
         t.best.painted_iou,
         t.validation_images,
-        if t.interrupted { "interrupted; --resume continues from the last epoch\n" } else { "" },
-    )
+    );
+    ended(text, t.epochs, t.interrupted)
 }
 
 #[cfg(test)]

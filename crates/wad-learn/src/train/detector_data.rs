@@ -1,7 +1,9 @@
 //! Batches of camera pictures and targets for CenterNet, prepared by worker threads.
 
 use super::weathering::{self, View};
-use crate::dataset::{BoxRecord, CameraPlace, Dataset, DatasetError, FrameRecord, decode_camera};
+use crate::dataset::{
+    BoxRecord, CameraPlace, Dataset, DatasetError, FrameRecord, ShardReader, decode_camera,
+};
 use rand::RngExt;
 use rand::seq::SliceRandom;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -16,8 +18,7 @@ use wad_see::perception::centernet::targets::{Centre, Wanted, Window, encode, sh
 use wad_see::perception::centernet::{Backbone, Part, kind::STRIDE, loss::Target};
 use wad_see::perception::coco::class_index;
 use wad_see::perception::metrics::{Scored, Truth};
-use wad_see::perception::score::{LEAST_VISIBLE, visible_share};
-use wad_see::perception::{GroundPlane, RoadWanted, SignTruth};
+use wad_see::perception::{GroundPlane, RoadWanted, SignTruth, score};
 
 /// Lowest box that is trained on (pixels): lower ones count neither as object nor as background.
 const LEAST_HEIGHT: f32 = 8.0;
@@ -63,11 +64,9 @@ impl Sample {
 
     /// The network's training targets.
     fn wanted(&self) -> impl Iterator<Item = Wanted> {
-        self.objects.iter().map(|object| {
-            let hidden = is_hidden(object);
-            let bounds = if hidden { object.full } else { object.visible.map(|v| v as f32) };
-            let ignored = hidden || bounds[3] - bounds[1] < LEAST_HEIGHT;
-            Wanted { class: class_index(object.class), bounds, ignored }
+        self.objects.iter().map(truth).map(|Truth { label, bounds, ignored }| {
+            let ignored = ignored || bounds[3] - bounds[1] < LEAST_HEIGHT;
+            Wanted { class: label, bounds, ignored }
         })
     }
 
@@ -83,12 +82,7 @@ impl Sample {
 
     /// The ground truth to score a detector by; its detections are to be added.
     pub fn truths(&self) -> Scored {
-        let truths = self.objects.iter().map(|object| {
-            let ignored = is_hidden(object);
-            let bounds = if ignored { object.full } else { object.visible.map(|v| v as f32) };
-            Truth { label: class_index(object.class), bounds, ignored }
-        });
-        Scored { truths: truths.collect(), found: Vec::new() }
+        Scored { truths: self.objects.iter().map(truth).collect(), found: Vec::new() }
     }
 }
 
@@ -97,27 +91,26 @@ fn plain(road: Option<&RoadWanted>) -> impl Iterator<Item = &SignTruth> {
     road.into_iter().flat_map(|road| &road.signs).flatten().filter(|sign| sign.is_plain)
 }
 
-fn is_hidden(object: &BoxRecord) -> bool {
-    visible_share(object.class, object.pixels, object.full) < LEAST_VISIBLE
+fn truth(object: &BoxRecord) -> Truth {
+    score::truth(object.class, object.pixels, object.visible, object.full)
 }
 
-/// The frames of these shards, at most `most`, spread evenly.
+/// The frames of these shards, at most `most`, spread evenly. A damaged frame ends its shard with a warning.
 ///
 /// # Errors
-/// A shard cannot be read, or holds no camera pictures.
+/// A shard cannot be opened, or the dataset keeps no camera pictures.
 pub fn samples(dataset: &Dataset, shards: &[usize], most: usize) -> Result<Vec<Sample>, DatasetError> {
+    if !dataset.manifest.keeps_camera {
+        return Err(DatasetError::Empty {
+            path: dataset.folder.clone(),
+            hint: " with camera pictures; collect it with --camera",
+        });
+    }
     let all: usize = shards.iter().map(|&s| dataset.shards[s].2).sum();
     let every = all.div_ceil(most.max(1)).max(1);
     let (mut found, mut seen) = (Vec::new(), 0_usize);
     for &shard in shards {
-        let mut reader = dataset.reader(shard)?;
-        if reader.header().camera_codec.is_none() {
-            return Err(DatasetError::Empty {
-                path: dataset.folder.clone(),
-                hint: " with camera pictures; collect it with --camera",
-            });
-        }
-        while let Some((record, place)) = reader.next_place()? {
+        for (record, place) in dataset.read(shard, ShardReader::next_place)? {
             if seen.is_multiple_of(every) {
                 let road = road(&record);
                 found.push(Sample { picture: Picture::Shard(place), objects: record.boxes, road });
@@ -130,9 +123,9 @@ pub fn samples(dataset: &Dataset, shards: &[usize], most: usize) -> Result<Vec<S
 
 /// What the road's heads are to say of a frame.
 fn road(record: &FrameRecord) -> Option<RoadWanted> {
-    let truth = record.road.as_ref()?;
-    let objects = record.boxes.iter().map(|one| (one.id, one.visible.map(|v| v as f32), is_hidden(one)));
-    Some(truth.wanted(objects, record.light))
+    let road = record.road.as_ref()?;
+    let objects = record.boxes.iter().map(|one| (one.id, one.visible.map(|v| v as f32), truth(one).ignored));
+    Some(road.wanted(objects, record.light))
 }
 
 /// The classes of objects, and signs as one more.
@@ -491,10 +484,10 @@ pub fn epoch<E: From<DatasetError>>(
     })
 }
 
-/// Steps of one epoch over these samples, at most `most`; `only` as in [`Show`].
+/// Steps of one epoch over these samples, at most `most`; 0 where none of them is shown. `only` as in [`Show`].
 pub fn steps(samples: &[Sample], only: Option<Part>, batch: usize, most: usize) -> usize {
     let shown: f64 = repeats(samples, only).iter().sum();
-    ((shown as usize / batch.max(1)).max(1)).min(most)
+    (shown as usize / batch.max(1)).max(usize::from(shown > 0.0)).min(most)
 }
 
 mod copied_signs;

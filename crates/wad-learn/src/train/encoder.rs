@@ -166,7 +166,14 @@ impl<'a> Trainer<'a> {
     fn load(&mut self) -> Result<(), TrainError> {
         let (mut shards, _) = self.dataset.split();
         let room = (self.options.resident_gb * 1e9 / TransformedImage::BYTES as f64) as usize;
-        let all: usize = shards.iter().map(|&s| self.dataset.shards[s].2).sum();
+        let each = shards.iter().map(|&s| self.dataset.shards[s].2);
+        let (all, largest) = (each.clone().sum::<usize>(), each.max().unwrap_or(0));
+        if largest > room {
+            // Thousandths, rounded up: who gives what is asked for has enough.
+            let expected = (1e-6 * (largest * TransformedImage::BYTES) as f64).ceil() / 1e3;
+            let (path, found) = (self.dataset.folder.clone(), self.options.resident_gb);
+            return Err(TrainError::Memory { path, expected, found });
+        }
         if all > room {
             let mut rng = seeds::rng(self.options.seed, &format!("shards {}", self.reached.walk.epoch));
             shards.shuffle(&mut rng);

@@ -86,6 +86,20 @@ pub enum TrainError {
         /// Its value in the call.
         asked: String,
     },
+    /// The memory for images does not hold one shard.
+    #[error(
+        "--resident-gb: expected {expected} or more, for the largest shard of `{}`, found {found}; give more, or \
+         collect with a smaller --per-shard",
+        path.display()
+    )]
+    Memory {
+        /// The dataset's folder.
+        path: PathBuf,
+        /// What the largest shard needs (GB).
+        expected: f64,
+        /// What it may have (GB).
+        found: f64,
+    },
     /// The loss is not finite.
     #[error(
         "the loss became {loss} at step {step}: training stopped, `{}` is the last good one; a smaller \
@@ -118,7 +132,8 @@ impl TrainError {
             | Self::Taken { .. }
             | Self::NothingToResume { .. }
             | Self::ConfigFile { .. }
-            | Self::Differs { .. } => true,
+            | Self::Differs { .. }
+            | Self::Memory { .. } => true,
             Self::Weights(error) => !matches!(error, WeightsError::Io { .. } | WeightsError::Torch(_)),
             _ => false,
         }

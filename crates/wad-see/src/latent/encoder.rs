@@ -29,7 +29,6 @@ pub struct TchEncoder {
     views: Views,
     device: Device,
     hash: String,
-    metadata: HashMap<String, String>,
 }
 
 impl std::fmt::Debug for TchEncoder {
@@ -84,18 +83,8 @@ impl TchEncoder {
             _ => None,
         };
         let views = network.views(&network.theta)?;
-        let (metadata, scratch) = (weights.metadata, Scratch::default());
-        Ok(Self { network, layers, packed, scratch, mean, deviation, views, device, hash, metadata })
-    }
-
-    /// Architecture, config, dataset and scores, as JSON by [`keys`].
-    pub fn metadata(&self) -> &HashMap<String, String> {
-        &self.metadata
-    }
-
-    /// The device that it computes on.
-    pub fn device(&self) -> Device {
-        self.device
+        let scratch = Scratch::default();
+        Ok(Self { network, layers, packed, scratch, mean, deviation, views, device, hash })
     }
 
     /// Images (n, 128, 128, 3) of bytes to latents (n, 200), on the encoder's device.

@@ -94,11 +94,6 @@ impl Autoencoder {
         self.decayed
     }
 
-    /// Numbers trained.
-    pub fn parameters(&self) -> i64 {
-        self.slots.iter().map(Slot::count).sum()
-    }
-
     /// The parameters as views into `flat`, which has [`Self::theta`]'s layout; gradients flow through.
     ///
     /// # Errors

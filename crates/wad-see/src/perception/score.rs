@@ -68,7 +68,7 @@ pub struct View {
 
 /// Visible share of an object, 0 to 1: its visible pixels by the pixels that its kind fills of its whole box
 /// (left, top, right, bottom).
-pub fn visible_share(class: ObjectClass, visible_pixels: u32, [l, t, r, b]: [f32; 4]) -> f32 {
+fn visible_share(class: ObjectClass, visible_pixels: u32, [l, t, r, b]: [f32; 4]) -> f32 {
     let fill = match class {
         ObjectClass::Car | ObjectClass::Bus | ObjectClass::Truck => 0.7,
         ObjectClass::TrafficLight => 0.6,
@@ -81,10 +81,16 @@ fn has_rider(class: ObjectClass) -> bool {
     matches!(class, ObjectClass::Motorcycle | ObjectClass::Bicycle)
 }
 
-fn truth(object: &ObjectTruth, label: usize) -> Truth {
-    let ignored = visible_share(object.class, object.visible_pixels, object.full_box) < LEAST_VISIBLE;
-    let bounds = if ignored { object.full_box } else { object.visible_box.map(|v| v as f32) };
-    Truth { label, bounds, ignored }
+/// An object to score a detector by, its label the index of its class: the box of its visible pixels (left, top, right,
+/// bottom), or where too few are visible the box of the whole object, which is ignored.
+pub fn truth(class: ObjectClass, visible_pixels: u32, visible: [u32; 4], full: [f32; 4]) -> Truth {
+    let ignored = visible_share(class, visible_pixels, full) < LEAST_VISIBLE;
+    let bounds = if ignored { full } else { visible.map(|v| v as f32) };
+    Truth { label: class_index(class), bounds, ignored }
+}
+
+fn of_frame(object: &ObjectTruth) -> Truth {
+    truth(object.class, object.visible_pixels, object.visible_box, object.full_box)
 }
 
 impl View {
@@ -97,7 +103,7 @@ impl View {
     pub fn by_class(&self) -> Scored {
         let found = |d: &Detection| Found { label: class_index(d.class), detection: *d };
         Scored {
-            truths: self.objects.iter().map(|o| truth(o, class_index(o.class))).collect(),
+            truths: self.objects.iter().map(of_frame).collect(),
             found: self.found.iter().map(found).collect(),
         }
     }
@@ -118,7 +124,7 @@ impl View {
         let group = |class| GROUPS.iter().position(|g| g.classes.contains(&class)).unwrap_or(0);
         let mut truths: Vec<Truth> = Vec::with_capacity(self.objects.len());
         for object in &self.objects {
-            let one = truth(object, group(object.class));
+            let one = Truth { label: group(object.class), ..of_frame(object) };
             truths.push(one);
             if has_rider(object.class) {
                 truths.push(Truth { label: PERSON, ignored: true, ..one });

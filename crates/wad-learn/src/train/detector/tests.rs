@@ -4,8 +4,9 @@ use crate::dataset::{BoxRecord, CameraCodec};
 use wad_camera::Preset;
 use wad_camera::model::ObjectClass;
 use wad_see::perception::centernet::graph::RANGES;
+use wad_see::perception::{DrivableArea, RoadTruth};
 
-/// Frames with one red car each, on grey: the camera's picture and its box.
+/// Frames with one red car each, on grey: the camera's picture, its box, and what is road, but no signs.
 fn data(folder: &Path, town: &str, codec: Option<CameraCodec>) {
     let weather = Preset::ClearNoon;
     write_frames(folder, town, &[6, 2], weather, codec, |n| {
@@ -26,6 +27,8 @@ fn data(folder: &Path, town: &str, codec: Option<CameraCodec>) {
             pixels: 64 * 48,
             depth: 9.0,
         }];
+        let area = Some(DrivableArea::new(|row, column| column < 3 * row));
+        one.record.road = Some(RoadTruth { area, ..RoadTruth::default() });
         one.camera = codec.map(|codec| codec.encode(&rgb, SIDE, SIDE).unwrap()).unwrap_or_default();
         one
     });
@@ -110,12 +113,17 @@ fn a_head_that_learns_alone_goes_on_and_tells_of_the_data_before() {
         window: None,
         ..options(&path("data"), &path("out"), 1)
     };
-    let made_of = |trained: Trained| Weights::load(&trained.detector).unwrap().metadata[MADE_OF].clone();
-    let before = made_of(go(&first, false).unwrap());
+    let made_of = || Weights::load(&run::checkpoint(&path("out"))).unwrap().metadata[MADE_OF].clone();
+    go(&first, false).unwrap();
+    let before = made_of();
     assert!(before.contains("; the head for area alone: 8 frames"), "{before}");
-    let trained = go(&TrainOptions { epochs: 2, ..first }, true).unwrap();
-    assert_eq!((trained.epochs, trained.best_epoch), (2, 2));
-    assert_eq!(made_of(trained), before);
+    let trained = go(&TrainOptions { epochs: 2, ..first.clone() }, true).unwrap();
+    assert_eq!((trained.epochs, trained.steps), (2, 2));
+    assert_eq!(made_of(), before);
+    // No frame says which signs it shows.
+    let signs = TrainOptions { only: Some(Part::Signs), out: path("signs"), ..first };
+    let error = go(&signs, false).unwrap_err();
+    assert!(error.is_input() && error.to_string().contains("--only signs"), "{error}");
 }
 
 #[test]
@@ -232,7 +240,7 @@ fn where_one_head_learns_alone_all_else_stays_bit_for_bit() {
     use wad_camera::CameraConfig;
     use wad_camera::model::Sign;
     use wad_see::perception::centernet::road_targets::RoadTargets;
-    use wad_see::perception::{DrivableArea, GroundPlane, RoadWanted, SignTruth};
+    use wad_see::perception::{GroundPlane, RoadWanted, SignTruth};
     wad_see::torch::one_thread();
     let bounds = [340.0, 220.0, 356.0, 236.0];
     let sign = SignTruth { sign: Sign::Limit(30), bounds, distance: 11.0, is_plain: true };

@@ -1,5 +1,6 @@
 use super::*;
-use crate::dataset::CameraCodec;
+use crate::dataset::{CameraCodec, testing};
+use wad_camera::Preset;
 use wad_see::perception::centernet::Backbone;
 
 /// A blue picture with the object in red: `bounds` are left, top, right, bottom.
@@ -115,4 +116,21 @@ fn batches_do_not_depend_on_the_number_of_threads() {
     assert_eq!(one.len(), 5);
     assert!(one[0] != one[1]);
     assert!(one == run(3));
+}
+
+#[test]
+fn a_flipped_bit_ends_its_shard_and_nothing_else() {
+    let folder = tempfile::tempdir().unwrap();
+    let weather = Preset::ClearNoon;
+    testing::write_frames(folder.path(), "town3", &[6, 2], weather, Some(CameraCodec::Png), |n| {
+        testing::frame(testing::Picture { red: false, object: [10 + n, 50, 8, 8] }, weather)
+    });
+    let shard = folder.path().join("shard-00000.wads");
+    let mut bytes = std::fs::read(&shard).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    std::fs::write(&shard, bytes).unwrap();
+    let dataset = Dataset::open(folder.path(), false).unwrap();
+    let left = samples(&dataset, &[0, 1], usize::MAX).unwrap().len();
+    assert!((3..8).contains(&left), "{left} of 8 frames");
 }

@@ -241,3 +241,17 @@ fn a_variational_one_trains_too() {
     assert!(trained.best.divergence > 0.0);
     wad_see::latent::TchEncoder::find(&path("out").to_string_lossy()).unwrap();
 }
+
+#[test]
+fn memory_below_one_shard_is_refused_with_what_it_needs() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    data(&path("data"), "town3");
+    let with = |resident_gb, out: &str| {
+        go(&TrainOptions { resident_gb, ..options(&path("data"), &path(out), 1) }, false)
+    };
+    let error = with(0.001, "small").unwrap_err();
+    let text = error.to_string();
+    assert!(error.is_input() && text.contains("expected 0.002 or more, for the largest shard"), "{text}");
+    assert_eq!(with(0.002, "enough").unwrap().steps, 3);
+}

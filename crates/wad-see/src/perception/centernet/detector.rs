@@ -167,11 +167,6 @@ impl CenterNetDetector {
         Self { name, backbone, engine, least, outputs: Outputs::default(), ground, reader, seen: None }
     }
 
-    /// The backbone.
-    pub fn backbone(&self) -> Backbone {
-        self.backbone
-    }
-
     /// Detects in RGB bytes of a picture.
     ///
     /// # Errors
@@ -374,8 +369,8 @@ impl Watcher {
         Ok(())
     }
 
-    /// The same weights with the ranges of nearly all pictures; all but the head's own are those of `before`, of which the
-    /// network was made and which differs in that head alone.
+    /// The same weights with the ranges of nearly all pictures. All but the head's own are those of `before`, of which the
+    /// network was made and which differs in that head alone, if it has as many.
     ///
     /// # Errors
     /// Those of `before` cannot be read.
@@ -386,18 +381,36 @@ impl Watcher {
     ) -> Result<Weights, WeightsError> {
         let mut ranges: Ranges = self.most.into_iter().map(range).collect();
         if let Some((before, part)) = before {
-            let others = ranges.len().saturating_sub(graph::ranges_of(part));
-            let kept = graph::ranges(before)?.unwrap_or_default();
-            ranges[..others].iter_mut().zip(kept).for_each(|(range, kept)| *range = kept);
+            keep(&mut ranges, &graph::ranges(before)?.unwrap_or_default(), graph::ranges_of(part));
         }
         graph::set_ranges(&mut weights, &ranges);
         Ok(weights)
     }
 }
 
+/// Puts the ranges `before` in place of all but the last `own`. Those of another number of places are of other places.
+fn keep(ranges: &mut [f32], before: &[f32], own: usize) {
+    if before.len() == ranges.len() {
+        let others = ranges.len().saturating_sub(own);
+        ranges[..others].copy_from_slice(&before[..others]);
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::range;
+    use super::{keep, range};
+
+    #[test]
+    fn ranges_of_another_number_of_places_are_not_kept() {
+        let kept = |before: &[f32]| {
+            let mut ranges = [1.0, 2.0, 3.0];
+            keep(&mut ranges, before, 1);
+            ranges
+        };
+        assert_eq!(kept(&[7.0, 8.0, 9.0]), [7.0, 8.0, 3.0]);
+        assert_eq!(kept(&[7.0, 8.0]), [1.0, 2.0, 3.0]);
+        assert_eq!(kept(&[7.0, 8.0, 9.0, 10.0]), [1.0, 2.0, 3.0]);
+    }
 
     #[test]
     fn what_few_pictures_show_is_within_the_range() {

@@ -59,6 +59,14 @@ impl Sees {
             Self::Road => "eyes",
         }
     }
+
+    /// The backbones that it works with: the road's heads fit the maps of the light one alone.
+    pub fn backbones(self) -> &'static [Backbone] {
+        match self {
+            Self::Objects => &[Backbone::Light, Backbone::Resnet50V2],
+            Self::Road => &[Backbone::Light],
+        }
+    }
 }
 
 /// A head that can learn alone, while all else of the network stays as it is.
@@ -112,7 +120,7 @@ impl Learns {
 /// The backbone of weights that see `known` through today's camera.
 ///
 /// # Errors
-/// They are of another network or of another camera.
+/// They are of another network or of another camera, or of a backbone that cannot see that.
 pub fn backbone(weights: &Weights, known: Sees) -> Result<Backbone, WeightsError> {
     let check = |key: &str, expected: &[&str]| {
         let found = weights.metadata.get(key).map_or("an unknown kind", String::as_str);
@@ -124,6 +132,29 @@ pub fn backbone(weights: &Weights, known: Sees) -> Result<Backbone, WeightsError
     };
     check("network", &[known.network()])?;
     check("camera", &[&CameraConfig::default().hash()])?;
-    let all = [Backbone::Light, Backbone::Resnet50V2];
-    check("backbone", &all.map(Backbone::name)).map(|at| all[at])
+    let all = known.backbones();
+    let names: Vec<&str> = all.iter().map(|one| one.name()).collect();
+    check("backbone", &names).map(|at| all[at])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::HashMap;
+    use std::path::PathBuf;
+
+    #[test]
+    fn the_papers_backbone_sees_objects_alone() {
+        let found = |sees: Sees| {
+            let metadata = HashMap::from([
+                ("camera".to_string(), CameraConfig::default().hash()),
+                ("network".to_string(), sees.network().to_string()),
+                ("backbone".to_string(), Backbone::Resnet50V2.name().to_string()),
+            ]);
+            backbone(&Weights { path: PathBuf::new(), tensors: Vec::new(), metadata }, sees)
+        };
+        assert_eq!(found(Sees::Objects).unwrap(), Backbone::Resnet50V2);
+        let error = found(Sees::Road).unwrap_err().to_string();
+        assert!(error.contains("backbone resnet50_v2, expected backbone light"), "{error}");
+    }
 }

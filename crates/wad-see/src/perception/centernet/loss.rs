@@ -48,7 +48,7 @@ pub struct Loss {
     pub heat: Tensor,
     /// How far off the boxes' edges are, as shares of the width and height that were answered; of large ones a share counts
     /// more. (As shares of the true ones, an answer is the less wrong the larger its object is, so that where sizes are
-    /// unsure boxes are too small: models/detector/README.md.)
+    /// unsure boxes are too small: models/detector/HISTORY.md.)
     pub boxes: Tensor,
 }
 
