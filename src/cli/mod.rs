@@ -19,6 +19,8 @@ mod eval;
 mod exit;
 mod film;
 mod net;
+#[cfg(all(test, feature = "learn"))]
+mod pages;
 mod progress;
 mod replay;
 mod replay_look;

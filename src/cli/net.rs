@@ -11,12 +11,12 @@ use wad_cosim::traci::process::SumoInstall;
 
 const EXAMPLES: &str = "\
 Examples:
-  wad-cosim net info town5                             what it has, and what is missing
-  wad-cosim net import helsinki.osm --out helsinki     OpenStreetMap with its buildings
-  wad-cosim net import Town04.xodr --out town04        OpenDRIVE, e.g. CARLA's towns
-  wad-cosim net enrich Town04.net.xml --out new.net.xml add signals, sidewalks, crossings
-  wad-cosim net build my.netccfg --out my              from plain sources
-  wad-cosim run helsinki                               and drive";
+  wad-cosim net info town5                               what it has, and what is missing
+  wad-cosim net import helsinki.osm --out helsinki       OpenStreetMap with its buildings
+  wad-cosim net import Town04.xodr --out town04          OpenDRIVE, e.g. CARLA's towns
+  wad-cosim net enrich Town04.net.xml --out new.net.xml  add signals, sidewalks, crossings
+  wad-cosim net build my.netccfg --out my                from plain sources
+  wad-cosim run helsinki                                 and drive";
 
 /// Inspect, build, import and enrich nets.
 #[derive(clap::Args, Debug)]

@@ -27,7 +27,7 @@ use wad_cosim::view::Listener;
 
 const EXAMPLES: &str = "\
 Examples:
-  wad-cosim run nets/town5.sumocfg                          the town's own traffic, until Ctrl-C or the config's end
+  wad-cosim run town5                                       the town's own traffic, until Ctrl-C or the config's end
   wad-cosim run town5 --traffic dense --ticks 1200          70 vehicles and 150 pedestrians, 200 s
   wad-cosim run town3 --traffic 40,80 --seed 7 --gui        watch it in sumo-gui
   wad-cosim run town5 --view                                watch it in the browser, and drive

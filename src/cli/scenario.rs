@@ -15,11 +15,11 @@ use wad_cosim::traci::process::SumoInstall;
 
 const EXAMPLES: &str = "\
 Examples:
-  wad-cosim scenario list                                        templates and shipped scenarios
-  wad-cosim scenario new my_jam --template accident --town town5 a folder of SUMO files
-  wad-cosim scenario edit my_jam                                 draw in netedit
-  wad-cosim scenario check my_jam                                every mistake, with its fix
-  wad-cosim scenario run my_jam --record jam.mp4                 drive it";
+  wad-cosim scenario list                                         templates and shipped scenarios
+  wad-cosim scenario new my_jam --template accident --town town5  a folder of SUMO files
+  wad-cosim scenario edit my_jam                                  draw in netedit
+  wad-cosim scenario check my_jam                                 every mistake, with its fix
+  wad-cosim scenario run my_jam --record jam.mp4                  drive it";
 
 /// Make, edit, check, list and drive scenarios: folders of SUMO files for netedit.
 #[derive(clap::Args, Debug)]

@@ -11,8 +11,19 @@ mod suites;
 use super::{Common, Exit, runtime};
 use clap::{Parser, Subcommand};
 
+const EXAMPLES: &str = "\
+In a suite's place may also stand a scenario (docs/scenarios.md) or a suite of your own, a JSON file (docs/evaluate.md).
+Both have the options of the suites: see `wad-cosim eval nocrash --help`.
+
+Examples:
+  wad-cosim eval nocrash --agent wad-t --jobs 2 --out runs/nocrash  750 episodes in three towns
+  wad-cosim eval accident_ahead --agent wad-t                       a scenario: one that ships, or a folder
+  wad-cosim eval mine.json --agent wad-t                            your own suite
+  wad-cosim eval detector --detector eyes                           a part of the system";
+
 /// Drive the episodes of a suite, or score a part of the system against the ground truth.
 #[derive(clap::Args, Debug)]
+#[command(after_help = EXAMPLES)]
 pub struct Args {
     #[command(subcommand)]
     what: What,
@@ -37,6 +48,7 @@ enum What {
     /// Score a detector: recall, false alarms, average precision.
     Detector(detector::Args),
     /// Score a detector as `eval detector` does, and what it sees of the ego's lane and light.
+    #[command(after_help = detector::EYES_EXAMPLES)]
     Eyes(detector::Args),
     /// Score lane detection: precision, recall and lateral error, by weather.
     Lanes(sight::Lanes),
@@ -50,9 +62,9 @@ enum What {
     File(Vec<String>),
 }
 
-/// The options of a suite from a file.
+/// Drive the episodes of a scenario, or of a suite from a JSON file.
 #[derive(Parser)]
-#[command(name = "wad-cosim eval SUITE.json")]
+#[command(name = "wad-cosim eval FILE", bin_name = "wad-cosim eval FILE")]
 struct OfFile {
     #[command(flatten)]
     common: Common,

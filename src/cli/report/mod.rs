@@ -18,7 +18,8 @@ Examples:
   wad-cosim report runs/nocrash runs/corl --out report        several suites on one page
   wad-cosim report runs/* --out report --markdown docs/results.md
   wad-cosim report runs/truth runs/eyes --out report          one suite behind two detectors: a line each
-  wad-cosim report runs/seeds --pool wad-t=t1.safetensors,t2.safetensors,t3.safetensors";
+  wad-cosim report runs/seeds --pool wad-t=t1.safetensors,t2.safetensors,t3.safetensors
+  wad-cosim report learning runs/t1 runs/t2 --out pictures  learning curves: folders of `train agent`";
 
 /// Make a report of evaluations, or pictures of trainings, of an encoder or of the reward.
 #[derive(clap::Args, Debug)]

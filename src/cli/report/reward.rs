@@ -12,7 +12,7 @@ use wad_cosim::reward::{self, Facts, Light, RewardParams};
 #[derive(clap::Args, Debug)]
 #[command(after_help = "Example:\n  wad-cosim report reward --out reward")]
 pub struct Args {
-    /// Folder for the pictures.
+    /// Folder for the pictures, made if it is missing. The default is where docs/reward.md has them.
     #[arg(long, value_name = "DIR", default_value = "docs/img", value_hint = ValueHint::DirPath)]
     out: PathBuf,
 }
