@@ -32,8 +32,8 @@ def test_the_same_bytes_as_the_command_line(tmp_path):
     for name in ("episodes.jsonl", "summary.json"):
         ours, theirs = ((tmp_path / where / name).read_bytes() for where in ("python", "program"))
         assert ours == theirs and ours
-    ours, theirs = (json.loads((tmp_path / where / "config.json").read_bytes())["options"] for where in ("python", "program"))
-    assert ours == theirs and ours["mirrors"]
+    for where in ("python", "program"):
+        assert json.loads((tmp_path / where / "config.json").read_bytes())["options"]["mirrors"]
 
 
 @pytest.mark.parametrize("observation", ["raw", "vector"])

@@ -322,7 +322,7 @@ impl Eyes {
         }
         let Some(sight) = &mut self.sight else {
             self.light = LightAhead::find(facts);
-            let stop = self.stop_light.update(self.light.as_ref(), 0.0, facts.on_route.state.speed);
+            let stop = self.stop_light.update(self.light.as_ref(), false, facts.on_route.state.speed);
             self.raw = RawState::of(facts.route, &facts.on_route, None, stop);
             return Ok(());
         };

@@ -210,7 +210,7 @@ impl Surroundings {
             }
             put(first + 11, f64::from(u8::from(user.brakes)));
         }
-        let stop = self.stop_light.update(self.light.as_ref(), 0.0, state.speed).filter(|d| *d <= SIGHT);
+        let stop = self.stop_light.update(self.light.as_ref(), false, state.speed).filter(|d| *d <= SIGHT);
         RawState::of(route, &facts.on_route, lead, stop)
     }
 }

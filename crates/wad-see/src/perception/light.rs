@@ -50,8 +50,10 @@ impl LightAhead {
 /// drives faster cannot stop for the red of one that has just come into sight.
 pub const BY_SIGHT: f64 = 70.0 / 3.6;
 
-/// Deceleration (m/s2) up to which a yellow light is obeyed, and the delay until a decision acts (s).
+/// Deceleration (m/s2) up to which a yellow light is obeyed, and one that the camera did not see begin: it may turn red at any
+/// time. The delay until a decision acts (s).
 const YELLOW: f64 = 3.0;
+const OLD_YELLOW: f64 = 5.0;
 const DELAY: f64 = 0.2;
 
 /// Whether the ego has to stop for the light ahead, from tick to tick.
@@ -62,6 +64,8 @@ const DELAY: f64 = 0.2;
 pub struct StopLight {
     /// It has to stop for the light that was this far ahead (m).
     decided: Option<f64>,
+    /// The light that was this far ahead (m) has been watched since it was green.
+    watched: Option<f64>,
 }
 
 impl StopLight {
@@ -70,16 +74,20 @@ impl StopLight {
         *self = Self::default();
     }
 
-    /// The distance (m) to the place where an ego at `speed` (m/s) has to stop. That place is `early` (m) before the line: who
-    /// can stop at the line has to.
-    pub fn update(&mut self, light: Option<&LightAhead>, early: f64, speed: f64) -> Option<f64> {
-        let light = light.filter(|light| light.stops());
-        self.decided = light.and_then(|light| {
-            // Further ahead than before: another light.
-            let same = self.decided.is_some_and(|before| light.distance < before + 1.0);
+    /// The distance (m) to the place where an ego at `speed` (m/s) has to stop. Of a light that the camera saw (`is_seen`) that
+    /// place is `STAND` (6 m) before the line: who can stop at the line has to.
+    pub fn update(&mut self, light: Option<&LightAhead>, is_seen: bool, speed: f64) -> Option<f64> {
+        // Further ahead than before: another light.
+        let is_same =
+            |light: &LightAhead, before: Option<f64>| before.is_some_and(|b| light.distance < b + 1.0);
+        let watched = light.filter(|light| !light.stops() || is_same(light, self.watched));
+        self.watched = watched.map(|light| light.distance);
+        self.decided = light.filter(|light| light.stops()).and_then(|light| {
+            let early = if is_seen { STAND } else { 0.0 };
+            let hardest = if is_seen && watched.is_none() { OLD_YELLOW } else { YELLOW };
             let room = (light.distance + early - speed * DELAY).max(0.01);
-            let can = speed * speed <= 2.0 * YELLOW * room;
-            (same || can || light.state.is_red()).then_some(light.distance)
+            let can = speed * speed <= 2.0 * hardest * room;
+            (is_same(light, self.decided) || can || light.state.is_red()).then_some(light.distance)
         });
         self.decided
     }
@@ -321,20 +329,42 @@ mod tests {
         let yellow = |distance| LightAhead { state: SignalState::Yellow, distance };
         let mut light = StopLight::default();
         // 10 m/s: 16.7 m at 3 m/s2, and 2 m before it begins.
-        assert_eq!(light.update(Some(&yellow(18.0)), 0.0, 10.0), None);
-        assert_eq!(light.update(Some(&yellow(19.0)), 0.0, 10.0), Some(19.0));
-        assert_eq!(light.update(Some(&yellow(17.0)), 0.0, 10.0), Some(17.0), "it began to brake");
+        assert_eq!(light.update(Some(&yellow(18.0)), false, 10.0), None);
+        assert_eq!(light.update(Some(&yellow(19.0)), false, 10.0), Some(19.0));
+        assert_eq!(light.update(Some(&yellow(17.0)), false, 10.0), Some(17.0), "it began to brake");
         // The next light is another matter.
-        assert_eq!(light.update(Some(&yellow(18.5)), 0.0, 10.0), None);
+        assert_eq!(light.update(Some(&yellow(18.5)), false, 10.0), None);
         let red = LightAhead { state: SignalState::Red, distance: 5.0 };
-        assert_eq!(light.update(Some(&red), 0.0, 14.0), Some(5.0));
-        assert_eq!(light.update(None, 0.0, 14.0), None);
-        light.update(Some(&yellow(19.0)), 0.0, 10.0);
+        assert_eq!(light.update(Some(&red), false, 14.0), Some(5.0));
+        assert_eq!(light.update(None, false, 14.0), None);
+        light.update(Some(&yellow(19.0)), false, 10.0);
         light.reset();
-        assert_eq!(light.update(Some(&yellow(17.0)), 0.0, 10.0), None);
+        assert_eq!(light.update(Some(&yellow(17.0)), false, 10.0), None);
         // A place to stop at that is before the line changes where to stop, not whether.
-        assert_eq!(light.update(Some(&yellow(12.0)), STAND, 10.0), None);
-        assert_eq!(light.update(Some(&yellow(13.0)), STAND, 10.0), Some(13.0));
+        let green = LightAhead { state: SignalState::GreenMajor, distance: 13.0 };
+        assert_eq!(light.update(Some(&green), true, 10.0), None);
+        assert_eq!(light.update(Some(&yellow(12.0)), true, 10.0), None);
+        assert_eq!(light.update(Some(&yellow(13.0)), true, 10.0), Some(13.0));
+    }
+
+    #[test]
+    fn yellow_that_was_not_seen_to_begin_binds_who_can_brake_harder() {
+        let yellow = |distance| LightAhead { state: SignalState::Yellow, distance };
+        // 19 m/s: 36.1 m at 5 m/s2, 60.2 m at 3 m/s2, and 3.8 m before it begins.
+        let told = |green: bool, is_seen: bool, distance: f64| {
+            let mut light = StopLight::default();
+            if green {
+                let before = LightAhead { state: SignalState::GreenMajor, distance: distance + 3.0 };
+                light.update(Some(&before), is_seen, 19.0);
+            }
+            // Longer than a tick: what was seen to begin stays so.
+            light.update(Some(&yellow(distance)), is_seen, 19.0);
+            light.update(Some(&yellow(distance - 1.0)), is_seen, 19.0).is_some()
+        };
+        assert!(told(false, true, 36.0), "42 m before its line");
+        assert!(!told(false, true, 33.0), "too late");
+        assert!(!told(true, true, 36.0) && told(true, true, 60.0), "it saw the yellow begin");
+        assert!(!told(false, false, 42.0), "who is told of the light knows when it began");
     }
 
     #[test]

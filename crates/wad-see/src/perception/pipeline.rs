@@ -222,13 +222,10 @@ impl Perception {
         );
         let lead = lead.into_iter().chain(crossing).chain(beside).min_by(|a, b| a.gap.total_cmp(&b.gap));
         let speed = facts.on_route.state.speed;
-        let (early, fastest) = if self.detector.seen().is_some() {
-            (light::STAND, light::BY_SIGHT)
-        } else {
-            (0.0, f64::INFINITY)
-        };
-        let stop_light = self.stop_light.update(light.as_ref(), early, speed).filter(|d| *d <= lead::SIGHT);
+        let is_seen = self.detector.seen().is_some();
+        let stop_light = self.stop_light.update(light.as_ref(), is_seen, speed).filter(|d| *d <= lead::SIGHT);
         let raw = RawState::of(facts.route, &facts.on_route, lead, stop_light);
+        let fastest = if is_seen { light::BY_SIGHT } else { f64::INFINITY };
         self.percept.raw = RawState { speed_limit: raw.speed_limit.min(fastest), ..raw };
     }
 
