@@ -6,6 +6,7 @@ import pathlib
 import signal
 import subprocess
 import time
+import types
 
 import numpy as np
 import pytest
@@ -211,6 +212,20 @@ def test_a_folder_of_train_agent_is_left_alone(tmp_path):
         with pytest.raises(wad_cosim.InputError, match=text):
             Folder(tmp_path, Settings(), resume)
     assert (tmp_path / "config.json").read_text() == "{}"
+
+
+def test_the_learners_answers_count_in_their_order(monkeypatch):
+    """A later one may be on the driver's node first; counted then, steps would go back."""
+    from wad_cosim.ray import training
+
+    run, taken = object.__new__(training._Run), []
+    run._bar = types.SimpleNamespace(is_due=lambda: False)
+    run._learning, run._driving = {"first": 1, "second": 2}, {}
+    run._learned = lambda ref: taken.append(run._learning.pop(ref))
+    monkeypatch.setattr(training.ray, "wait", lambda refs, **_: (refs[-1:], refs[:-1]))
+    run._go(10)
+    run._go(10)
+    assert taken == [1, 2]
 
 
 #: Two stages, the first of which is left after its steps.

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import fcntl
+import itertools
 import json
 import os
 import pathlib
@@ -255,7 +256,8 @@ class _Run:
             self._bar.show()
             self._actors.look()
             self._hire()
-        awaited = [*self._learning, *self._driving]
+        # The learner answers in the order in which it was asked, but a later answer may be on this node first.
+        awaited = [*itertools.islice(self._learning, 1), *self._driving]
         if not awaited:
             time.sleep(0.1)
             return
