@@ -10,10 +10,12 @@ use wad_cosim::reward::{self, Facts, Light, RewardParams};
 
 /// Plot the reward's six terms as SVG.
 #[derive(clap::Args, Debug)]
-#[command(after_help = "Example:\n  wad-cosim report reward --out reward")]
+#[command(
+    after_help = "Example, which draws those of docs/reward.md:\n  wad-cosim report reward --out docs/img"
+)]
 pub struct Args {
-    /// Folder for the pictures, made if it is missing. The default is where docs/reward.md has them.
-    #[arg(long, value_name = "DIR", default_value = "docs/img", value_hint = ValueHint::DirPath)]
+    /// Folder for the pictures, made if it is missing.
+    #[arg(long, value_name = "DIR", default_value = ".", value_hint = ValueHint::DirPath)]
     out: PathBuf,
 }
 
