@@ -49,14 +49,19 @@ fn what_is_collected_is_trained_on_and_scored() {
     let weights = trained["detector"].as_str().unwrap().to_string();
     let (eyes, as_centernet) = (format!("eyes:{weights}"), format!("centernet:{weights}"));
     let few = ["--town", "town3", "--frames", "6", "--weather", "ClearNoon", "--json"];
-    let scored = good(&[&["eval", "eyes", "--detector", &eyes], &few[..]].concat());
-    let all = &scored["road"][1];
+    // Beside it, the paper's chain: lanes by Canny and Hough, no light.
+    let both = ["eval", "eyes", "--detector", &eyes, "--detector", "centernet"];
+    let scored = good(&[&both, &few[..]].concat());
+    let road = |one: usize| scored["detectors"][one]["road"][1].clone();
+    let (all, hough) = (road(0), road(1));
     assert_eq!((all[0].as_str(), all[1]["frames"].as_u64()), (Some("all"), Some(6)), "{scored}");
     assert!(all[1]["boundaries"].as_u64() > Some(0), "{scored}");
-    // Beside it, the paper's chain: lanes by Canny and Hough, no light.
-    let hough = good(&[&["eval", "eyes", "--detector", "centernet"], &few[..]].concat());
-    assert_eq!(hough["road"][1][1]["boundaries"], all[1]["boundaries"], "other frames");
-    assert!(hough["road"][1][1]["boundaries_found"].as_f64() > Some(0.5), "{hough}");
+    assert_eq!(hough[1]["boundaries"], all[1]["boundaries"], "other frames");
+    assert!(hough[1]["boundaries_found"].as_f64() > Some(0.5), "{hough}");
+    let pictures = ["--pictures", &path("pictures")];
+    let refused = wad(&[&both, &few[..], &pictures].concat());
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("give one --detector"));
 
     // Each name wants its own network.
     for (detector, found) in [(as_centernet.as_str(), "network eyes"), ("eyes:missing", "missing")] {
@@ -76,7 +81,8 @@ fn bundled_eyes(frames: &str, variables: &[(&str, &str)]) -> (Value, String) {
     let errors = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(output.status.success(), "{errors}");
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
-    (serde_json::from_str(text.lines().last().unwrap_or_default()).expect("a JSON line"), errors)
+    let answer: Value = serde_json::from_str(text.lines().last().unwrap_or_default()).expect("a JSON line");
+    (answer["detectors"][0].clone(), errors)
 }
 
 /// Boundaries found, lights right, and the share of persons found.

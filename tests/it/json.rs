@@ -39,6 +39,21 @@ fn the_page_of_json_says_what_is_printed() {
         "conditions": [{"name": "wet", "town": "town3", "weathers": ["WetNoon"]}],
         "tasks": [{"name": "busy", "kind": "composite", "traffic": "6,6", "tick_limit": 30}]}"#;
     std::fs::write(path("small.json"), suite).unwrap();
+    // A section's keys and what was printed.
+    let compare = |section: &str, answer: &Value| {
+        let documented = documented(&page, section);
+        for (key, kind) in &documented {
+            let found = match answer.get(key) {
+                Some(found) => found,
+                None if kind.ends_with('?') => continue,
+                None => panic!("{section} has no `{key}`: {answer}"),
+            };
+            assert!(is_of(found, kind), "{section}: `{key}` is no {kind}: {found}");
+        }
+        for key in answer.as_object().unwrap().keys() {
+            assert!(documented.contains_key(key), "{section}: docs/json.md lacks `{key}`");
+        }
+    };
     let check = |command: &str, args: &[&str]| {
         let words: Vec<&str> = command.split(' ').chain(args.iter().copied()).chain(["--json"]).collect();
         // A page's section stands for the commands that print the same.
@@ -51,18 +66,7 @@ fn the_page_of_json_says_what_is_printed() {
         let output = wad(&words).output().unwrap();
         assert!(output.status.success(), "{command}: {}", stderr(&output));
         let answer = json(&output);
-        let documented = documented(&page, command);
-        for (key, kind) in &documented {
-            let found = match answer.get(key) {
-                Some(found) => found,
-                None if kind.ends_with('?') => continue,
-                None => panic!("{command} has no `{key}`: {answer}"),
-            };
-            assert!(is_of(found, kind), "{command}: `{key}` is no {kind}: {found}");
-        }
-        for key in answer.as_object().unwrap().keys() {
-            assert!(documented.contains_key(key), "{command}: docs/json.md lacks `{key}`");
-        }
+        compare(command, &answer);
         answer
     };
     check("run", &["town5", "--ticks", "5", "--traffic", "2,2", "--out", &path("run")]);
@@ -80,7 +84,14 @@ fn the_page_of_json_says_what_is_printed() {
         check(command, &["--ticks", "20", "--weather", "ClearNoon", "--traffic", "6,6"]);
     }
     for command in ["eval detector", "eval eyes"] {
-        check(command, &["--detector", "truth", "--frames", "1", "--weather", "ClearNoon"]);
+        let both = ["--detector", "truth", "--detector", "truth:faulty"];
+        let answer = check(command, &[&both[..], &["--frames", "1", "--weather", "ClearNoon"]].concat());
+        let names: Vec<&Value> =
+            answer["detectors"].as_array().unwrap().iter().map(|one| &one["detector"]).collect();
+        assert_eq!(names, ["truth", "truth:faulty"]);
+        for one in answer["detectors"].as_array().unwrap() {
+            compare("detectors", one);
+        }
     }
     check("scenario check", &["cross"]);
     check("scenario list", &[]);

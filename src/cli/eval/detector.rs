@@ -1,12 +1,13 @@
 //! `wad-cosim eval detector`: recall, false alarms and average precision on frames of a town. `eval eyes` also scores
 //! what is seen of lane and light.
 
+mod text;
+
 use crate::cli::progress::Bar;
 use crate::cli::{Exit, answer, run};
 use anyhow::Context;
 use clap::ValueHint;
 use serde::Serialize;
-use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::time::Instant;
 use wad_cosim::bundled;
@@ -14,13 +15,12 @@ use wad_cosim::camera::{Camera, CameraConfig, Frame, Outputs, Picture, Preset, W
 use wad_cosim::dataset::TRAINING_WEATHERS;
 use wad_cosim::drive::DriveOptions;
 use wad_cosim::perception::score::{
-    self, BELIEVED, BySureness, FALSE_ALARM_GOAL, GROUPS, Precision, Realism, View, precision, realism,
-    sureness,
+    self, BELIEVED, BySureness, Precision, Realism, View, precision, realism, sureness,
 };
 use wad_cosim::perception::sight_score::{RoadReport, RoadScore};
 use wad_cosim::perception::{
-    DETECTORS, Detection, Detector, GroundPlane, Heads, LaneDetector, LeastScore, LightAhead, RoadTruth,
-    Seen, detector,
+    DEFAULT_DETECTOR, DETECTORS, Detection, Detector, GroundPlane, Heads, LaneDetector, LeastScore,
+    LightAhead, RoadTruth, Seen, detector,
 };
 use wad_cosim::stats::median;
 use wad_cosim::tour::Tour;
@@ -30,6 +30,7 @@ const EXAMPLES: &str = "\
 Examples:
   wad-cosim eval detector --detector onnx:$(scripts/fetch-detector)
   wad-cosim eval detector --detector centernet --frames 1400
+  wad-cosim eval detector --detector eyes --detector centernet    the same frames, side by side
   wad-cosim eval detector --detector truth:faulty
   wad-cosim eval detector --detector onnx --frames 500 --weather ClearNoon --json
   wad-cosim eval detector --detector onnx --frames 28 --pictures boxes/";
@@ -37,10 +38,12 @@ Examples:
 /// Examples of `eval eyes`.
 pub const EYES_EXAMPLES: &str = "\
 Examples:
-  wad-cosim eval eyes --detector eyes                                              the bundled one
+  wad-cosim eval eyes --frames 3000                                               the bundled one
   wad-cosim eval eyes --detector eyes:runs/eyes/detector.safetensors --frames 3000
-  wad-cosim eval eyes --detector centernet                                         lanes by Canny and Hough
-  wad-cosim eval eyes --detector eyes --weather HardRainNoon --json";
+  wad-cosim eval eyes --detector eyes --detector centernet --detector onnx        the same frames, side by
+                                                                                  side; lanes by Canny and
+                                                                                  Hough but for eyes
+  wad-cosim eval eyes --weather HardRainNoon --json";
 
 /// What is scored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -55,8 +58,9 @@ pub enum Scored {
 #[derive(clap::Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
-    #[arg(long, value_name = "NAME", help = format!("The detector: {DETECTORS}"))]
-    detector: String,
+    #[arg(long, value_name = "NAME", default_value = DEFAULT_DETECTOR,
+        help = format!("The detector, or several that see the same frames, each behind a --detector: {DETECTORS}"))]
+    detector: Vec<String>,
     /// The town: a .sumocfg, a .net.xml(.gz), a folder with one .sumocfg, or a bundled town.
     #[arg(long, default_value = "town5", value_name = "CONFIG", value_hint = ValueHint::FilePath)]
     town: String,
@@ -86,11 +90,17 @@ pub struct Args {
 /// The last line of `--json`.
 #[derive(Serialize)]
 struct Report {
-    detector: String,
     town: String,
     seed: u64,
     frames: usize,
     interrupted: bool,
+    detectors: Vec<Scores>,
+}
+
+/// What one detector sees of the frames.
+#[derive(Serialize)]
+struct Scores {
+    detector: String,
     /// Wall time of a detection (median, ms).
     detect_ms: f64,
     realism: Realism,
@@ -105,6 +115,39 @@ struct Report {
     /// Lane and light, by weather and of all frames; `eval eyes` only.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     road: Vec<(String, RoadReport)>,
+}
+
+/// A detector, and what it has seen.
+struct Judged {
+    detector: Box<dyn Detector>,
+    views: Vec<View>,
+    /// Wall time of each detection (ms).
+    times: Vec<f64>,
+    roads: Option<Roads>,
+}
+
+impl Judged {
+    fn scores(self, weathers: &[Preset], least: f32) -> Scores {
+        let views = &self.views;
+        let of = |weather: Preset| views.iter().filter(move |v| v.weather == weather);
+        let is_trained = |v: &&View| TRAINING_WEATHERS.contains(&v.weather);
+        let (trained, unseen): (Vec<&View>, Vec<&View>) = views.iter().partition(is_trained);
+        Scores {
+            detector: self.detector.name().to_string(),
+            detect_ms: median(self.times),
+            realism: realism(views),
+            realism_by_weather: weathers.iter().map(|&w| (w, realism(of(w)))).collect(),
+            sureness: sureness(views, least),
+            precision: precision(&views.iter().collect::<Vec<_>>()),
+            precision_by_weather: weathers
+                .iter()
+                .map(|&w| (w, precision(&of(w).collect::<Vec<_>>())))
+                .collect(),
+            precision_training_weathers: precision(&trained),
+            precision_unseen_weathers: precision(&unseen),
+            road: self.roads.map_or_else(Vec::new, |roads| roads.report()),
+        }
+    }
 }
 
 /// Scores of lane and light: by weather, and of all frames.
@@ -166,56 +209,50 @@ pub fn run(args: Args, what: Scored) -> anyhow::Result<Exit> {
             args.min_score
         )));
     }
+    if args.pictures.is_some() && args.detector.len() > 1 {
+        return Err(Exit::Input.because(anyhow::anyhow!(
+            "--pictures shows what one detector finds, found {} of them; give one --detector",
+            args.detector.len()
+        )));
+    }
     let config = bundled::resolve(&args.town).map_err(|e| Exit::Input.because(e))?;
-    let mut detector =
-        detector(&args.detector, LeastScore::Fixed(args.min_score)).map_err(|e| Exit::Input.because(e))?;
     let weathers = if args.weather.is_empty() { Preset::ALL.to_vec() } else { args.weather.clone() };
+    let mut judged = Vec::new();
+    for name in &args.detector {
+        let detector =
+            detector(name, LeastScore::Fixed(args.min_score)).map_err(|e| Exit::Input.because(e))?;
+        let roads = (what == Scored::Road).then(|| Roads::new(&weathers));
+        judged.push(Judged { detector, views: Vec::new(), times: Vec::new(), roads });
+    }
     let runtime = crate::cli::runtime()?;
-    let mut times = Vec::new();
-    let mut roads = (what == Scored::Road).then(|| Roads::new(&weathers));
-    let (views, interrupted) =
-        runtime.block_on(look(&args, config, &weathers, detector.as_mut(), &mut times, &mut roads))?;
-    let of = |weather: Preset| views.iter().filter(move |v| v.weather == weather);
-    let is_trained = |v: &&View| TRAINING_WEATHERS.contains(&v.weather);
-    let (trained, unseen): (Vec<&View>, Vec<&View>) = views.iter().partition(is_trained);
+    let interrupted = runtime.block_on(look(&args, config, &weathers, &mut judged))?;
     let report = Report {
-        detector: detector.name().to_string(),
         town: args.town.clone(),
         seed: args.seed,
-        frames: views.len(),
+        frames: judged.iter().map(|one| one.views.len()).max().unwrap_or_default(),
         interrupted,
-        detect_ms: median(times),
-        realism: realism(&views),
-        realism_by_weather: weathers.iter().map(|&w| (w, realism(of(w)))).collect(),
-        sureness: sureness(&views, args.min_score),
-        precision: precision(&views.iter().collect::<Vec<_>>()),
-        precision_by_weather: weathers.iter().map(|&w| (w, precision(&of(w).collect::<Vec<_>>()))).collect(),
-        precision_training_weathers: precision(&trained),
-        precision_unseen_weathers: precision(&unseen),
-        road: roads.map_or_else(Vec::new, |roads| roads.report()),
+        detectors: judged.into_iter().map(|one| one.scores(&weathers, args.min_score)).collect(),
     };
-    let text = text(&report);
-    answer(&text, args.json, &report)?;
+    answer(&text::of(&report), args.json, &report)?;
     Ok(if interrupted { Exit::Interrupted } else { Exit::Done })
 }
 
-/// The frames, and whether the user interrupted.
+/// Shows the frames to all; whether the user interrupted.
 async fn look(
     args: &Args,
     config: PathBuf,
     weathers: &[Preset],
-    detector: &mut dyn Detector,
-    times: &mut Vec<f64>,
-    roads: &mut Option<Roads>,
-) -> anyhow::Result<(Vec<View>, bool)> {
+    judged: &mut [Judged],
+) -> anyhow::Result<bool> {
     let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
     let mut interrupt = crate::cli::interrupt()?;
     let options = DriveOptions::passing(config, args.seed, args.traffic, scratch.path());
     let mut tour = Tour::start(options, args.seed).await.map_err(run::with_exit)?;
     let mut camera = Camera::new(CameraConfig::default()).map_err(|e| Exit::Input.because(e))?;
-    let outputs = Outputs { boxes: true, depth: roads.is_some(), semantic: roads.is_some(), ..Outputs::RGB };
+    let with_road = judged.iter().any(|one| one.roads.is_some());
+    let outputs = Outputs { boxes: true, depth: with_road, semantic: with_road, ..Outputs::RGB };
     let bar = Bar::new(args.frames as u64, "frames");
-    let (mut views, mut found, mut interrupted) = (Vec::new(), Vec::new(), false);
+    let (mut found, mut interrupted) = (Vec::new(), false);
     for (n, &preset) in weathers.iter().cycle().take(args.frames).enumerate() {
         let pose = tokio::select! {
             biased;
@@ -225,26 +262,28 @@ async fn look(
         let camera_config = *camera.config();
         let frame =
             camera.render(tour.town().scene(), tour.town().actors(), &pose, &Weather::from(preset), outputs);
-        let clock = Instant::now();
-        detector.detect(frame, &camera_config, &mut found)?;
-        times.push(clock.elapsed().as_secs_f64() * 1000.0);
-        let view = View::new(preset, frame, &found);
-        if let Some(roads) = roads {
-            roads.add(preset, frame, &tour, detector, &camera_config);
+        for one in judged.iter_mut() {
+            let clock = Instant::now();
+            one.detector.detect(frame, &camera_config, &mut found)?;
+            one.times.push(clock.elapsed().as_secs_f64() * 1000.0);
+            let view = View::new(preset, frame, &found);
+            if let Some(roads) = &mut one.roads {
+                roads.add(preset, frame, &tour, one.detector.as_ref(), &camera_config);
+            }
+            if let Some(folder) = &args.pictures {
+                let path = folder.join(format!("{n:04}-{preset}.png"));
+                picture(frame, &view, &found)
+                    .save(&path)
+                    .map_err(|e| Exit::Input.because(e))
+                    .with_context(|| format!("cannot write the picture {}", path.display()))?;
+            }
+            one.views.push(view);
         }
-        if let Some(folder) = &args.pictures {
-            let path = folder.join(format!("{n:04}-{preset}.png"));
-            picture(frame, &view, &found)
-                .save(&path)
-                .map_err(|e| Exit::Input.because(e))
-                .with_context(|| format!("cannot write the picture {}", path.display()))?;
-        }
-        views.push(view);
         bar.show(n as u64 + 1, "");
     }
     bar.clear();
     tour.finish().await.map_err(run::with_exit)?;
-    Ok((views, interrupted))
+    Ok(interrupted)
 }
 
 /// The frame with boxes: counted truths white, others grey, counted detections green or red.
@@ -266,133 +305,4 @@ fn picture(frame: &Frame, view: &View, found: &[Detection]) -> Picture {
         picture.frame(detection.bounds, colour);
     }
     picture
-}
-
-/// The rows of lane and light.
-fn road_text(rows: &[(String, RoadReport)]) -> String {
-    let mut out = String::from(
-        "\nThe ego's lane, 0.5 m at 10 m, and its light within 40 m; the stop line's distance within 20 m\n\
-         | weather | boundaries found | median m | lanes seen in junctions | lights right | missed | red called green | seen where none is | stop line, median m | signs found | signs read within 12 m | signs seen where none is | road, IoU |\n\
-         |---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
-    );
-    let share = |v: Option<f64>, of: usize| v.map_or("-".to_string(), |v| format!("{v:.3} of {of}"));
-    let metres = |v: Option<f64>| v.map_or("-".to_string(), |v| format!("{v:.2}"));
-    for (weather, r) in rows {
-        let _ = writeln!(
-            out,
-            "| {weather} | {} | {} | {} | {} | {} | {} of {} | {} | {} | {} | {} | {} | {} |",
-            share(r.boundaries_found, r.boundaries),
-            metres(r.lateral_error.median),
-            share(r.phantom_lanes, r.junctions),
-            share(r.lights_right, r.lights),
-            share(r.lights_missed, r.lights),
-            r.red_as_green,
-            r.reds,
-            share(r.phantom_lights, r.without_light),
-            metres(r.line_error.median),
-            share(r.signs_found, r.signs),
-            share(r.signs_right, r.near_signs),
-            share(r.phantom_signs, r.frames),
-            r.area_iou.map_or("-".to_string(), |v| format!("{v:.3}")),
-        );
-    }
-    out
-}
-
-/// The rows of what is found by height.
-fn sureness_text(rows: &[BySureness]) -> String {
-    let mut out = String::from(
-        "Found (a box of its group overlaps by 0.4), and how many a frame are where nothing is, from a score on; agents \
-         drive by 0.4 up to a height of 12 px, falling to 0.3 at 32 (of `onnx` by 0.3), and by what of it does not stand \
-         on free road, which is not left out here\n",
-    );
-    let by_height = || "from 0.4 to 0.3 by height".to_string();
-    let least = |least: Option<f32>| least.map_or_else(by_height, |s| format!("from {s:.1}"));
-    let first = rows.first().map_or(&[][..], |row| &row.from);
-    let columns: Vec<String> = first.iter().map(|one| least(one.least)).collect();
-    let _ =
-        writeln!(out, "| | truths | {} |\n|---|---{}|", columns.join(" | "), "|---".repeat(columns.len()));
-    for row in rows {
-        let cells = row.from.iter().map(|one| {
-            let recall = one.recall.map_or("-".to_string(), |recall| format!("{:.1} %", 100.0 * recall));
-            format!("{recall}; {:.2}", one.false_alarms_per_frame)
-        });
-        let cells: Vec<String> = cells.collect();
-        let height = row.high.map_or_else(|| "px or more".to_string(), |high| format!("to {high} px"));
-        let _ =
-            writeln!(out, "| {}, {} {height} | {} | {} |", row.group, row.low, row.truths, cells.join(" | "));
-    }
-    out + "\n"
-}
-
-fn text(report: &Report) -> String {
-    let mut out = format!(
-        "{} on {} frames of {}, {:.1} ms a frame\n\nRecall at a score of {BELIEVED} (hits / truths), and false alarms per frame\n",
-        report.detector, report.frames, report.town, report.detect_ms
-    );
-    let header: Vec<String> =
-        GROUPS.iter().map(|g| format!("{} >= {} px", g.name, g.height)).chain(["false".into()]).collect();
-    let _ = writeln!(out, "| weather | {} |\n|---{}|", header.join(" | "), "|---".repeat(header.len()));
-    let all = ("all".to_string(), &report.realism);
-    for (name, score) in report.realism_by_weather.iter().map(|(w, s)| (w.to_string(), s)).chain([all]) {
-        let cells = GROUPS.iter().map(|g| {
-            score.groups.get(g.name).map_or_else(String::new, |s| match s.recall {
-                Some(recall) => format!("{recall:.2} ({}/{})", s.hits, s.truths),
-                None => "-".to_string(),
-            })
-        });
-        let cells: Vec<String> = cells.chain([format!("{:.2}", score.false_alarms_per_frame)]).collect();
-        let _ = writeln!(out, "| {name} | {} |", cells.join(" | "));
-    }
-    let goals = GROUPS.iter().map(|g| g.goal.map_or("-".to_string(), |goal| format!("{goal:.2}")));
-    let goals: Vec<String> = goals.chain([format!("< {FALSE_ALARM_GOAL:.0}")]).collect();
-    let _ = writeln!(out, "| goal | {} |\n", goals.join(" | "));
-
-    out += "By class, counted as found if detected as any class of its group:";
-    for (n, (class, score)) in report.realism.classes.iter().enumerate() {
-        let recall = score.hits as f64 / score.truths.max(1) as f64;
-        let comma = if n == 0 { "" } else { "," };
-        let _ = write!(out, "{comma} {class} {recall:.2} ({}/{})", score.hits, score.truths);
-    }
-    out += "\n\n";
-
-    let cell = |v: Option<f64>| v.map_or("-".to_string(), |v| format!("{v:.3}"));
-    out += &sureness_text(&report.sureness);
-    out += "Average precision of boxes 24 px high or more, and of 12 to 24 px\n";
-    out += "| class | truths | AP@0.5 | training weathers | unseen weathers | AP@[.5:.95] | truths 12-24 | AP@0.5 12-24 |\n";
-    out += "|---|---|---|---|---|---|---|---|\n";
-    let counted = |rows: &[Precision], n: usize| match rows.get(n) {
-        Some(row) if row.truths > 0 => format!("{} of {}", cell(row.ap50), row.truths),
-        _ => "-".to_string(),
-    };
-    for (n, row) in report.precision.iter().enumerate() {
-        let _ = writeln!(
-            out,
-            "| {} | {} | {} | {} | {} | {} | {} | {} |",
-            row.class,
-            row.truths,
-            cell(row.ap50),
-            counted(&report.precision_training_weathers, n),
-            counted(&report.precision_unseen_weathers, n),
-            cell(row.ap),
-            row.truths_small,
-            cell(row.ap50_small)
-        );
-    }
-    out += "\nmAP by weather\n| weather | mAP@0.5 | mAP@[.5:.95] | mAP@0.5 12-24 |\n|---|---|---|---|\n";
-    let by_weather = report.precision_by_weather.iter().map(|(w, rows)| (w.to_string(), rows));
-    let groups = [
-        ("training weathers".to_string(), &report.precision_training_weathers),
-        ("unseen weathers".to_string(), &report.precision_unseen_weathers),
-    ];
-    for (weather, rows) in by_weather.chain(groups) {
-        if let Some(all) = rows.last() {
-            let cells = [all.ap50, all.ap, all.ap50_small].map(cell);
-            let _ = writeln!(out, "| {weather} | {} |", cells.join(" | "));
-        }
-    }
-    if !report.road.is_empty() {
-        out += &road_text(&report.road);
-    }
-    out
 }
