@@ -137,9 +137,9 @@ fn side_by_side(report: &Report) -> String {
                 seen.map(|v| format!("{v:.3} of {}", r.near_signs))
             }),
         );
-        row("what is road, IoU", &on_all(|r| r.area_iou.map(|v| format!("{v:.3}"))));
+        row("what is road, IoU", &on_all(|r| r.area_iou.filter(|v| *v > 0.0).map(|v| format!("{v:.3}"))));
     }
-    row("ms a frame", &|s| format!("{:.1}", s.detect_ms));
+    row("ms a frame, in turns with the others", &|s| format!("{:.1}", s.detect_ms));
     out
 }
 
