@@ -65,11 +65,12 @@ fn sureness_text(rows: &[BySureness]) -> String {
 /// What all detectors see, side by side where there are several, and then each by weather and class.
 pub fn of(report: &Report) -> String {
     let mut out = String::new();
-    if report.detectors.len() > 1 {
+    let are_several = report.detectors.len() > 1;
+    if are_several {
         out += &side_by_side(report);
     }
-    for (n, scores) in report.detectors.iter().enumerate() {
-        if n > 0 || report.detectors.len() > 1 {
+    for scores in &report.detectors {
+        if are_several {
             out += "\n";
         }
         let _ = writeln!(
