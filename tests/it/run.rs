@@ -2,30 +2,15 @@
 
 mod faults;
 
+use super::program::{json, stderr, wad};
 use serde_json::Value;
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-fn wad(args: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_wad-cosim"));
-    command.args(args).stdin(Stdio::null());
-    command
-}
-
 fn finish(mut command: Command) -> Output {
     command.output().expect("the binary runs")
-}
-
-fn stderr(output: &Output) -> String {
-    String::from_utf8_lossy(&output.stderr).into_owned()
-}
-
-fn summary(output: &Output) -> Value {
-    let text = String::from_utf8_lossy(&output.stdout);
-    let last = text.lines().last().unwrap_or_default();
-    serde_json::from_str(last).unwrap_or_else(|e| panic!("{e}: {last:?}\n{}", stderr(output)))
 }
 
 /// Runs in `dir/name` and returns the summary.
@@ -35,7 +20,7 @@ fn run(dir: &Path, name: &str, args: &[&str]) -> (Value, PathBuf) {
     command.args(args).arg("--json").arg("--out").arg(&out);
     let output = finish(command);
     assert!(output.status.success(), "{:?}: {}", output.status, stderr(&output));
-    (summary(&output), out)
+    (json(&output), out)
 }
 
 fn telemetry(out: &Path) -> Vec<u8> {

@@ -8,6 +8,7 @@ use crate::cli::{Exit, answer, run};
 use anyhow::Context;
 use clap::ValueHint;
 use serde::Serialize;
+use std::cell::LazyCell;
 use std::path::PathBuf;
 use std::time::Instant;
 use wad_cosim::bundled;
@@ -20,7 +21,7 @@ use wad_cosim::perception::score::{
 use wad_cosim::perception::sight_score::{RoadReport, RoadScore};
 use wad_cosim::perception::{
     DEFAULT_DETECTOR, DETECTORS, Detection, Detector, GroundPlane, Heads, LaneDetector, LeastScore,
-    LightAhead, RoadTruth, Seen, detector,
+    LightAhead, RoadTruth, RoadWanted, Seen, detector,
 };
 use wad_cosim::stats::median;
 use wad_cosim::tour::Tour;
@@ -150,48 +151,40 @@ impl Judged {
     }
 }
 
+/// What is to be seen of lane and light in a frame, for all detectors alike.
+fn wanted(frame: &Frame, tour: &Tour, camera: &CameraConfig, heads: &mut Option<Heads>) -> RoadWanted {
+    let facts = tour.facts(0.0);
+    let heads = heads.get_or_insert_with(|| Heads::new(facts.network, tour.town().scene()));
+    let truth = RoadTruth::find(&facts, tour.world(), heads);
+    let signs = &tour.town().scene().signs;
+    let truth = truth.with_frame(signs, camera, &facts.on_route.state.pose, frame);
+    let objects = frame.objects.iter().map(|one| {
+        let hidden = score::truth(one.class, one.visible_pixels, one.visible_box, one.full_box).ignored;
+        (one.id, one.visible_box.map(|v| v as f32), hidden)
+    });
+    let light = LightAhead::find(&facts).map(|light| (light.state, light.distance));
+    truth.wanted(objects, light)
+}
+
 /// Scores of lane and light: by weather, and of all frames.
 struct Roads {
     by_weather: Vec<(Preset, RoadScore)>,
     all: RoadScore,
-    heads: Option<Heads>,
 }
 
 impl Roads {
     fn new(weathers: &[Preset]) -> Self {
         let by_weather = weathers.iter().map(|&weather| (weather, RoadScore::default())).collect();
-        Self { by_weather, all: RoadScore::default(), heads: None }
+        Self { by_weather, all: RoadScore::default() }
     }
 
-    /// Scores a view. A detector that sees objects only has the lanes of Canny and Hough, and no light.
-    fn add(
-        &mut self,
-        weather: Preset,
-        frame: &Frame,
-        tour: &Tour,
-        detector: &dyn Detector,
-        camera: &CameraConfig,
-    ) {
-        let facts = tour.facts(0.0);
-        let heads = self.heads.get_or_insert_with(|| Heads::new(facts.network, tour.town().scene()));
-        let truth = RoadTruth::find(&facts, tour.world(), heads);
-        let signs = &tour.town().scene().signs;
-        let truth = truth.with_frame(signs, camera, &facts.on_route.state.pose, frame);
-        let objects = frame.objects.iter().map(|one| {
-            let hidden = score::truth(one.class, one.visible_pixels, one.visible_box, one.full_box).ignored;
-            (one.id, one.visible_box.map(|v| v as f32), hidden)
-        });
-        let light = LightAhead::find(&facts).map(|light| (light.state, light.distance));
-        let wanted = truth.wanted(objects, light);
-        let seen = detector.seen().copied().unwrap_or_else(|| {
-            let lanes = LaneDetector::default().find(frame, &GroundPlane::new(camera), &facts);
-            Seen { lanes, ..Seen::default() }
-        });
+    /// Scores a view.
+    fn add(&mut self, weather: Preset, wanted: &RoadWanted, seen: &Seen) {
         let heads = wanted.heads.iter().filter(|(_, counts)| *counts).count();
         tracing::debug!("{weather}: {heads} heads of {:?}, seen {:?}", wanted.light, seen.light);
-        self.all.add(&wanted, &seen);
+        self.all.add(wanted, seen);
         if let Some((_, score)) = self.by_weather.iter_mut().find(|(one, _)| *one == weather) {
-            score.add(&wanted, &seen);
+            score.add(wanted, seen);
         }
     }
 
@@ -252,7 +245,7 @@ async fn look(
     let with_road = judged.iter().any(|one| one.roads.is_some());
     let outputs = Outputs { boxes: true, depth: with_road, semantic: with_road, ..Outputs::RGB };
     let bar = Bar::new(args.frames as u64, "frames");
-    let (mut found, mut interrupted) = (Vec::new(), false);
+    let (mut found, mut heads, mut interrupted) = (Vec::new(), None, false);
     for (n, &preset) in weathers.iter().cycle().take(args.frames).enumerate() {
         let pose = tokio::select! {
             biased;
@@ -262,13 +255,19 @@ async fn look(
         let camera_config = *camera.config();
         let frame =
             camera.render(tour.town().scene(), tour.town().actors(), &pose, &Weather::from(preset), outputs);
+        let wanted = with_road.then(|| wanted(frame, &tour, &camera_config, &mut heads));
+        // A detector that sees objects only has the lanes of Canny and Hough, and no light.
+        let by_paint = LazyCell::new(|| {
+            let ground = GroundPlane::new(&camera_config);
+            Seen { lanes: LaneDetector::default().find(frame, &ground, &tour.facts(0.0)), ..Seen::default() }
+        });
         for one in judged.iter_mut() {
             let clock = Instant::now();
             one.detector.detect(frame, &camera_config, &mut found)?;
             one.times.push(clock.elapsed().as_secs_f64() * 1000.0);
             let view = View::new(preset, frame, &found);
-            if let Some(roads) = &mut one.roads {
-                roads.add(preset, frame, &tour, one.detector.as_ref(), &camera_config);
+            if let (Some(roads), Some(wanted)) = (&mut one.roads, &wanted) {
+                roads.add(preset, wanted, one.detector.seen().unwrap_or_else(|| &by_paint));
             }
             if let Some(folder) = &args.pictures {
                 let path = folder.join(format!("{n:04}-{preset}.png"));

@@ -341,7 +341,7 @@ fn a_film_that_is_cut_off_costs_the_run_nothing() {
     let output = finish(command);
     assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
     assert!(stderr(&output).contains("Is the disk full?"), "{}", stderr(&output));
-    let told = super::summary(&output);
+    let told = super::json(&output);
     assert_eq!((told["ticks"].as_u64(), told["end"].as_str()), (Some(40), Some("survived")));
     assert!(out.join("summary.json").is_file());
 }
