@@ -68,10 +68,10 @@ fn heads(network: &Network) -> Vec<Value> {
     network.links.iter().filter_map(head).collect()
 }
 
-/// A polyline as `[x, y, x, y, ...]`, a point about every `step` m.
-pub fn line(line: &Polyline, step: f64) -> Value {
-    let count = (line.length() / step).ceil().max(1.0) as usize;
-    let at = |i: usize| line.at(line.length() * i as f64 / count as f64).xy();
+/// A polyline up to `end` (m) as `[x, y, x, y, ...]`, a point about every `step` m.
+pub fn line(line: &Polyline, end: f64, step: f64) -> Value {
+    let count = (end / step).ceil().max(1.0) as usize;
+    let at = |i: usize| line.at(end * i as f64 / count as f64).xy();
     flat((0..=count).map(at))
 }
 

@@ -211,7 +211,7 @@ impl Player {
         self.state.route_id += 1;
         let id = self.state.route_id;
         let line = match &self.played.route {
-            Some(route) => net::line(&route.centre_line, 3.0),
+            Some(route) => net::line(&route.centre_line, route.length(), 3.0),
             None => header.route.iter().flatten().map(|v| Value::from(net::tenth(*v))).collect(),
         };
         self.hub.set_route(id, json!({ "type": "route", "id": id, "line": line }).to_string());

@@ -210,7 +210,7 @@ pub struct State {
     pub leader: Option<LeaderRecord>,
     pub option: Option<RoadOption>,
     pub lane: String,
-    /// Way along the route, offset to its left, the route's length (m).
+    /// Way along the route, offset to its left, where the destination lies on it (m).
     pub route: (f64, f64, f64),
     pub route_id: u64,
     pub reason: Option<String>,

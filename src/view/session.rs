@@ -288,7 +288,8 @@ impl RunView {
     fn show_ego(&mut self, drive: &Drive) {
         let (ego, bridge) = (drive.ego(), drive.bridge());
         let at = ego.on_route();
-        let route = self.follow_route(ego);
+        let to = drive.destination_s();
+        let route = self.follow_route(ego, to);
         let state = &mut self.state;
         state.ego = ego_now(ego);
         state.followed = drive.followed();
@@ -299,7 +300,7 @@ impl RunView {
                 [now.x, now.y, now.heading, now.speed, now.length, now.width]
             }));
         }
-        state.route = (at.s, at.d, route.length());
+        state.route = (at.s, at.d, to);
         state.seq += 1;
         state.viewers = self.hub.viewers();
         state.at = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |d| d.as_secs_f64() * 1000.0);
@@ -319,20 +320,22 @@ impl RunView {
     }
 
     /// Sends the route to the viewers if it has changed.
-    fn follow_route(&mut self, ego: &Ego) -> Arc<Route> {
+    /// The ego's route; a new one is drawn to its destination at `to` (m).
+    fn follow_route(&mut self, ego: &Ego, to: f64) -> Arc<Route> {
         let now = ego.route();
         let same = |old: &Arc<Route>| {
             (old.from, old.to, old.sections.len()) == (now.from, now.to, now.sections.len())
                 && old.length() == now.length()
         };
-        if let Some(old) = self.route.as_ref().filter(|old| same(old)) {
+        let known = self.route.as_ref().filter(|_| self.state.route.2 == to);
+        if let Some(old) = known.filter(|old| same(old)) {
             return Arc::clone(old);
         }
         let route = Arc::new(now.clone());
         self.state.route_id += 1;
         let id = self.state.route_id;
         let text =
-            json!({ "type": "route", "id": id, "line": net::line(&route.centre_line, 3.0) }).to_string();
+            json!({ "type": "route", "id": id, "line": net::line(&route.centre_line, to, 3.0) }).to_string();
         self.hub.set_route(id, text);
         self.route = Some(Arc::clone(&route));
         route

@@ -162,6 +162,45 @@ fn a_film_shows_what_the_agent_sees_whatever_the_seed() {
     });
 }
 
+/// `run` once drew the next route on arrival: the lane and the light behind the destination were news at full speed.
+#[test]
+fn a_drive_knows_its_way_on_before_it_arrives() {
+    let dir = tempfile::tempdir().unwrap();
+    let assets = Assets::load("town5").unwrap();
+    let bridge = BridgeOptions {
+        seed: 5,
+        traffic: TrafficSpec::Counts(Counts::new(0, 0)),
+        ..BridgeOptions::new(assets.config(), dir.path().join("sumo"))
+    };
+    let options = wad_cosim::drive::DriveOptions::new(bridge, dir.path().join("run"));
+    runtime().block_on(async {
+        let mut drive = wad_cosim::drive::Drive::start(options).await.unwrap();
+        let mut arrivals = 0;
+        while arrivals < 3 {
+            let before = drive.ego().route().clone();
+            let record = drive.tick().await.unwrap().record;
+            assert!(record.tick < 6000, "{arrivals} arrivals");
+            let (at, route) = (drive.ego().on_route().s, drive.ego().route());
+            assert!(route.length() - at > 200.0, "only {:.0} m are known", route.length() - at);
+            if !record.events.contains(&Event::Arrival) {
+                assert!(drive.destination_s() - at > 4.9);
+                continue;
+            }
+            arrivals += 1;
+            assert!(record.route.length - record.route.s < 5.0);
+            assert!(drive.destination_s() - at > 250.0, "the next destination is another one");
+            assert!(at < record.route.s, "what was passed is dropped");
+            for ahead in 0..100 {
+                let (old, new) =
+                    (before.at(record.route.s + f64::from(ahead)), route.at(at + f64::from(ahead)));
+                assert!((old.pose.xy() - new.pose.xy()).norm() < 0.05, "{ahead} m ahead");
+            }
+        }
+        let summary = drive.finish(false).await.unwrap();
+        assert_eq!(summary.destinations_reached, 3);
+    });
+}
+
 #[test]
 fn run_knows_the_drivers_that_eval_knows() {
     let dir = tempfile::tempdir().unwrap();

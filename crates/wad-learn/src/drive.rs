@@ -209,6 +209,11 @@ impl Drive {
         self.session.ego(self.followed)
     }
 
+    /// Where its destination lies on its route (m): the route may lead on behind it.
+    pub fn destination_s(&self) -> f64 {
+        self.session.seats()[self.followed].destination_s()
+    }
+
     /// All egos.
     pub fn egos(&self) -> impl Iterator<Item = &Ego> {
         self.session.seats().iter().map(Seat::ego)
@@ -410,7 +415,7 @@ impl Drive {
                 lane: network.lane(at.lane).id.clone(),
                 s: on_route.s,
                 d: on_route.d,
-                length: ego.route().length(),
+                length: self.session.seats()[index].destination_s(),
                 option: at.option,
             },
             limit: at.speed_limit,
@@ -425,15 +430,19 @@ impl Drive {
         }
     }
 
-    /// Draws a new destination on arrival, and a new start if the ego is blocked or no way leads on.
+    /// Draws a new destination ahead of arrival, and a new start if the ego is blocked or no way leads on.
     async fn go_on(&mut self, index: usize, events: &[Event]) -> Result<(), DriveError> {
-        let arrived = events.contains(&Event::Arrival);
-        let goes_on = if arrived {
-            self.cars[index].itinerary.go_on(&mut self.session, index)
+        let itinerary = &mut self.cars[index].itinerary;
+        let goes_on = if events.contains(&Event::Arrival) {
+            itinerary.go_on(&mut self.session, index)
         } else {
             !events.contains(&Event::VehicleBlocked)
         };
-        if goes_on { Ok(()) } else { self.start_elsewhere(index).await }
+        if !goes_on {
+            self.start_elsewhere(index).await?;
+        }
+        self.cars[index].itinerary.plan_ahead(&mut self.session, index);
+        Ok(())
     }
 
     async fn start_elsewhere(&mut self, index: usize) -> Result<(), DriveError> {
@@ -461,7 +470,7 @@ impl Drive {
             }
             Wish::NewRoute => self.leave_for(None),
             Wish::FindBack => {
-                let to = self.ego().route().to;
+                let to = self.session.seats()[self.followed].destination();
                 self.leave_for(Some(to))
             }
             Wish::Traffic { vehicles, pedestrians } => {

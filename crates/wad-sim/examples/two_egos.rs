@@ -50,6 +50,7 @@ async fn main() -> Result<(), Box<dyn Error>> {
             if arrived && !itinerary.go_on(&mut session, index) {
                 itinerary.start_elsewhere(&mut session, index).await?;
             }
+            itinerary.plan_ahead(&mut session, index);
         }
         if time >= printed + 1.0 {
             printed = time.floor();

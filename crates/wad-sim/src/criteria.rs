@@ -29,7 +29,7 @@ pub struct CriteriaParams {
     pub blocked_after: f64,
     /// Below this speed the ego stands (m/s). Default 0.1.
     pub blocked_speed: f64,
-    /// This close to the route's end the ego has arrived (m). Default 5.
+    /// This close to its destination the ego has arrived (m). Default 5.
     pub arrival_distance: f64,
 }
 
@@ -86,7 +86,7 @@ pub enum Event {
     Sidewalk,
     /// The ego stood for [`CriteriaParams::blocked_after`] without a reason.
     VehicleBlocked,
-    /// The ego reached the end of its route.
+    /// The ego reached its destination.
     Arrival,
 }
 
@@ -131,7 +131,7 @@ pub struct Situation<'a> {
     pub tick: f64,
 }
 
-/// Finds the events of each tick. An event comes when it begins, but the arrival in every tick at the route's end.
+/// Finds the events of each tick. An event comes when it begins, but the arrival in every tick at the destination.
 #[derive(Clone, Debug, Default)]
 pub struct Criteria {
     params: CriteriaParams,
@@ -144,6 +144,8 @@ pub struct Criteria {
     standing: f64,
     /// Links whose stop line was passed on the current route, so that rolling back and forth counts once.
     last_red_stop: Option<f64>,
+    /// Where the destination lies on the route (m), if the route leads on behind it.
+    destination: Option<f64>,
 }
 
 impl Criteria {
@@ -159,7 +161,17 @@ impl Criteria {
 
     /// Forgets what belongs to the old route; call when the route changes.
     pub fn route_changed(&mut self) {
-        self.last_red_stop = None;
+        (self.last_red_stop, self.destination) = (None, None);
+    }
+
+    /// The route now leads on behind the destination, which lies at `s` (m).
+    pub fn route_leads_on(&mut self, s: f64) {
+        self.destination = Some(s);
+    }
+
+    /// Where the destination lies on the route (m), if the route leads on behind it; else it is the route's end.
+    pub fn destination(&self) -> Option<f64> {
+        self.destination
     }
 
     /// Whether the ego is outside its lane now. The event itself comes once, when it leaves the lane.
@@ -175,7 +187,7 @@ impl Criteria {
         self.red_light(now, &mut events);
         self.lane(now, &mut events);
         self.blocked(now, &mut events);
-        let left = now.route.length() - now.after.s;
+        let left = self.destination.unwrap_or(now.route.length()) - now.after.s;
         if left <= self.params.arrival_distance {
             events.push(Event::Arrival);
         }
@@ -376,6 +388,27 @@ mod tests {
         assert_eq!(red_lights(first.stop_s - 1.0, second.stop_s - 1.0), 0, "no light, or not passed");
         assert_eq!(red_lights(first.stop_s - 1.0, second.stop_s + 1.0), 1);
         assert_eq!(red_lights(second.stop_s - 1.0, second.stop_s + 1.0), 0, "it counts once");
+    }
+
+    #[test]
+    fn one_arrives_at_the_destination_also_where_the_route_leads_on() {
+        let text = include_str!("../../../tests/data/cross.net.xml");
+        let network = Network::from_xml(Path::new("cross.net.xml"), text).unwrap();
+        let at = |lane: &str, s: f64| LanePosition { lane: network.lane_by_id(lane).unwrap(), s };
+        let route = network.route(at("WC_1", 5.0), at("EF_1", 100.0), VehicleClass::Passenger).unwrap();
+        let (ego, world) = (EgoParams::default(), WorldState::default());
+        let arrives = |criteria: &mut Criteria, s: f64| {
+            let state = EgoVehicle::new(ego.clone(), route.at(s).pose, 5.0).state();
+            let place = EgoOnRoute { state, s, d: 0.0, front_s: s + 0.5 * ego.length };
+            let now = situation((&network, &route, &world), &ego, (place, place), &[]);
+            criteria.check(&now).contains(&Event::Arrival)
+        };
+        let mut criteria = Criteria::new(CriteriaParams::default());
+        criteria.route_leads_on(50.0);
+        assert_eq!([44.0, 46.0].map(|s| arrives(&mut criteria, s)), [false, true]);
+        criteria.route_changed();
+        let end = route.length();
+        assert_eq!([46.0, end - 6.0, end - 4.0].map(|s| arrives(&mut criteria, s)), [false, false, true]);
     }
 
     #[test]

@@ -47,7 +47,7 @@ pub struct RouteRecord {
     pub s: f64,
     /// Offset to the left of the route (m).
     pub d: f64,
-    /// Route length (m).
+    /// Where the destination lies on it (m).
     pub length: f64,
     /// Turn instruction at the ego's place.
     pub option: RoadOption,

@@ -15,6 +15,9 @@ const TOWN_SPEED: f64 = 13.89;
 /// Where one may drive faster, the option comes early enough to brake to that with this (m/s2).
 const BRAKING: f64 = 3.0;
 
+/// So much of the way behind is kept where the rest is dropped (m): more than a vehicle with its trailer.
+pub const KEPT_BEHIND: f64 = 30.0;
+
 /// The longest route that is built (m).
 const LONGEST: f64 = 500_000.0;
 
@@ -104,10 +107,14 @@ pub struct Route {
     pub destinations: Vec<LanePosition>,
     /// The vehicle class that it is for.
     pub class: VehicleClass,
+    /// Where each of `destinations` lies (m).
+    destination_s: Vec<f64>,
     /// Where each of `edges` is entered (m).
     edge_starts: Vec<f64>,
     samples: Vec<Sample>,
     pieces: Vec<Piece>,
+    /// Where each of `pieces` begins (m).
+    piece_starts: Vec<f64>,
 }
 
 /// Why there is no route.
@@ -198,11 +205,33 @@ impl Network {
             }
         }
         pieces.extend(more);
-        let longer = Route::new(self, pieces, route.from, to, route.class)?;
-        let mut destinations = std::mem::take(&mut route.destinations);
-        destinations.push(to);
-        *route = Route { destinations, ..longer };
+        let mut longer = Route::new(self, pieces, route.from, to, route.class)?;
+        longer.destinations.splice(..0, std::mem::take(&mut route.destinations));
+        longer.destination_s.splice(..0, std::mem::take(&mut route.destination_s));
+        *route = longer;
         Ok(())
+    }
+
+    /// The route without the lanes that end more than [`KEPT_BEHIND`] before `s` (m), and where `s` is on it. What is left
+    /// keeps its line, except the first few metres.
+    pub fn drop_passed(&self, route: &Route, s: f64) -> (Route, f64) {
+        let begins = |(piece, start): (&Piece, &f64)| match *piece {
+            Piece::Lane { lane, from, .. } if *start <= s - KEPT_BEHIND => {
+                Some(LanePosition { lane, s: from })
+            }
+            _ => None,
+        };
+        let pieces = route.pieces.iter().zip(&route.piece_starts);
+        let last = pieces.enumerate().filter_map(|(i, at)| Some((i, begins(at)?))).next_back();
+        let shorter = last.filter(|(first, _)| *first > 0).and_then(|(first, from)| {
+            Route::new(self, route.pieces[first..].to_vec(), from, route.to, route.class).ok()
+        });
+        let Some(mut shorter) = shorter else { return (route.clone(), s) };
+        let dropped = route.length() - shorter.length();
+        let ahead = route.destination_s.partition_point(|&at| at < dropped);
+        shorter.destinations = route.destinations[ahead..].to_vec();
+        shorter.destination_s = route.destination_s[ahead..].iter().map(|at| at - dropped).collect();
+        (shorter, s - dropped)
     }
 
     /// The road option over a link: a turn where the driver has a choice, else lane following.
@@ -254,17 +283,20 @@ impl Route {
             from,
             to,
             destinations: vec![to],
+            destination_s: Vec::new(),
             class,
             edge_starts: Vec::new(),
             samples,
             pieces: Vec::new(),
+            piece_starts: Vec::new(),
         };
         let end = route.length();
+        route.destination_s.push(end);
         for (i, piece) in pieces.iter().enumerate() {
             let s_end = starts.get(i + 1).copied().unwrap_or(end);
             route.add(network, *piece, starts[i], s_end);
         }
-        route.pieces = pieces;
+        (route.pieces, route.piece_starts) = (pieces, starts);
         Ok(route)
     }
 

@@ -144,6 +144,35 @@ fn an_extended_route_keeps_what_was_driven() {
 }
 
 #[test]
+fn a_route_without_what_was_passed_keeps_its_line() {
+    let network = net();
+    let mut route = go(&network, ("ab_0", 20.0), ("bc_0", 100.0)).unwrap();
+    let first = route.length();
+    network.extend_route(&mut route, place(&network, "ab_0", 200.0)).unwrap();
+    let (same, s) = network.drop_passed(&route, 200.0);
+    assert_eq!((same.length(), s), (route.length(), 200.0), "the lane that it is on has not ended");
+    // The first lane has ended; the first destination lies ahead.
+    let at = first - 40.0;
+    let (shorter, s) = network.drop_passed(&route, at);
+    let dropped = at - s;
+    assert!((270.0..at - super::route::KEPT_BEHIND).contains(&dropped), "{dropped} of {at}");
+    assert!((route.length() - dropped - shorter.length()).abs() < 1e-6);
+    assert_eq!(shorter.destinations, route.destinations);
+    assert_eq!(shorter.edges, route.edges[1..]);
+    for ahead in 0..(route.length() - at) as usize {
+        let (old, new) = (route.at(at + ahead as f64), shorter.at(s + ahead as f64));
+        assert!((old.pose.xy() - new.pose.xy()).norm() < 0.01, "{ahead} m ahead");
+        assert_eq!((old.lane, old.option), (new.lane, new.option));
+    }
+    // Behind the first destination that one is forgotten, and the route can be led on.
+    let (mut later, s) = network.drop_passed(&route, first + 400.0);
+    assert_eq!(later.destinations, [route.to]);
+    assert!(s < first + 400.0 - dropped);
+    network.extend_route(&mut later, place(&network, "bc_0", 100.0)).unwrap();
+    assert_eq!(later.destinations.len(), 2);
+}
+
+#[test]
 fn a_route_may_begin_inside_a_junction() {
     let inner = text("")
         .replace("<edge id=\"ab\"", "<edge id=\":B_0\" function=\"internal\"><lane id=\":B_0_0\" index=\"0\" speed=\"8\" length=\"20\" shape=\"290,-4.8 310,-4.8\"/></edge><edge id=\"ab\"")

@@ -9,7 +9,7 @@ use sumo_network::network::Network;
 use wad_see::eyes::{Eyes, LookTimes};
 use wad_see::perception::EgoFacts;
 use wad_sim::bridge::Ego;
-use wad_sim::destination::Destinations;
+use wad_sim::destination::{Destinations, ONWARD};
 use wad_sim::end::{End, judge_limit};
 use wad_sim::session::Tick;
 use wad_sim::tasks::{Placement, TaskSpec};
@@ -27,11 +27,6 @@ pub fn ego_id(index: usize) -> String {
 pub fn is_ego(id: &str) -> bool {
     id.strip_prefix(FIRST).is_some_and(|number| number.bytes().all(|b| b.is_ascii_digit()))
 }
-
-/// A route that never ends is lengthened when less than this is left of it (m).
-const ONWARD: f64 = 250.0;
-/// Places drawn per attempt.
-const ONWARD_DRAWS: usize = 20;
 
 /// The result of a tick for one ego.
 #[derive(Clone, Debug)]
@@ -206,13 +201,9 @@ impl Slot {
         if ego.route().length() - s > ONWARD {
             return;
         }
-        let mut route = ego.route().clone();
-        for _ in 0..ONWARD_DRAWS {
-            let place = places.place(network);
-            if network.extend_route(&mut route, place).is_ok() && route.length() - s > 2.0 * ONWARD {
-                ego.set_route(route, s);
-                return;
-            }
+        let wanted = s + 2.0 * ONWARD - ego.route().length();
+        if let Some(longer) = places.lengthened(network, ego.route(), wanted..) {
+            ego.set_route(longer, s);
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::Session;
 use crate::bridge::BridgeError;
-use crate::destination::{self, DestinationError, Destinations};
+use crate::destination::{self, DestinationError, Destinations, ONWARD, ROUTE_LENGTH};
 use nalgebra::Point2;
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::FRAC_PI_2;
@@ -80,10 +80,31 @@ impl Itinerary {
         Ok(None)
     }
 
-    /// Gives ego `index`, which has arrived, a route to another destination. False if no route leads on.
+    /// Leads the route of ego `index` on to the destination after the next, before its end comes into view: how one must
+    /// drive and what one must obey there depends on the way behind it. Call it in every tick. Where no place can be
+    /// reached from its end the route stays as it is.
+    pub fn plan_ahead(&mut self, session: &mut Session, index: usize) {
+        let network = session.network().clone();
+        let seat = session.seat_mut(index);
+        let (route, s) = (seat.ego().route(), seat.ego().on_route().s);
+        if seat.criteria().destination().is_some() || route.length() - s > ONWARD {
+            return;
+        }
+        if let Some(longer) = self.destinations.lengthened(&network, route, ROUTE_LENGTH) {
+            seat.lead_on(longer);
+        }
+    }
+
+    /// Gives ego `index`, which has arrived, a route to another destination: the one that [`Itinerary::plan_ahead`] led it
+    /// to, else a new one. False if no route leads on.
     pub fn go_on(&mut self, session: &mut Session, index: usize) -> bool {
         let network = session.network().clone();
         let ego = session.ego(index);
+        if session.seats()[index].criteria().destination().is_some() {
+            let (route, s) = network.drop_passed(ego.route(), ego.on_route().s);
+            session.seat_mut(index).set_route(route, s);
+            return true;
+        }
         // The new route begins a car's length behind the ego, on the lane that it is on.
         let lane = ego.lane();
         let here = network.lane(lane).shape.project(ego.state().pose.xy()).s;

@@ -5,7 +5,7 @@ use crate::assets::Assets;
 use crate::autopilot::{Autopilot, AutopilotParams, Decision, EgoModel, Told};
 use crate::bridge::{Ego, Lamps};
 use crate::criteria::{Criteria, CriteriaParams, Situation};
-use sumo_network::network::{Network, RoadOption, Route};
+use sumo_network::network::{LanePosition, Network, RoadOption, Route};
 use wad_vehicle::{Control, EgoParams};
 
 /// Pressed further than this the brake pedal lights the brake lights.
@@ -72,6 +72,25 @@ impl Seat {
         self.ego.set_route(route, s);
         self.criteria.route_changed();
         self.expert.route_changed();
+    }
+
+    /// Gives the ego a `longer` route in place of its own: the destination stays where that one ended.
+    pub fn lead_on(&mut self, longer: Route) {
+        self.criteria.route_leads_on(self.ego.route().length());
+        let s = self.ego.on_route().s;
+        self.ego.set_route(longer, s);
+    }
+
+    /// Where the ego's destination lies on its route (m): the route may lead on behind it.
+    pub fn destination_s(&self) -> f64 {
+        self.criteria.destination().unwrap_or_else(|| self.ego.route().length())
+    }
+
+    /// The ego's destination.
+    pub fn destination(&self) -> LanePosition {
+        let route = self.ego.route();
+        let before = self.criteria.destination().and(route.destinations.iter().nth_back(1));
+        before.copied().unwrap_or(route.to)
     }
 
     /// Whether the expert has been asked since the last tick.
