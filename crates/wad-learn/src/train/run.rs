@@ -327,7 +327,8 @@ pub(super) fn walk<T: Training>(
     let path = out.join("metrics.jsonl");
     let log = OpenOptions::new().create(true).append(true).open(&path);
     let mut log = log.map_err(TrainError::write(&path))?;
-    let mut events = EventWriter::create(out).map_err(TrainError::write(out))?;
+    let resumed = Some(training.reached().step).filter(|step| *step > 0);
+    let mut events = EventWriter::create(out, resumed).map_err(TrainError::write(out))?;
     let mut interrupted = false;
     while !training.is_over() {
         let epoch = training.reached().epoch;

@@ -14,11 +14,12 @@ pub struct EventWriter {
 
 impl EventWriter {
     /// Begins a new event file in `folder`. TensorBoard reads all files of a folder in order, so a resumed
-    /// run adds another file.
+    /// run adds another file. Where `resumed` is the step of its checkpoint, TensorBoard forgets what the earlier files
+    /// say of later steps, as it does for PyTorch's `purge_step`.
     ///
     /// # Errors
     /// The file cannot be written.
-    pub fn create(folder: &Path) -> std::io::Result<Self> {
+    pub fn create(folder: &Path, resumed: Option<u64>) -> std::io::Result<Self> {
         std::fs::create_dir_all(folder)?;
         let now = seconds();
         let mut copy = 0;
@@ -35,6 +36,10 @@ impl EventWriter {
         double_field(&mut event, 1, now);
         bytes_field(&mut event, 3, b"brain.Event:2");
         writer.record(&event)?;
+        if let Some(step) = resumed {
+            // SessionLog { status: START }
+            writer.event(step + 1, 7, &[0x08, 0x01])?;
+        }
         writer.flush()?;
         Ok(writer)
     }
@@ -55,11 +60,16 @@ impl EventWriter {
         pair.extend((value as f32).to_le_bytes());
         let mut summary = Vec::new();
         bytes_field(&mut summary, 1, &pair);
+        self.event(step, 5, &summary)
+    }
+
+    /// Appends an event at `step` whose protobuf field `what` holds `bytes`.
+    fn event(&mut self, step: u64, what: u64, bytes: &[u8]) -> std::io::Result<()> {
         let mut event = Vec::new();
         double_field(&mut event, 1, seconds());
         key(&mut event, 2, 0);
         varint(&mut event, step);
-        bytes_field(&mut event, 5, &summary);
+        bytes_field(&mut event, what, bytes);
         self.record(&event)
     }
 
@@ -129,12 +139,8 @@ mod tests {
         assert_eq!(crc32c(b"123456789"), 0xe306_9283);
     }
 
-    #[test]
-    fn an_event_is_framed_and_holds_its_scalar() {
-        let folder = tempfile::tempdir().unwrap();
-        let mut writer = EventWriter::create(folder.path()).unwrap();
-        writer.scalar("losses/train", 300, 0.25).unwrap();
-        writer.flush().unwrap();
+    /// The events of a file, whose framing is checked.
+    fn read(writer: &EventWriter) -> Vec<Vec<u8>> {
         let bytes = std::fs::read(writer.path()).unwrap();
         let mut at = 0;
         let mut events = Vec::new();
@@ -148,10 +154,29 @@ mod tests {
             events.push(data.to_vec());
             at += 16 + length;
         }
+        events
+    }
+
+    #[test]
+    fn an_event_is_framed_and_holds_its_scalar() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut writer = EventWriter::create(folder.path(), None).unwrap();
+        writer.scalar("losses/train", 300, 0.25).unwrap();
+        writer.flush().unwrap();
+        let events = read(&writer);
         assert_eq!(events.len(), 2);
         let data = &events[1];
         // Step 300 as a varint after key 0x10; the value 0.25 at the end.
         assert_eq!(&data[9..12], &[0x10, 0xac, 0x02]);
         assert_eq!(&data[data.len() - 4..], &0.25_f32.to_le_bytes());
+    }
+
+    #[test]
+    fn a_resumed_run_says_from_which_step_on_it_begins_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let events = read(&EventWriter::create(folder.path(), Some(299)).unwrap());
+        assert_eq!(events.len(), 2);
+        // Step 300, and session_log (field 7) with status (field 1) START (1).
+        assert_eq!(&events[1][9..], &[0x10, 0xac, 0x02, 0x3a, 0x02, 0x08, 0x01]);
     }
 }

@@ -189,9 +189,10 @@ impl<'a> Learning<'a> {
         };
         // Checkpoints of older versions do not say what was in the logs.
         let logged = state.as_ref().map_or([0; 2], |state| state.logged.unwrap_or([u64::MAX; 2]));
+        let resumed = state.as_ref().map(|state| state.steps);
         let mut rng = seeds::rng(config.seed, "learner");
         let mut learning = Self {
-            log: RunLog::open(out, logged)?,
+            log: RunLog::open(out, logged, resumed)?,
             config,
             limits,
             learner,

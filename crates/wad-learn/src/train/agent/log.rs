@@ -21,11 +21,11 @@ pub struct RunLog {
 
 impl RunLog {
     /// Opens the logs in `out`, and appends to existing ones behind their first `kept` bytes ([`Self::lengths`]): what
-    /// came after the checkpoint is driven again.
+    /// came after the checkpoint, at step `resumed`, is driven again.
     ///
     /// # Errors
     /// They cannot be written.
-    pub fn open(out: &Path, kept: [u64; 2]) -> Result<Self, TrainError> {
+    pub fn open(out: &Path, kept: [u64; 2], resumed: Option<u64>) -> Result<Self, TrainError> {
         let failed = |path: &Path| {
             let path = path.to_path_buf();
             move |source| TrainError::Write { path, source }
@@ -41,7 +41,7 @@ impl RunLog {
             path: out.to_path_buf(),
             lines: append("train.jsonl", kept[0])?,
             validation: append("validation.jsonl", kept[1])?,
-            events: EventWriter::create(out).map_err(failed(out))?,
+            events: EventWriter::create(out, resumed).map_err(failed(out))?,
         })
     }
 
