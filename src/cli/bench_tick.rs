@@ -169,7 +169,8 @@ async fn each_set(args: &Args) -> anyhow::Result<Exit> {
         let report = report.and_then(|line| serde_json::from_slice::<Map<String, Value>>(line).ok());
         let Some(mut row) = report.filter(|_| output.status.success()) else {
             let error = anyhow::anyhow!("{}: {}", set.name(), String::from_utf8_lossy(&output.stderr).trim());
-            return Err(if output.status.code() == Some(2) { Exit::Input.because(error) } else { error });
+            let ended = |exit: Exit| output.status.code() == Some(exit as i32);
+            return Err(Exit::blamed(ended(Exit::Input), ended(Exit::Sumo)).because(error));
         };
         row.insert("cpu_features".to_owned(), json!(set.name()));
         rows.push(row);

@@ -49,7 +49,8 @@ impl Exit {
         Self::blamed(error.is_input(), error.is_sumo())
     }
 
-    fn blamed(is_input: bool, is_sumo: bool) -> Self {
+    /// The code where the input is to blame, or SUMO, or neither.
+    pub fn blamed(is_input: bool, is_sumo: bool) -> Self {
         match (is_input, is_sumo) {
             (true, _) => Self::Input,
             (_, true) => Self::Sumo,
