@@ -11,7 +11,7 @@ use wad_sim::autopilot::AutopilotParams;
 use wad_sim::bridge::{BridgeError, BridgeOptions};
 use wad_sim::criteria::CriteriaParams;
 use wad_sim::destination::DestinationError;
-use wad_sim::session::ItineraryError;
+use wad_sim::session::{APART, ItineraryError};
 use wad_sim::telemetry::{FolderError, WriteError};
 use wad_sim::traffic::TrafficSpec;
 use wad_vehicle::EgoParams;
@@ -143,6 +143,3 @@ pub(super) struct RunConfig<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub driver: Option<&'a PilotRecord>,
 }
-
-/// Least distance between the starts of two egos (m).
-pub(super) const APART: f64 = 25.0;

@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use sumo_network::geometry::{Point, Vector};
-use sumo_network::network::{EdgeKind, LaneId, Route, TrafficLightId};
+use sumo_network::network::{Route, TrafficLightId};
 use sumo_network::seeds;
 use wad_see::eyes::{Eyes, LookTimes};
 use wad_see::latent::Encoder;
@@ -19,17 +19,14 @@ use wad_sim::autopilot::{AutopilotParams, Leader, Told, ToldLight};
 use wad_sim::bridge::{BridgeError, BridgeOptions, Ego};
 use wad_sim::cores;
 use wad_sim::destination::Destinations;
-use wad_sim::session::{Act, Seat, Session};
+use wad_sim::session::{APART, Act, Seat, Session};
 use wad_sim::tasks::{Placement, TaskError, TaskSpec};
 use wad_sim::traffic::TrafficSpec;
 
 /// Failed starts of SUMO for one episode after which `reset` fails.
 const ATTEMPTS: usize = 3;
-/// Places drawn for one start, and the radius that is cleared round it in running traffic (m).
+/// Places drawn for one start.
 const PLACES: usize = 12;
-const ROOM: f64 = 30.0;
-/// An ego begins at least this far from all others (m).
-const APART: f64 = 25.0;
 
 /// An ego that leaves goes so far beyond the net (m).
 const AWAY: f64 = 500.0;
@@ -365,23 +362,11 @@ impl World {
         task: &TaskSpec,
         seed: u64,
     ) -> Result<Option<Placement>, EnvError> {
-        let network = Arc::clone(self.assets.network());
         for again in 0..Self::draws(task) {
             let (placement, route) = self.draw(task, seed, again)?;
             let Some(sumo) = &mut self.sumo else { return Err(EnvError::NoEpisode) };
-            let others = sumo.session.seats().iter().enumerate().filter(|(other, _)| *other != index);
-            if others.into_iter().any(|(_, other)| !is_apart(&route, other.ego().state().pose.xy())) {
-                continue;
-            }
-            let (bridge, seat) = sumo.session.bridge_and_seat(index);
-            let start = begin_of(&route);
-            let roads = |lane: &LaneId| {
-                matches!(network.edge(network.lane(*lane).edge).kind, EdgeKind::Normal | EdgeKind::Internal)
-            };
-            let lanes: Vec<LaneId> =
-                network.lanes_near(start, None, ROOM).iter().map(|near| near.lane).filter(roads).collect();
-            if bridge.clear(start, ROOM, &lanes).await? {
-                seat.place(route, 0.0, self.options.start.draw(seed));
+            if sumo.session.make_room(index, begin_of(&route)).await? {
+                sumo.session.seat_mut(index).place(route, 0.0, self.options.start.draw(seed));
                 return Ok(Some(placement));
             }
         }

@@ -8,25 +8,6 @@ use sumo_network::network::{LaneId, Network};
 use sumo_traci::{Batch, RemoveReason, person, vehicle};
 
 impl Bridge {
-    /// Whether no vehicle is on any of these lanes.
-    ///
-    /// # Errors
-    /// SUMO fails.
-    pub async fn is_free(&mut self, lanes: &[LaneId]) -> Result<bool, BridgeError> {
-        let mut batch = Batch::new();
-        let counts: Vec<_> = lanes
-            .iter()
-            .map(|lane| batch.get(sumo_traci::lane::LAST_STEP_VEHICLE_NUMBER, &self.network.lane(*lane).id))
-            .collect();
-        let replies = self.ask(&batch).await?;
-        for count in counts {
-            if replies.get(count).map_err(sumo_traci::Error::from)? > 0 {
-                return Ok(false);
-            }
-        }
-        Ok(true)
-    }
-
     /// Never removes the vehicle `id`, which the caller adds, until [`Bridge::remove`].
     pub fn keep(&mut self, id: &str) {
         self.guests.insert(id.to_string(), false);

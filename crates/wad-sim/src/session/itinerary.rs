@@ -136,7 +136,7 @@ impl Itinerary {
         let network = session.network().clone();
         let mut route = self.first_route(&network)?;
         for _ in 0..DRAWS {
-            if session.bridge_mut().is_free(&[route.at(0.0).lane]).await? {
+            if session.make_room(index, route.at(0.0).pose.xy()).await? {
                 break;
             }
             route = self.first_route(&network)?;

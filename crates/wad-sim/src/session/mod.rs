@@ -25,8 +25,14 @@ use crate::scenario::Director;
 use crate::{cores, cpu_time};
 use std::sync::Arc;
 use std::time::Instant;
-use sumo_network::network::{Network, Route};
+use sumo_network::geometry::Point;
+use sumo_network::network::{EdgeKind, LaneId, Network, Route};
 use wad_vehicle::{Contact, Control, PartnerKind};
+
+/// An ego begins at least this far from all others (m).
+pub const APART: f64 = 25.0;
+/// Within this distance of its start no vehicle is left (m).
+const ROOM: f64 = 30.0;
 
 /// What an ego does in a tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -235,6 +241,25 @@ impl Session {
     /// `index` is out of range.
     pub fn place(&mut self, index: usize, route: Route, s: f64) {
         self.seats[index].place(route, s, (0.0, 0.0));
+    }
+
+    /// Makes room for ego `index` at `start`: background vehicles there come back elsewhere. False if another ego is near, or
+    /// a vehicle that cannot be removed.
+    ///
+    /// # Errors
+    /// SUMO fails.
+    pub async fn make_room(&mut self, index: usize, start: Point) -> Result<bool, BridgeError> {
+        let others = self.seats.iter().enumerate().filter(|(other, _)| *other != index);
+        if others.into_iter().any(|(_, other)| (start - other.ego().state().pose.xy()).norm() < APART) {
+            return Ok(false);
+        }
+        let network = self.network();
+        let is_road = |lane: &LaneId| {
+            matches!(network.edge(network.lane(*lane).edge).kind, EdgeKind::Normal | EdgeKind::Internal)
+        };
+        let lanes: Vec<LaneId> =
+            network.lanes_near(start, None, ROOM).iter().map(|near| near.lane).filter(is_road).collect();
+        self.bridge.clear(start, ROOM, &lanes).await
     }
 
     /// Drops SUMO at once, and returns the seats for another session.
