@@ -319,8 +319,7 @@ impl RunView {
         });
     }
 
-    /// Sends the route to the viewers if it has changed.
-    /// The ego's route; a new one is drawn to its destination at `to` (m).
+    /// The ego's route. If it or its destination, at `to` (m), has changed, viewers get its line up to there.
     fn follow_route(&mut self, ego: &Ego, to: f64) -> Arc<Route> {
         let now = ego.route();
         let same = |old: &Arc<Route>| {

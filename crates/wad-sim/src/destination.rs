@@ -2,7 +2,6 @@
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
-use std::ops::RangeBounds;
 use sumo_network::network::{LaneId, LanePosition, Network, Route, RouteError, VehicleClass};
 
 /// The ego's vehicle class.
@@ -17,7 +16,7 @@ pub const ROUTE_LENGTH: std::ops::Range<f64> = 300.0..1500.0;
 /// Random places tried before the longest route found is used.
 const TRIES: usize = 40;
 /// Random places tried to lead a route on.
-const ONWARD_TRIES: usize = 20;
+pub const ONWARD_TRIES: usize = 20;
 /// A route that is led on gets longer when less than this is left of it (m), before its end comes into view.
 pub const ONWARD: f64 = 250.0;
 
@@ -96,18 +95,10 @@ impl Destinations {
         self.draw(network, |network, to| network.route(from, to, EGO_CLASS))
     }
 
-    /// `route` led on to a random place that makes it longer by as much as is `wanted` (m); None if none of some draws does.
-    pub fn lengthened(
-        &mut self,
-        network: &Network,
-        route: &Route,
-        wanted: impl RangeBounds<f64>,
-    ) -> Option<Route> {
-        (0..ONWARD_TRIES).find_map(|_| {
-            let (place, mut longer) = (self.place(network), route.clone());
-            network.extend_route(&mut longer, place).ok()?;
-            wanted.contains(&(longer.length() - route.length())).then_some(longer)
-        })
+    /// `route` led on to a random place; None if it cannot be reached from the route's end.
+    pub fn lead_on(&mut self, network: &Network, route: &Route) -> Option<Route> {
+        let (place, mut longer) = (self.place(network), route.clone());
+        network.extend_route(&mut longer, place).ok().map(|()| longer)
     }
 
     fn draw(

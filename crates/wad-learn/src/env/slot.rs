@@ -9,7 +9,7 @@ use sumo_network::network::Network;
 use wad_see::eyes::{Eyes, LookTimes};
 use wad_see::perception::EgoFacts;
 use wad_sim::bridge::Ego;
-use wad_sim::destination::{Destinations, ONWARD};
+use wad_sim::destination::{Destinations, ONWARD, ONWARD_TRIES};
 use wad_sim::end::{End, judge_limit};
 use wad_sim::session::Tick;
 use wad_sim::tasks::{Placement, TaskSpec};
@@ -201,9 +201,15 @@ impl Slot {
         if ego.route().length() - s > ONWARD {
             return;
         }
-        let wanted = s + 2.0 * ONWARD - ego.route().length();
-        if let Some(longer) = places.lengthened(network, ego.route(), wanted..) {
-            ego.set_route(longer, s);
+        let mut route = ego.route().clone();
+        for _ in 0..ONWARD_TRIES {
+            // A draw that is too near is kept, and led on by the next.
+            let Some(longer) = places.lead_on(network, &route) else { continue };
+            route = longer;
+            if route.length() - s > 2.0 * ONWARD {
+                ego.set_route(route, s);
+                return;
+            }
         }
     }
 }

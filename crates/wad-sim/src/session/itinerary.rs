@@ -2,7 +2,7 @@
 
 use super::Session;
 use crate::bridge::BridgeError;
-use crate::destination::{self, DestinationError, Destinations, ONWARD, ROUTE_LENGTH};
+use crate::destination::{self, DestinationError, Destinations, ONWARD, ONWARD_TRIES, ROUTE_LENGTH};
 use nalgebra::Point2;
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::FRAC_PI_2;
@@ -90,7 +90,9 @@ impl Itinerary {
         if seat.criteria().destination().is_some() || route.length() - s > ONWARD {
             return;
         }
-        if let Some(longer) = self.destinations.lengthened(&network, route, ROUTE_LENGTH) {
+        let mut draws = (0..ONWARD_TRIES).filter_map(|_| self.destinations.lead_on(&network, route));
+        if let Some(longer) = draws.find(|longer| ROUTE_LENGTH.contains(&(longer.length() - route.length())))
+        {
             seat.lead_on(longer);
         }
     }
