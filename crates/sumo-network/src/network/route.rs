@@ -212,8 +212,8 @@ impl Network {
         Ok(())
     }
 
-    /// The route without the lanes that end more than [`KEPT_BEHIND`] before `s` (m), and where `s` is on it. What is left
-    /// keeps its line, except the first few metres.
+    /// The route without the lanes that end more than 30 m (`KEPT_BEHIND`) before `s` (m), and where `s` is on it. What is
+    /// left keeps its line, except the first few metres.
     pub fn drop_passed(&self, route: &Route, s: f64) -> (Route, f64) {
         let begins = |(piece, start): (&Piece, &f64)| match *piece {
             Piece::Lane { lane, from, .. } if *start <= s - KEPT_BEHIND => {
