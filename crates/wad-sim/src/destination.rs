@@ -15,8 +15,6 @@ const MARGIN: f64 = 12.0;
 pub const ROUTE_LENGTH: std::ops::Range<f64> = 300.0..1500.0;
 /// Random places tried before the longest route found is used.
 const TRIES: usize = 40;
-/// Random places tried to lead a route on.
-pub const ONWARD_TRIES: usize = 20;
 /// A route that is led on gets longer when less than this is left of it (m), before its end comes into view.
 pub const ONWARD: f64 = 250.0;
 

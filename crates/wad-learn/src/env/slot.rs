@@ -9,7 +9,7 @@ use sumo_network::network::Network;
 use wad_see::eyes::{Eyes, LookTimes};
 use wad_see::perception::EgoFacts;
 use wad_sim::bridge::Ego;
-use wad_sim::destination::{Destinations, ONWARD, ONWARD_TRIES};
+use wad_sim::destination::{Destinations, ONWARD};
 use wad_sim::end::{End, judge_limit};
 use wad_sim::session::Tick;
 use wad_sim::tasks::{Placement, TaskSpec};
@@ -193,23 +193,15 @@ impl Slot {
         }
     }
 
-    /// Lengthens a route that never ends before its end comes into view. Where no place can be reached from
-    /// its end it ends there.
+    /// Lengthens a route that never ends, before its end comes into view. Call it in every tick: each draws one place, and
+    /// one that is too near or out of reach is made good in the next.
     pub fn go_onward(&mut self, network: &Network, ego: &mut Ego) {
         let Some(places) = &mut self.onward else { return };
-        let s = ego.on_route().s;
-        if ego.route().length() - s > ONWARD {
-            return;
-        }
-        let mut route = ego.route().clone();
-        for _ in 0..ONWARD_TRIES {
-            // A draw that is too near is kept, and led on by the next.
-            let Some(longer) = places.lead_on(network, &route) else { continue };
-            route = longer;
-            if route.length() - s > 2.0 * ONWARD {
-                ego.set_route(route, s);
-                return;
-            }
+        let (route, s) = (ego.route(), ego.on_route().s);
+        if route.length() - s <= ONWARD
+            && let Some(longer) = places.lead_on(network, route)
+        {
+            ego.set_route(longer, s);
         }
     }
 }

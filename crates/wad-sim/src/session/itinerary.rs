@@ -2,7 +2,7 @@
 
 use super::Session;
 use crate::bridge::BridgeError;
-use crate::destination::{self, DestinationError, Destinations, ONWARD, ONWARD_TRIES, ROUTE_LENGTH};
+use crate::destination::{self, DestinationError, Destinations, ONWARD, ROUTE_LENGTH};
 use nalgebra::Point2;
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::FRAC_PI_2;
@@ -81,8 +81,8 @@ impl Itinerary {
     }
 
     /// Leads the route of ego `index` on to the destination after the next, before its end comes into view: how one must
-    /// drive and what one must obey there depends on the way behind it. Call it in every tick. Where no place can be
-    /// reached from its end the route stays as it is.
+    /// drive and what one must obey there depends on the way behind it. Call it in every tick: each draws one place, until
+    /// one is as far away as a destination should be.
     pub fn plan_ahead(&mut self, session: &mut Session, index: usize) {
         let network = session.network().clone();
         let seat = session.seat_mut(index);
@@ -90,8 +90,8 @@ impl Itinerary {
         if seat.criteria().destination().is_some() || route.length() - s > ONWARD {
             return;
         }
-        let mut draws = (0..ONWARD_TRIES).filter_map(|_| self.destinations.lead_on(&network, route));
-        if let Some(longer) = draws.find(|longer| ROUTE_LENGTH.contains(&(longer.length() - route.length())))
+        if let Some(longer) = self.destinations.lead_on(&network, route)
+            && ROUTE_LENGTH.contains(&(longer.length() - route.length()))
         {
             seat.lead_on(longer);
         }
