@@ -73,10 +73,14 @@ impl LoadedAgent {
         Ok(checked.map_err(|e| Failure::Input(e.to_string()))?)
     }
 
-    /// Steering, throttle and brake for an observation.
+    /// Steering, throttle and brake for an observation. An agent that drives by the latent alone gets that part of it.
     fn act(&self, observation: PyReadonlyArray1<'_, f32>) -> PyResult<Action> {
-        let numbers: Vec<f32> = observation.as_array().iter().copied().collect();
-        let expected = self.actor.dims().observation() as usize;
+        let mut numbers: Vec<f32> = observation.as_array().iter().copied().collect();
+        let dims = self.actor.dims();
+        let expected = dims.observation() as usize;
+        if dims.raw == 0 && numbers.len() == expected + observation::RAW_SIZE {
+            numbers.truncate(expected);
+        }
         if numbers.len() != expected {
             let found = numbers.len();
             return Err(InputError::new_err(format!(

@@ -2,6 +2,7 @@
 
 import json
 import pathlib
+import pickle
 import subprocess
 import time
 
@@ -135,6 +136,32 @@ def test_bundled_agents_act_without_libtorch():
     for name in ("wad-z", __file__):
         with pytest.raises(wad_cosim.InputError):
             wad_cosim.load_agent(name)
+
+
+def test_an_agent_of_the_latent_alone_takes_the_observation_of_an_environment(tmp_path):
+    sizes, rng = [(200, 256), (256, 128), (128, 64), (64, 6)], np.random.default_rng(5)
+    trained = {"inputs": "latent", "detector": "truth", "encoder": "default", "algorithm": {"algo": "sac"}, "scale": None}
+    trained |= {"steps": 0, "updates": 0, "seed": 0, "scores": {}, "config": {}}
+    values = np.concatenate([rng.normal(0, 0.1, n) for size in sizes for n in (size[0] * size[1], size[1])])
+    path = tmp_path / "agent.safetensors"
+    wad_cosim._native.save_agent(path, json.dumps(trained), sizes, values.astype(np.float32))
+    agent = wad_cosim.load_agent(path)
+    assert agent.observation == "latent"
+    observation = rng.normal(0, 1, 215)
+    assert agent(observation).tolist() == agent(observation[:200]).tolist()
+    assert agent(observation).tolist() != agent(rng.normal(0, 1, 215)).tolist()
+
+
+def test_a_trained_agent_travels_to_other_processes(tmp_path, monkeypatch):
+    bundled = pathlib.Path(__file__).parents[2] / "models" / "wad_t" / "agent.safetensors"
+    monkeypatch.chdir(tmp_path)
+    pathlib.Path("agent.safetensors").write_bytes(bundled.read_bytes())
+    observation = np.linspace(-1, 1, 215)
+    for name in ("wad-t", pathlib.Path("agent.safetensors")):
+        sent = pickle.dumps(wad_cosim.load_agent(name))
+        monkeypatch.chdir("/")
+        assert pickle.loads(sent)(observation).tolist() == wad_cosim.load_agent("wad-t")(observation).tolist()
+        monkeypatch.chdir(tmp_path)
 
 
 def test_a_program_over_a_pipe_is_judged_and_one_that_dies_costs_its_episode_only(tmp_path):

@@ -193,6 +193,7 @@ class TrainedAgent:
 
     def __init__(self, name: str | os.PathLike[str]) -> None:
         self._native = _native.LoadedAgent(os.fspath(name))
+        self._name = os.path.abspath(name) if os.path.exists(name) else os.fspath(name)
         #: What it needs: ``raw``, ``vector`` or ``latent``.
         self.observation = self._native.observation
         #: The encoder that made the latents of its training.
@@ -215,6 +216,10 @@ class TrainedAgent:
         return np.array(self._native.act(numbers), dtype=np.float32)
 
     __call__ = act
+
+    def __reduce__(self) -> tuple[type[TrainedAgent], tuple[str]]:
+        # A copy in another process, such as a Ray worker, reads the file itself.
+        return TrainedAgent, (self._name,)
 
 
 def load_agent(name: str | os.PathLike[str]) -> TrainedAgent:
