@@ -53,6 +53,13 @@ impl GroundPlane {
         self.view.focal * size / depth.max(0.1)
     }
 
+    /// How much nearer (m) than a point on the ground at `x` (m ahead) that is which hides the ground up to there, at this
+    /// `height` (m).
+    pub fn hides(&self, x: f32, height: f32) -> f32 {
+        let eye = &self.view.eye;
+        (x - eye.x as f32).max(0.0) * height / eye.z as f32
+    }
+
     /// Change of distance (m) per pixel up or down, for a point on the ground at `x` (m ahead).
     pub fn metres_per_row(&self, x: f32) -> f32 {
         let ahead = (x - self.view.eye.x as f32).max(0.5);

@@ -30,15 +30,34 @@ pub struct Candidate {
     pub ahead: f64,
 }
 
-/// Width of the objects of a class from behind (m), how far the lowest seen point (the wheels) is
-/// behind the nearest (the bumper, m), and how far back the flank reaches that a box may show (m).
-fn build(class: ObjectClass) -> (f32, f32, f32) {
-    match class {
-        ObjectClass::Car => (1.8, 0.7, 4.5),
-        ObjectClass::Truck | ObjectClass::Bus => (2.5, 0.9, 10.0),
-        ObjectClass::Motorcycle | ObjectClass::Bicycle => (0.7, 0.0, 1.8),
-        ObjectClass::Person => (0.5, 0.0, 0.3),
-        ObjectClass::Bench | ObjectClass::TrafficLight => (1.5, 0.0, 0.5),
+/// What the objects of a class are like from behind (m).
+struct Build {
+    width: f32,
+    /// How far the wheels or feet are behind the nearest point, the bumper's.
+    overhang: f32,
+    /// Height of the lower edge of what hangs over.
+    clearance: f32,
+    /// How far back the flank reaches that a box may show.
+    flank: f32,
+}
+
+impl Build {
+    fn of(class: ObjectClass) -> Self {
+        let (width, overhang, clearance, flank) = match class {
+            ObjectClass::Car => (1.8, 0.85, 0.3, 4.5),
+            ObjectClass::Truck => (2.5, 1.5, 0.9, 10.0),
+            ObjectClass::Bus => (2.5, 1.9, 0.3, 10.0),
+            ObjectClass::Motorcycle | ObjectClass::Bicycle => (0.7, 0.35, 0.3, 1.8),
+            ObjectClass::Person => (0.5, 0.15, 0.3, 0.3),
+            ObjectClass::Bench | ObjectClass::TrafficLight => (1.5, 0.0, 0.0, 0.5),
+        };
+        Self { width, overhang, clearance, flank }
+    }
+
+    /// How far the lowest point that is seen is behind the nearest: near by, what hangs over hides the wheels. `near` is
+    /// the former's place on the ground (m ahead).
+    fn behind(&self, ground: &GroundPlane, near: f32) -> f32 {
+        self.overhang.min(ground.hides(near, self.clearance))
     }
 }
 
@@ -63,7 +82,8 @@ fn locate(
     let [left, _, right, bottom] = detection.bounds;
     let [near, y_left] = ground.point([left, bottom])?;
     let [_, y_right] = ground.point([right, bottom])?;
-    let (breadth, behind, flank) = build(class);
+    let build = Build::of(class);
+    let behind = build.behind(ground, near);
     if f64::from(near) > SIGHT + facts.length {
         return None;
     }
@@ -77,7 +97,7 @@ fn locate(
     // A vehicle beside the path shows its flank too: no more than its class's breadth counts, from the
     // side that is away from the path.
     let middle = offset(near, 0.5 * (y_left + y_right));
-    let half = 0.5 * (y_left - y_right).abs().min(breadth);
+    let half = 0.5 * (y_left - y_right).abs().min(build.width);
     let (a, b) = (offset(near, y_left), offset(near, y_right));
     let on_left = a.d.abs() > b.d.abs();
     let (outer, inner_column) = if on_left { (a.d, right) } else { (b.d, left) };
@@ -89,7 +109,7 @@ fn locate(
     let pulls_out = || {
         let [eye, _] = ground.ahead(inner_column, 0.0);
         [0.0, 0.5, 1.0].iter().all(|share| {
-            let [x, y] = ground.ahead(inner_column, near - eye + share * flank);
+            let [x, y] = ground.ahead(inner_column, near - eye + share * build.flank);
             let on = offset(x, y);
             // Beyond a turn of the route the other side means nothing.
             reaches(on.d) && on.d.abs() < BEND && on.distance - on.d.abs() < 0.1
@@ -240,8 +260,16 @@ impl Track {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::perception::testing::{LENGTH, Road, seen};
-    use wad_camera::CameraConfig;
+    use crate::perception::testing::{LENGTH, Road, seen, user};
+    use crate::perception::{Detector, TruthDetector};
+    use std::sync::Arc;
+    use sumo_network::network::Shapes;
+    use sumo_network::world::{ActorKind, ActorType, WorldState};
+    use wad_camera::scene::Look;
+    use wad_camera::{Camera, CameraConfig, Outputs, Preset, Town, Weather};
+
+    /// How far a car's rear wheels are behind its bumper (m).
+    const WHEELS: f64 = 0.85;
 
     fn gap(found: &[Detection], s: f64, d: f64, turn: f64) -> Option<f64> {
         let road = Road::new("GGG");
@@ -253,12 +281,57 @@ mod tests {
     fn the_nearest_in_the_path_counts() {
         let car = seen(ObjectClass::Car, 20.0, 0.1, 1.8, 1.5);
         let person = seen(ObjectClass::Person, 12.0, -0.4, 0.5, 1.7);
-        // The car's wheels are 0.7 m behind its bumper.
         let far = gap(&[car], 60.0, 0.0, 0.0).unwrap();
-        assert!((far - (20.0 - 0.5 * LENGTH - 0.7)).abs() < 0.1, "{far}");
+        assert!((far - (20.0 - 0.5 * LENGTH - WHEELS)).abs() < 0.1, "{far}");
         let near = gap(&[car, person], 60.0, 0.0, 0.0).unwrap();
-        assert!((near - (12.0 - 0.5 * LENGTH)).abs() < 0.1, "{near}");
+        assert!((near - (12.0 - 0.5 * LENGTH - 0.15)).abs() < 0.1, "{near}");
         assert!(gap(&[seen(ObjectClass::Car, 70.0, 0.0, 1.8, 1.5)], 60.0, 0.0, 0.0).is_none(), "too far");
+    }
+
+    #[test]
+    fn gaps_to_what_the_camera_draws_are_right() {
+        let road = Road::new("GGG");
+        let config = CameraConfig::default();
+        let ground = GroundPlane::new(&config);
+        let mut town = Town::new(&road.network, &Shapes::default(), Look::of(1));
+        let mut camera = Camera::new(config).unwrap();
+        let facts = road.facts(60.0, 0.0, 0.0, 0.0);
+        for (kind, id, [length, width, height]) in [
+            (ActorKind::Car, "car.hatchback", [4.19, 1.80, 1.47]),
+            (ActorKind::Car, "car.saloon.long", [5.36, 1.90, 1.45]),
+            (ActorKind::Car, "car.suv", [4.86, 1.94, 1.72]),
+            (ActorKind::Van, "van.delivery", [5.92, 1.99, 2.56]),
+            (ActorKind::Truck, "truck.box", [7.2, 2.4, 3.1]),
+            (ActorKind::Bus, "bus.city", [10.27, 2.5, 3.1]),
+            (ActorKind::Motorcycle, "motorcycle.sport", [2.03, 0.8, 1.55]),
+            (ActorKind::Bicycle, "bicycle.city", [1.84, 0.6, 1.75]),
+            (ActorKind::Pedestrian, "person", [0.3, 0.5, 1.75]),
+        ] {
+            for true_gap in [1.0, 2.5, 5.0, 8.0, 12.0, 18.0] {
+                // Farther away a bicycle shows too few pixels, and its rider's feet are above the ground.
+                if kind == ActorKind::Bicycle && true_gap > 5.0 {
+                    continue;
+                }
+                let pose = road.route.at(facts.on_route.front_s + true_gap + 0.5 * length).pose;
+                let mut other = user(pose, 0.0, kind);
+                let shape = ActorType { id: id.to_string(), kind, length, width, height, min_gap: 2.5 };
+                other.actor_type = Arc::new(shape);
+                let mut world = WorldState::default();
+                let of_kind =
+                    if kind == ActorKind::Pedestrian { &mut world.pedestrians } else { &mut world.vehicles };
+                of_kind.push(other);
+                town.follow(&world, None);
+                let outputs = Outputs { boxes: true, ..Outputs::RGB };
+                let (weather, pose) = (Weather::from(Preset::ClearNoon), &facts.on_route.state.pose);
+                let frame = camera.render(town.scene(), town.actors(), pose, &weather, outputs);
+                let mut found = Vec::new();
+                TruthDetector::new().detect(frame, &config, &mut found).unwrap();
+                let told = nearest(&found, &ground, &facts).unwrap();
+                let off = told.gap - true_gap;
+                let row = f64::from(ground.metres_per_row(told.ahead as f32));
+                assert!(off.abs() < 0.35 + row, "{id} {true_gap} m in front: {off} m, a row is {row} m");
+            }
+        }
     }
 
     #[test]
@@ -317,7 +390,7 @@ mod tests {
         let (mut true_gap, closing) = (25.0, 4.0);
         let mut state = None;
         for tick in 0..9 {
-            let near = (true_gap + 0.5 * LENGTH + 0.7) as f32;
+            let near = (true_gap + 0.5 * LENGTH + WHEELS) as f32;
             let found = [seen(ObjectClass::Car, near, 0.0, 1.8, 1.5)];
             let facts = road.facts(60.0 + f64::from(tick), 0.0, 0.0, 8.0);
             let candidate = nearest(&found, &ground, &facts);
@@ -359,7 +432,10 @@ mod tests {
         look(30.0);
         look(30.0);
         let cut_in = look(12.0);
-        assert!((cut_in.gap - 9.1).abs() < 0.2 && cut_in.closing_speed.abs() < 1.0, "{cut_in:?}");
+        assert!(
+            (cut_in.gap - (12.0 - 0.5 * LENGTH - WHEELS)).abs() < 0.2 && cut_in.closing_speed.abs() < 1.0,
+            "{cut_in:?}"
+        );
     }
 
     #[test]
