@@ -16,7 +16,7 @@ pub const ROUTE_LENGTH: std::ops::Range<f64> = 300.0..1500.0;
 /// Random places tried before the longest route found is used.
 const TRIES: usize = 40;
 /// A route that is led on gets longer when less than this is left of it (m), before its end comes into view.
-pub const ONWARD: f64 = 250.0;
+const ONWARD: f64 = 250.0;
 
 /// Why there is no place to drive.
 #[derive(Debug, thiserror::Error)]
@@ -93,8 +93,12 @@ impl Destinations {
         self.draw(network, |network, to| network.route(from, to, EGO_CLASS))
     }
 
-    /// `route` led on to a random place; None if it cannot be reached from the route's end.
-    pub fn lead_on(&mut self, network: &Network, route: &Route) -> Option<Route> {
+    /// `route` led on to a random place before its end comes into view; None while more than 250 m are left of it from `s`
+    /// (m) on, and where the place cannot be reached from its end. Call it in every tick: each draws one place.
+    pub fn lead_on(&mut self, network: &Network, route: &Route, s: f64) -> Option<Route> {
+        if route.length() - s > ONWARD {
+            return None;
+        }
         let (place, mut longer) = (self.place(network), route.clone());
         network.extend_route(&mut longer, place).ok().map(|()| longer)
     }

@@ -9,7 +9,7 @@ use sumo_network::network::Network;
 use wad_see::eyes::{Eyes, LookTimes};
 use wad_see::perception::EgoFacts;
 use wad_sim::bridge::Ego;
-use wad_sim::destination::{Destinations, ONWARD};
+use wad_sim::destination::Destinations;
 use wad_sim::end::{End, judge_limit};
 use wad_sim::session::Tick;
 use wad_sim::tasks::{Placement, TaskSpec};
@@ -193,14 +193,12 @@ impl Slot {
         }
     }
 
-    /// Lengthens a route that never ends, before its end comes into view. Call it in every tick: each draws one place, and
-    /// one that is too near or out of reach is made good in the next.
+    /// Lengthens a route that never ends, before its end comes into view ([`Destinations::lead_on`]); a place that is
+    /// too near or out of reach is made good in the next tick.
     pub fn go_onward(&mut self, network: &Network, ego: &mut Ego) {
         let Some(places) = &mut self.onward else { return };
         let (route, s) = (ego.route(), ego.on_route().s);
-        if route.length() - s <= ONWARD
-            && let Some(longer) = places.lead_on(network, route)
-        {
+        if let Some(longer) = places.lead_on(network, route, s) {
             ego.set_route(longer, s);
         }
     }

@@ -2,7 +2,7 @@
 
 use super::Session;
 use crate::bridge::BridgeError;
-use crate::destination::{self, DestinationError, Destinations, ONWARD, ROUTE_LENGTH};
+use crate::destination::{self, DestinationError, Destinations, ROUTE_LENGTH};
 use nalgebra::Point2;
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::FRAC_PI_2;
@@ -87,10 +87,10 @@ impl Itinerary {
         let network = session.network().clone();
         let seat = session.seat_mut(index);
         let (route, s) = (seat.ego().route(), seat.ego().on_route().s);
-        if seat.criteria().destination().is_some() || route.length() - s > ONWARD {
+        if seat.criteria().destination().is_some() {
             return;
         }
-        if let Some(longer) = self.destinations.lead_on(&network, route)
+        if let Some(longer) = self.destinations.lead_on(&network, route, s)
             && ROUTE_LENGTH.contains(&(longer.length() - route.length()))
         {
             seat.lead_on(longer);
